@@ -10,7 +10,7 @@ from tissue_sim.mesh.solid import needle_solid
 
 
 def make_coarse_solid(model, *, resolution="realtime", mesh=None, topology=None):
-    """As `tissue_sim.fem.solver.SolverMaker`; whatever the resolution."""
+    """Return a coarse solid solver for any resolution; see `tissue_sim.fem.solver.SolverMaker`."""
     experiment = model.experiment
     radius = experiment.tool.require_radius()
     offset = 0.0 if experiment.approach is None else experiment.approach.offset

@@ -137,7 +137,7 @@ def functions(path: Path) -> list[ast.FunctionDef | ast.AsyncFunctionDef]:
 
 
 def holds_kernels(path: Path) -> bool:
-    """Whether Taichi compiles some of a source: a kernel cannot be cut into functions at will."""
+    """Return whether a source contains Taichi kernels, which cannot be split into functions freely."""
     return any(ast.unparse(decorator).startswith(("ti.func", "ti.kernel")) for function in functions(path)
                for decorator in function.decorator_list)
 

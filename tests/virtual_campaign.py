@@ -50,13 +50,13 @@ class Fitted:
         return self.situation.campaign
 
     def change(self, candidate: Candidate) -> np.ndarray:
-        """What an effect of its trial size adds to the whitened forces, (N, q)."""
+        """Return the change of the whitened forces by an effect of its trial size, (N, q)."""
         column = change_of(self.problem, self.evaluation, self.campaign, candidate)
         assert isinstance(column, np.ndarray), (candidate.name, column)
         return column
 
     def score(self, candidate: Candidate) -> float:
-        """What the data say of it, in standard deviations, with the sign of the trial size."""
+        """Return the signal of an effect in standard deviations, with the sign of its trial size."""
         residual, design = self.evaluation.design
         column = self.change(candidate)
         direction = Direction.project(np.vstack([column, np.zeros((residual.size - len(column), column.shape[1]))]),

@@ -1,4 +1,4 @@
-"""What tests of the calibration share: a relaxation fit as people ask for it."""
+"""Fixtures shared by the tests of the calibration, such as a relaxation fit."""
 
 from types import SimpleNamespace
 

@@ -1,4 +1,4 @@
-"""What recordings leave behind in common, against what they differ by."""
+"""Common part of the residuals of replicates, compared with their differences."""
 
 import numpy as np
 import pytest

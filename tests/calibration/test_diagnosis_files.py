@@ -1,4 +1,4 @@
-"""What a diagnosis writes down, what it plans, and what it says: files that simulators and calibrations load."""
+"""Files and texts of a diagnosis: plan, report, and material files that simulators and calibrations load."""
 
 import json
 import tomllib

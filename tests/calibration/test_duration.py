@@ -1,4 +1,4 @@
-"""What a diagnosis says while it goes and before: what is tried, and minutes where tests are in space."""
+"""Progress and expected duration of a diagnosis, before and while it runs."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""From raw files to moduli where the signals hold outliers, saturation, preloads, creep, relaxation or oscillation."""
+"""Moduli from raw files with outliers, saturation, preloads, creep, relaxation or oscillation."""
 
 import re
 

@@ -125,7 +125,7 @@ class TestProblem:
             assert 2 * jacobian[:, i] @ residual == pytest.approx(difference, rel=1e-3)
 
     def test_error_is_that_of_generalised_least_squares(self, plates):
-        """With a zero, mesh modes and coloured noise, which are linear: r' V^-1 r with the dense covariance."""
+        """The error is r' V^-1 r with the dense covariance of zero offset, mesh modes and correlated noise."""
         text = campaign_text("lubricated", "bonded").replace("correlation_time_s = 0", "correlation_time_s = 2.0")
         _, problem = problem_of(plates, text)
         problem.jitter = Jitter(0.0, 0.015, None)

@@ -107,7 +107,7 @@ def test_no_friction_is_lubricated(frictionless, data_folder, tmp_path):
 
 @pytest.mark.slow
 def test_friction_changes_the_modulus_and_not_the_misfit(frictionless, data_folder, tmp_path):
-    """What the platens are not stated to be: bonded ones take a quarter off C10 at the same misfit."""
+    """With bonded instead of frictionless platens C10 is a quarter smaller at the same misfit."""
     bonded = law(fit(tmp_path, data_folder, ["neo_hooke"], kind="bonded_compression"), "neo_hooke")
     free = law(frictionless, "neo_hooke")
     assert bonded.parameters["C10"] / free.parameters["C10"] == pytest.approx(0.72, abs=0.03)

@@ -232,7 +232,7 @@ def campaign():
 
 
 def closes(page):
-    """Whether every tag is closed in turn."""
+    """Return whether every tag is closed in the right order."""
     opened = []
     for end, tag in re.findall(r"<(/?)([a-z][a-z0-9]*)[ >]", page):
         if end and (not opened or opened.pop() != tag):

@@ -77,7 +77,7 @@ def narrow():
 
 
 def frames(figure):
-    """As shares of the figure."""
+    """Return the frames of the axes, in fractions of the figure."""
     return np.array([axes.get_position().extents for axes in figure.axes])
 
 

@@ -153,7 +153,7 @@ def test_one_material_in_all_specimens_differs_in_nothing(animals, tmp_path):
 
 @pytest.mark.slow
 def test_a_campaign_finds_the_population(animals, tmp_path, capsys):
-    """From recordings to the material file: each specimen its own numbers, the material their mean."""
+    """A campaign gives parameters of each specimen, and a material file with their mean."""
     folder, truth = animals
     assert main(["calibrate", str(folder / "each.toml"), "-o", str(tmp_path / "out")]) == 0
     assert "between specimens" in capsys.readouterr().out

@@ -1,4 +1,4 @@
-"""Which law comes first, and what is not called usable."""
+"""Order of the laws, and fits that are not usable."""
 
 import csv
 

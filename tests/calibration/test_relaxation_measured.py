@@ -49,7 +49,7 @@ def test_ramp_and_hold_in_shear(adhesive, name, fit_relaxation):
 
 
 def test_form_b_does_not_follow_five_steps_to_shear_10(adhesive, fit_relaxation):
-    """At shear 10 the overstress of this form is far too stiff: a fit of all steps misses by several per cent."""
+    """The overstress of form b is too stiff at shear 10, so that a fit of all steps misses by several per cent."""
     whole, first = stepped(adhesive, "shear_relaxation_1")
     fit = fit_relaxation(whole, "reduced_polynomial_2", 2, kinds="simple_shear").fit
     correlation = float(re.search(r"neighbours correlate by ([\d.]+)", fit.message)[1])

@@ -138,7 +138,7 @@ def test_a_file_that_leaves_out_what_it_holds_is_refused(tmp_path):
 
 
 def linear_rates(displacement):
-    """Of the force with C10 and C20, N/Pa, shape (n, 2)."""
+    """Return the derivatives of the force with respect to C10 and C20, N/Pa, shape (n, 2)."""
     return np.column_stack([-AREA * LAW.nominal_stress(1 - displacement / HEIGHT, {"C10": a, "C20": b})
                             for a, b in ((1.0, 0.0), (0.0, 1.0))])
 

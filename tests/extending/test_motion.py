@@ -41,7 +41,7 @@ def test_a_loop_follows_it(spiral, ticks_of):
 
 @pytest.mark.slow
 def test_the_command_line_knows_a_motion_of_an_installed_package(tmp_path):
-    """By an entry point: the help names it, and the loop follows it."""
+    """The help names a motion registered by an entry point, and the loop follows it."""
     installed = tmp_path / "spirals-1.0.dist-info"
     installed.mkdir()
     (installed / "METADATA").write_text("Metadata-Version: 2.1\nName: spirals\nVersion: 1.0\n", encoding="utf-8")

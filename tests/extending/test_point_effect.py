@@ -60,7 +60,7 @@ def needle(stuff):
 
 
 def test_formula_on_plain_numbers(branch):
-    """In three dimensions: the tangent is the derivative of the stress, and symmetric."""
+    """In three dimensions the tangent is symmetric and equals the derivative of the stress."""
     rng = np.random.default_rng(0)
     for dt in (0.0, 1e-7, 0.4, 1e30):
         F = np.eye(3) + 0.2 * rng.normal(size=(3, 3))
@@ -106,7 +106,7 @@ def test_layers_scale_it_as_the_law(branch):
 @pytest.mark.slow
 @pytest.mark.parametrize("element", [Q9P1, Q4P0], ids=lambda e: e.name)
 def test_tangent_is_the_derivative_of_the_residual(branch, element):
-    """As in test_memory.py: every column of the condensed tangent against differences of nodal forces."""
+    """Every column of the condensed tangent equals differences of nodal forces, as in test_memory.py."""
     mesh = cylinder_mesh(RADIUS, HEIGHT, (2, 2), element)
     stuff = material(branch, layers=(ts.Layer(HEIGHT / 2, 2.5),))
     layers = element_layers(mesh, stuff.layers)
@@ -171,7 +171,7 @@ def test_simulator_remembers_saves_and_restores(branch):
 
 
 def test_its_parameters_are_those_of_the_model(branch, tmp_path):
-    """By path, in a material file, and changed while the simulator runs."""
+    """Parameters are set by path, in a material file, and while the simulator runs."""
     stuff = material(branch)
     assert value(stuff, "effects.maxwell_branch.tau") == TAU
     ts.write_material_file(ts.MaterialFile.of(stuff), tmp_path / "m.material.json")

@@ -43,7 +43,7 @@ def same(found, expected) -> None:
 
 
 def test_through_multi_rate(spring, path):
-    """Where a model is made, its wrench is the solver's."""
+    """At the pose of a model, the wrench is that of the solver."""
     slow, blend, twin = SlowSolver(simulator()), LocalModelBlend(jump=1e3, torque_jump=1e3), simulator()
     for pose in path:
         assert blend.publish(slow.solve(pose, DT, blend.time))

@@ -111,7 +111,7 @@ def test_through_rendering_the_energy_is_that_of_all_six_directions(toy, path):
 
 
 def test_through_multi_rate(toy, path):
-    """At the pose of a model its wrench is that of the tissue; at other poses, too, as long as the foot sticks."""
+    """At the pose of a model the wrench is that of the tissue; at other poses too, while the foot sticks."""
     slow, blend, twin = SlowSolver(toy.ToyTissue()), LocalModelBlend(jump=1e3, torque_jump=1e3), toy.ToyTissue()
     for pose in path:
         assert blend.publish(slow.solve(pose, DT, blend.time))

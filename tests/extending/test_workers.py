@@ -1,4 +1,4 @@
-"""What a plugin file registers is known where the tasks of a calibration run: in spawned and in dask workers."""
+"""Registrations of a plug-in file are known in spawned and in dask workers of a calibration."""
 
 import importlib.util
 import sys

@@ -82,7 +82,7 @@ def run(tmp_path, tissues):
 
 
 def answers(report):
-    """How many answers had which status, but for those that none had."""
+    """Return the number of answers of each status that occurs."""
     return {name: count for name, count in report.statuses.items() if count}
 
 
@@ -147,7 +147,7 @@ def test_a_loop_with_long_ticks_is_listened_to_after_each_of_them(run, tissues):
 
 def test_a_force_without_an_equilibrium_is_let_go_and_comes_back(run, tissues):
     class Lost(tissues.Spring):
-        """No equilibrium from 0.2 to 0.6 s."""
+        """Tissue without an equilibrium from 0.2 to 0.6 s."""
 
         def step(self, pose, dt):
             super().step(pose, dt)
@@ -249,7 +249,7 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
 
 
 def test_a_hand_takes_the_tool_over_where_it_is(run, tissues):
-    """It would jump back where whoever asks knows an older place."""
+    """A hand takes the tool over at its present pose, without a jump to an older one."""
     def listen(loop):
         if len(tissue.steps) == 100:
             loop.switch_device(HandMotion(None))
@@ -373,7 +373,7 @@ def environment():
 
 
 def is_running(pid):
-    """Whether a process runs; one that ended but was not waited for does not."""
+    """Return whether a process runs; a process that ended and was not waited for does not."""
     try:
         return Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] != "Z"
     except OSError:

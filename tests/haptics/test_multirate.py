@@ -340,7 +340,7 @@ def test_a_reset_while_a_model_is_on_its_way():
 @pytest.mark.parametrize("end", [Pose((0.0, 0.0, 1e-5)), Pose((8e-4, 0.0, 1e-5)), Pose((0.0, 0.0, 1e-5), tilted(4.0)),
                                  Pose((-5e-4, 4e-4, 1e-5), tilted(3.0))])
 def test_a_tool_that_holds_tissue_holds_it_where_it_touched(end):
-    """It moves and leans in the air; from the touch on it feels what a tool in the middle feels."""
+    """A bonded tool that moved and tilted in the air has from the touch on the force of a tool on the axis."""
     moved, plain = (delayed(tool="flat", friction="bonded") for _ in range(2))
     begin = Pose((0.0, 0.0, 2e-3))
     for share in np.linspace(0.0, 1.0, 50):
@@ -358,7 +358,7 @@ def test_a_tool_that_holds_tissue_holds_it_where_it_touched(end):
 
 
 def test_a_first_step_inside_has_no_past():
-    """At rest 1 mm deep and 0.8 mm aside, as if it had come straight down."""
+    """A tool first seen at rest, 1 mm deep and 0.8 mm aside, has the force of a vertical approach."""
     inside, plain = (delayed(tool="flat", friction="bonded") for _ in range(2))
     for _ in range(60):
         one, other = inside.step(down(1e-3, 8e-4), DT), plain.step(down(1e-3), DT)

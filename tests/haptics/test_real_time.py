@@ -1,4 +1,4 @@
-"""What is obtained holds inside and is undone; what is not obtained is said, with a remedy."""
+"""Real-time privileges: granted ones hold inside and are undone; refused ones are reported with a remedy."""
 
 import ctypes
 import errno
@@ -50,7 +50,7 @@ def test_a_collection_that_was_off_stays_off():
 
 @needs_linux
 def test_what_linux_grants_is_seen_by_the_system_and_undone():
-    """In a child process; /proc and the scheduler are read, not our own report."""
+    """A child process is checked through /proc and the scheduler, independently of the report."""
     code = """
 import os
 from pathlib import Path

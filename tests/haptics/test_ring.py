@@ -146,7 +146,7 @@ def test_a_half_written_slot_is_not_believed(path, part):
 
 
 def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
-    """On a processor that shows writes in another order, the count can be seen before the content."""
+    """A processor with another order of writes can show the count before the content of a slot."""
     with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
         writer.write(b"1")
         writer._numbers[0] = 2

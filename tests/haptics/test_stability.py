@@ -27,14 +27,14 @@ class Spring:
 
 
 class Step(AxialMotion):
-    """From 0.5 mm to 1 mm at once."""
+    """Motion from 0.5 mm to 1 mm at once."""
 
     def depth(self, time):
         return 0.5e-3 if time <= 0 else 1e-3
 
 
 def shakes(stiffness, mass, damping, grip, delay, *, coupling=None, controller=None, jitter=0.0, loss=0.0):
-    """Of a hand that rests 1 mm deep."""
+    """Return the oscillation of a hand that rests at a depth of 1 mm."""
     hand = VirtualHand(Step(), mass, damping, grip, push=stiffness * 1e-3)
     rendering = ForceRendering(ForceLimits(50.0, 5.0), coupling, controller_damping=controller)
     depths = depths_in_time(Spring(stiffness), DelayedHand(hand, delay, jitter, loss), rendering, 2.0)

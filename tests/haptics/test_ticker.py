@@ -119,7 +119,7 @@ def test_sleep_is_made_up_for():
 
 
 def test_little_is_made_up_for():
-    """What a long time without sleep has left over is no reason to sleep as long."""
+    """After a long time without sleep, the ticker makes up for a small part of the lost sleep only."""
     clock = FakeClock(reading=1000)
     ticker = clock.ticker(spin=0.95e-3)
     for _ in range(3000):

@@ -33,7 +33,7 @@ ORDER = [0, 2, 8, 6, 18, 20, 26, 24, 1, 5, 7, 3, 19, 23, 25, 21, 9, 11, 17, 15]
 @pytest.mark.slow
 @pytest.mark.parametrize(("degrees", "off"), [(0.0, 0.001), (20.0, 0.0025)], ids=["upright", "oblique"])
 def test_force_off_the_axis(degrees, off, tmp_path):
-    """In the plane of the way, by symmetry; sign, size and direction as CalculiX has them."""
+    """The force lies in the plane of the motion by symmetry; sign, size and direction equal those of CalculiX."""
     approach = ts.Approach(OFFSET, math.radians(degrees))
     mesh = needle_solid(0.04, 0.05, 8e-3, HEX27P1, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2,
                         centre=(OFFSET, 0.0))

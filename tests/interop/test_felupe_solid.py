@@ -27,7 +27,7 @@ CASES = {  # specimen, where the needle is, what it holds
 
 
 def felupe_force(mesh, held):
-    """On what holds a set of nodes, N."""
+    """Return the force on the supports of a set of nodes, N."""
     order = [int(np.abs(HEX8P0.reference_nodes - place).sum(axis=1).argmin()) for place in felupe.Hexahedron().points]
     region = felupe.RegionHexahedron(felupe.Mesh(mesh.nodes, mesh.connectivity[:, order], "hexahedron"))
     field = felupe.FieldsMixed(region, n=3)

@@ -335,7 +335,7 @@ def test_ctrl_c_ends_the_loop_with_its_report(tmp_path):
 
 
 def test_ctrl_c_during_the_start_of_a_running_loop_has_its_report(of_springs, monkeypatch, capsys, tmp_path):
-    """As on a busy machine: the loop ticks, but this process has not read its message yet."""
+    """Ctrl-C gives a report if the loop ticks and its first message is not read yet, as on a busy machine."""
     ring = tmp_path / "ring"
 
     def interrupted(process, **_):

@@ -23,7 +23,7 @@ class TestLiftOff:
         (None, 0.1), (None, 0.4), (None, 0.7), (ts.Tool("flat", RADIUS, 1e-3), 0.4), (ts.Tool("round", RADIUS), 0.4),
         (ts.Tool("cone", RADIUS, half_angle=1.0, tip_radius=5e-4), 0.1)])
     def test_no_force_above_the_tissue_and_the_curve_again(self, tool, mu):
-        """What touches again is bound from the end of that step on, so the way down begins with small ones."""
+        """Nodes that touch again are bonded from the end of that step on, so that loading begins with small steps."""
         down, gently = np.linspace(0.0, 6e-3, 13), 1e-3 * np.array([0.0, 0.01, 0.02, 0.04, 0.08, 0.15, 0.3])
         found = force(mu, tool, [*down, *down[-2::-1], -1e-3, *gently, *down[1:], -2e-3], base=None if tool else mu)
         assert found[25] == found[-1] == 0.0 and abs(found[24]) < 1e-4 * found[12]

@@ -1,4 +1,4 @@
-"""What a user may combine: profiles of every kind, parameters at the end of their range, rigs and tilt."""
+"""Combinations of features: profiles of every kind, parameters at the limits of their range, rigs and tilt."""
 
 import numpy as np
 import pytest

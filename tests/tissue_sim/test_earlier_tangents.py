@@ -23,7 +23,7 @@ TURNED = (float(np.cos(0.01)), 0.0, float(np.sin(0.01)), 0.0)
 
 
 class Later:
-    """What is computed is not said to be there before `come`."""
+    """Double of a bulk whose results are hidden until `come` is called."""
 
     def __init__(self):
         self.come = False

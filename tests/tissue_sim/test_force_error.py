@@ -1,4 +1,4 @@
-"""How far a simulated force errs: what is said of it against finer meshes, shorter steps and independent solvers."""
+"""Stated force errors against finer meshes, shorter steps and independent solvers."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def test_estimate_has_the_size_of_the_error_against_an_independent_solver(refere
 @pytest.mark.slow
 @pytest.mark.parametrize("points", [5, 6, 7, 9, 11, 16, 21])
 def test_first_step_after_a_turn_is_compared(points):
-    """Whether a leg has an odd or an even number of steps."""
+    """The first step after a reversal is compared for odd and even numbers of steps."""
     recording, shorter = (ts.simulate(presses_twice(each)) for each in (points, 4 * points - 3))
     error = abs(recording.force - shorter.force[::4]).max() / shorter.force.max()
     assert 0.005 < error < 0.05 and 0.7 * error < solver_says(recording)["force_error"] < 2.0 * error

@@ -285,7 +285,7 @@ def test_foam_set_by_name(data_folder):
 
 
 def test_a_cell_far_away_is_refused(tmp_path):
-    """It would take the memory of the whole rectangle."""
+    """A single distant cell would need the memory of the whole rectangle."""
     book = openpyxl.Workbook()
     for row in NUMBERS:
         book.active.append(row)

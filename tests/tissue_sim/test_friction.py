@@ -211,7 +211,7 @@ class TestTangent:
     @pytest.mark.parametrize(("mu", "tool"), [
         (0.1, None), (0.4, None), (0.1, ts.Tool("flat", RADIUS, 4e-3)), (0.1, ts.Tool("round", RADIUS))])
     def test_quadratic_convergence_with_slip(self, mu, tool):
-        """Where no point changes between sticking and slipping, a step without prediction takes few exact tangents."""
+        """Without changes between stick and slip, a step without prediction needs few exact tangents."""
         solver = stepped(mu, tool)
         step = solver.step(6.0005e-3, predictor_order=0)
         assert step.status is StepStatus.CONVERGED and step.slipping > 0 and step.iterations <= 5

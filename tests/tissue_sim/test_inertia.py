@@ -26,7 +26,7 @@ AMPLITUDE = 1e-6
 
 
 def velocity(t):
-    """Of the top: a smooth bump, then rest; m/s."""
+    """Velocity of the top, m/s: a smooth bump, then rest."""
     t = np.asarray(t)
     return np.where((t > 0) & (t < RISE), AMPLITUDE / RISE * (1 - np.cos(2 * np.pi * t / RISE))**2 / 1.5, 0.0)
 

@@ -61,7 +61,7 @@ def test_strain_under_load(name, abscissa, strain):
 
 @pytest.mark.parametrize("name", HOMOGENEOUS)
 def test_stress_is_against_the_strain(name):
-    """At a small strain: 3 mu of tension and compression, mu of shear."""
+    """At small strain the modulus is 3 mu in tension and compression, and mu in shear."""
     kind, law, values = ts.KINDS[name], ts.find_law("neo_hooke"), {"C10": 500.0}
     small = kind.abscissa(np.array([1e-6]))
     modulus = 1000.0 if name == "simple_shear" else 3000.0

@@ -91,7 +91,7 @@ def test_moduli_of_the_study(name, values, E0, mu0):
 @settings(max_examples=15, deadline=None)
 @given(s=st.lists(st.floats(0.6, 1.6), min_size=3, max_size=3), order=st.permutations(range(3)))
 def test_response_is_isotropic_and_deviatoric(name, s, order):
-    """No stretch is special, and a change of volume changes nothing. (Objectivity: test_energy.py.)"""
+    """The response is equal for all orders of the stretches and independent of volume (objectivity: test_energy.py)."""
     law, values, s = ts.find_law(name), PARAMETERS[name], np.array(s)
     energy, tau = law.principal_response(s, values)
     energy_permuted, tau_permuted = law.principal_response(s[order], values)

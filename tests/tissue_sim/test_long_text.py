@@ -32,7 +32,7 @@ def foreign(rows, sign=",", header="Time [s],Displacement [mm],Load [N]"):
 
 
 def outcome(reader, path):
-    """What reading gives: channels and labels, or place and sentence."""
+    """Return the result of reading: channels and labels, or line and message of the error."""
     try:
         found = READERS[reader](path)
     except ts.InputError as error:

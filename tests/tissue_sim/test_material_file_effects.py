@@ -1,4 +1,4 @@
-"""What time and loading do, in material files: the round trip, the refusals, and files of version 1."""
+"""Effects of time and loading in material files: round trip, refusals, and files of version 1."""
 
 import dataclasses
 import json

@@ -1,4 +1,4 @@
-"""What the finite elements remember: relaxation and softening at the quadrature points."""
+"""History variables of the finite elements: relaxation and softening at the quadrature points."""
 
 from dataclasses import replace
 from itertools import pairwise
@@ -117,7 +117,7 @@ class TestRelaxation:
                                    atol=1e-9)
 
     def test_standing_specimen_has_relaxed(self):
-        """It sags as with the relaxed moduli, and answers a sudden load with the instantaneous ones."""
+        """A specimen sags with the relaxed moduli, and answers a sudden load with the instantaneous ones."""
         tall = ts.Specimen(RADIUS, HEIGHT, density=1040.0, gravity=9.81)
         sags, forces = [], []
         for scale, material in ((1.0, {}), (0.5, {}), (1.0, {"viscoelastic": SERIES})):

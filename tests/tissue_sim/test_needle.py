@@ -161,7 +161,7 @@ class TestTangent:
     @pytest.mark.parametrize(("friction", "edge"), [("bonded", 0.0), ("stick", 0.0), ("stick", 1e-3),
                                                     ("frictionless", 4e-3)])
     def test_quadratic_convergence(self, friction, edge):
-        """Where no point touches or leaves, a step without prediction ends after few exact tangents."""
+        """Without changes of contact, a step without prediction needs few exact tangents."""
         m = model(friction, edge=edge)
         solver = build_solver(m, build_mesh(m.experiment))
         for depth in np.linspace(0, 6e-3, 25):

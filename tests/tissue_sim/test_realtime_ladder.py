@@ -100,7 +100,7 @@ def test_who_does_not_ask_gets_no_other_mesh(monkeypatch, how):
 
 
 def test_a_mesh_on_which_nothing_stands_is_left_out(monkeypatch):
-    """Of two that are too slow and one that cannot be made the one there is stays."""
+    """Two meshes are too slow and one cannot be made, so that the remaining one is chosen."""
     sim = led_to(monkeypatch, "plates", ())
     elements = len(sim.mesh.connectivity)
 
@@ -131,7 +131,7 @@ def test_forces_err_by_no_more_than_they_say(name):
 
 
 def test_under_a_free_edge_there_is_no_other_equilibrium_on_the_way_back():
-    """On 20 elements the force at 5 mm was 13 % too small once the tool had been at 8 mm."""
+    """On 20 elements the force at 5 mm was 13 % too small after the tool had been at 8 mm."""
     tissue = ts.Material("reduced_polynomial_2", {"C10": 1400.0, "C20": 105.0}, ts.Bulk("bulk_ratio", 1e4))
     test = ts.Experiment(ts.Specimen(0.040, 0.070), ts.Protocol.ramp(8e-3, 2), tool=ts.Tool("flat", 8e-3, 1e-3),
                          friction="frictionless")

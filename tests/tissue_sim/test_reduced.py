@@ -29,14 +29,14 @@ def model(tool: ts.Tool, **faces) -> ts.Model:
 
 @pytest.fixture(scope="module")
 def held():
-    """Of a flat needle that holds tissue, sideways and turned."""
+    """Return a reduced model of a bonded flat needle that moves laterally and rotates."""
     box = ts.PoseBox(1.5e-3, DEPTH, 0.06)
     return reduce_solid(model(ts.Tool("flat", radius=8e-3), friction="bonded"), box, strokes=8, modes=20, tried=3)
 
 
 @pytest.fixture(scope="module")
 def touched():
-    """Of a ball with friction that comes down on the axis."""
+    """Return a reduced model of a ball with friction that comes down on the axis."""
     return reduce_solid(model(ts.Tool("round", radius=8e-3), friction=0.3), ts.PoseBox(0.0, DEPTH, 0.0), strokes=6,
                         modes=12, tried=1)
 
@@ -205,7 +205,7 @@ def followed(held):
 
 
 class TestEstimate:
-    """Of the error of the force."""
+    """Error estimate of the force."""
 
     @staticmethod
     def errors(reduced, followed):
@@ -256,7 +256,7 @@ class TestEstimate:
 @pytest.mark.slow
 @pytest.mark.parametrize("base", ["bonded", "frictionless"])
 def test_a_motion_along_the_axis_alone_has_few_modes(base):
-    """What more are asked for would be rounding, which nothing resists: no step found an equilibrium."""
+    """Further modes would be rounding errors without stiffness, with which no step finds an equilibrium."""
     reduced = reduce_solid(model(ts.Tool("flat", radius=8e-3), friction="bonded", friction_base=base),
                            ts.PoseBox(0.0, DEPTH), strokes=3, modes=24, tried=1)
     assert reduced.report["modes"] < 12 and reduced.report["not_converged"] == 0.0

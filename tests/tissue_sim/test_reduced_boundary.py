@@ -23,7 +23,7 @@ DEPTHS = np.linspace(0.0, BOX.depth, 9)
 
 @pytest.fixture(scope="module")
 def ball():
-    """Of a ball that slides, eight strokes and those along the boundary."""
+    """Return a reduced model of a sliding ball, trained on eight strokes and on those along the boundary."""
     experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(BOX.depth, 2),
                                tool=ts.Tool("round", radius=8e-3), friction=0.3)
     return ts.reduce_solid(ts.Model(experiment, MATERIAL), BOX, strokes=6, modes=20, tried=1)
@@ -107,7 +107,7 @@ class TestForce:
 
     @pytest.mark.slow
     def test_nodes_that_no_stroke_pressed_are_in_the_estimate(self, central, truth):
-        """Where strokes did not go the force is far too large, and the status says so."""
+        """Outside the training strokes the force is far too large, and the status reports it."""
         peak = np.linalg.norm(truth, axis=2).max()
         corner = answers(central, PLACES[0])
         assert off(corner[-1], truth[0][-1]) > 0.3 * peak, "the fault that must be stated"

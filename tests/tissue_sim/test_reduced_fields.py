@@ -18,7 +18,7 @@ POSES = [ts.Pose((0.05e-3 * k, -0.04e-3 * k, -0.25e-3 * k)) for k in range(9)]
 
 @pytest.fixture(scope="module")
 def reduced():
-    """Of a flat needle that holds tissue."""
+    """Return a reduced model of a bonded flat needle."""
     experiment = ts.KINDS["needle_indentation"].experiment(
         specimen=ts.Specimen(0.03, 0.02), protocol=ts.Protocol.ramp(3e-3, points=2), tool=ts.Tool("flat", radius=8e-3),
         friction="bonded")

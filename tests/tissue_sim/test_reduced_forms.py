@@ -64,7 +64,7 @@ class TestPuncture:
     PUNCTURE = ts.Puncture(depth=5e-3, drop=0.3)
 
     def test_drop_stays(self):
-        """At 5 mm nothing has given way yet; from the next sample on 30 % are missing, out and in again."""
+        """At 5 mm there is no drop yet; from the next sample on 30 % are lost, in loading and unloading."""
         whole = simulated(self.PROTOCOL, NEEDLE, "stick").force
         force = simulated(self.PROTOCOL, NEEDLE, "stick", puncture=self.PUNCTURE).force
         assert self.PROTOCOL.displacement[10] == pytest.approx(5e-3, abs=1e-12)
@@ -95,7 +95,7 @@ class TestTilt:
     TILT = 1e-3
 
     def test_average_over_the_face(self):
-        """Of a straight line: a toe, and beyond it a constant lag of half the tilt."""
+        """A linear force becomes a toe region followed by a constant lag of half the tilt."""
         depth, stiffness = np.linspace(0.0, 0.01, 101), 760.0
         line = ts.Recording({"time": np.arange(101.0), "displacement": depth, "force": stiffness * depth})
         force = tilted(line, self.TILT, line.displacement).force
@@ -195,7 +195,7 @@ class TestSlip:
 
 class TestStiffnessScale:
     def test_all_moduli_times_the_ratio(self, tmp_path):
-        """With and without a load train that gives way: the same as a material with moduli of that ratio."""
+        """The force is that of a material with moduli times the ratio, with and without machine compliance."""
         protocol, scale = ts.Protocol.ramp(6e-3, 9), ts.EFFECTS["stiffness_scale"](1.2)
         stiffer = {name: 1.2 * value for name, value in STUDY.items()}
         for rig in (ts.Rig(), ts.Rig(compliance=2e-4)):

@@ -69,7 +69,7 @@ class TestLayer:
     @pytest.mark.parametrize(("mu", "close"), [(0.0, 1e-4), (0.3, 5e-3)])
     @pytest.mark.parametrize("follows", [False, True])
     def test_its_answers_to_the_tool_are_derivatives(self, mu, close, follows):
-        """Of forces and wrench with place and rotation of the tool, on tissue that stays or follows."""
+        """Derivatives of forces and wrench with respect to tool position and rotation, on fixed and moving tissue."""
         layer, at = self.contact(ts.Tool("round", radius=8e-3), mu), np.array([2e-3, 1e-3, 0.0])
         answer = np.zeros((3, 6))
         pose = turned(ts.Pose((1e-4, 0.0, -3e-3)), (0.1, -0.05, 0.02))

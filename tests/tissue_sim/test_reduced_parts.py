@@ -25,7 +25,7 @@ DEPTH = 2e-3
 
 
 def experiment(specimen: ts.Specimen, tool: ts.Tool | None = None, **faces) -> ts.Experiment:
-    """Of a needle."""
+    """Return an experiment with a needle."""
     return ts.KINDS["needle_indentation"].experiment(
         specimen=specimen, protocol=ts.Protocol.ramp(DEPTH, points=2), tool=tool or ts.Tool("flat", radius=6e-3),
         **faces)
@@ -61,7 +61,7 @@ def skinned():
 
 
 def whole_forces(reduced, material, poses) -> np.ndarray:
-    """Of the whole solid, N, shape (poses, 3)."""
+    """Return the forces of the whole solid, N, shape (poses, 3)."""
     solver = training.whole_solver(ts.Model(reduced.model.experiment, material), reduced.mesh)
     return training.snapshots(solver, poses).wrenches[:, :3]
 

@@ -77,7 +77,7 @@ def test_a_rotation_turns_as_poses_do():
 
 
 class TestNone:
-    """What is no symmetry of mesh, sets, held faces or tool has no images."""
+    """A transformation that is not a symmetry of mesh, sets, bonded faces or tool gives no images."""
 
     @staticmethod
     def count(solver, start=None):

@@ -76,7 +76,7 @@ class TestIdeal:
 
 
 def test_motion_only():
-    """What moves the tool stays, and nothing is left that changes a reading."""
+    """Effects on the motion of the tool are kept; effects on the readings are removed."""
     stated = {"contact_offset": 1e-3, "displacement_gain": 0.1, "backlash": 1e-4, "step_loss": 1e-4,
               "step_loss_depth": 1e-3, "compliance": 1e-4, "guide_friction": 0.1, "rate_damping": 10.0,
               "latency": 0.1, "sensor_gain": 0.1, "zero_offset": 0.1, "sensor_drift": 0.1, "sampling_rate": 10.0,
@@ -336,7 +336,7 @@ class TestSensor:
 
 class TestInertia:
     def test_mass_times_acceleration_of_the_report(self):
-        """Of a motion that starts gently, and in air as in the tissue."""
+        """The inertia force of the tool is right for a motion with a gentle start, in air and in tissue."""
         time = np.linspace(0.0, 0.5, 201)
         way = 5e-3 * (1 - np.cos(2 * np.pi * time / 0.5))
         true = Recording({"time": time, "displacement": way, "force": 100.0 * way})

@@ -128,7 +128,7 @@ def test_slip_with_a_past(options, text):
 
 
 def test_a_law_that_is_linear_in_its_parameters():
-    """With the bulk ratio held the force is homogeneous of degree one in C10 and C20 (Euler)."""
+    """At constant bulk ratio the force is homogeneous of degree one in C10 and C20 (Euler)."""
     answer = ts.sensitivities(ts.Model(experiment(friction=0.3, friction_base=0.3), elastic()), ["C10", "C20"])
     np.testing.assert_allclose(answer.values @ list(STUDY.values()), answer.recording.force, rtol=1e-6, atol=1e-9)
 

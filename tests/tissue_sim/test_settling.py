@@ -25,7 +25,7 @@ def model(friction="frictionless", *, gravity=GRAVITY, radius=0.040, height=0.07
 
 
 def column_sag(height):
-    """Of the one-dimensional incompressible column: each slice carries what stands on it."""
+    """Return the sag of the one-dimensional incompressible column: each slice carries the weight above it."""
     def stress(stretch):
         invariant = stretch**2 + 2 / stretch - 3
         return 2 * (STUDY["C10"] + 2 * STUDY["C20"] * invariant) * (stretch - stretch**-2)
@@ -64,7 +64,7 @@ def test_lubricated_force_against_the_column(resolution):
 @pytest.mark.slow
 @pytest.mark.parametrize("resolution", ["fast", "accurate"])
 def test_needle_force_rises(resolution):
-    """By 4 to 6 % under the study's punch, a little more at its deepest."""
+    """The force of the study's punch rises by 4 to 6 %, slightly more at the largest depth."""
     needle = ts.Tool("flat", 8e-3)
     weighs, weightless = (ts.simulate(model("bonded", gravity=g, tool=needle), resolution=resolution).force[AT]
                           for g in (GRAVITY, 0.0))

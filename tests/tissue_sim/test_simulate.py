@@ -275,7 +275,7 @@ class TestFields:
         np.testing.assert_allclose(extrapolate(mesh, at_points), linear, rtol=1e-12)
 
     def test_displacement_at_points_is_that_of_the_vector(self, accurate):
-        """On a plate that comes down everything moves between 0 and 10 mm, and near the top by almost 10."""
+        """Under a plate the displacement is between 0 and 10 mm, and near the top almost 10 mm."""
         at_points = accurate.fields.at_points("displacement")
         assert 9.5e-3 < at_points.max() < 10.5e-3 and at_points.min() < 5e-4
 

@@ -89,7 +89,7 @@ def test_stiffness_is_the_slope_of_the_force(name):
 
 
 def test_stiffness_of_a_step_that_takes_time():
-    """What relaxes within the step is part of it."""
+    """The stiffness includes relaxation within the step."""
     sim = simulator(NEEDLE, RELAXING)
     for k in range(1, 11):
         sim.step(k * 1e-4, 0.5)
@@ -142,7 +142,7 @@ def test_a_late_step_answers_the_local_model_and_the_next_one_catches_up():
 
 
 def test_a_budget_that_ends_between_parts_keeps_the_parts():
-    """A way that takes many parts is made in several steps."""
+    """A motion of many increments is completed over several steps."""
     sim = simulator()
     sim.warm_up()
     # A simulated clock: every part takes as long as the budget of four solves.

@@ -1,4 +1,4 @@
-"""What a simulator refuses, states of its answers, copies, clones and threads."""
+"""Contract of a simulator: refusals, statuses of its answers, copies, clones and threads."""
 
 import copy
 import math
@@ -212,7 +212,7 @@ class TestAges:
 class TestLightTool:
     @pytest.mark.parametrize("added, stiffness", [(1e-3, 0.0), (0.0, 500.0), (2e-3, 300.0)])
     def test_the_least_mass_is_where_the_coupling_becomes_unstable(self, added, stiffness):
-        """Of the linear recursion that the module states."""
+        """The stated smallest mass is the stability limit of the linear recursion in the docstring of the module."""
         dt = 1e-3
         least = least_tool_mass(axial_stiffness(stiffness), axial_stiffness(stiffness + 2.25 * added / dt**2), dt)
         backward = np.convolve([1.5, -2.0, 0.5], [1.5, -2.0, 0.5])

@@ -92,7 +92,7 @@ def test_who_leaves_on_the_way_is_back_at_the_last_equilibrium(monkeypatch, leav
 
 
 def test_after_a_creep_in_a_hold_the_tool_moves_on(monkeypatch):
-    """No way at all to cut, and yet no part of a later way is without length."""
+    """A hold has no motion to cut into increments, and increments of a later motion have positive length."""
     barred = Barred(monkeypatch)
     barred.barred_from = 0.0
     held = barred.simulator.step(barred.last.depth, 1e-3)

@@ -72,7 +72,7 @@ def test_a_plate_pulls_at_a_block_until_it_lets_go(tack):
 @pytest.mark.parametrize(("laws", "precision"), [
     ({"adhesion": ts.Adhesion(0.02, 0.5e-3)}, 2e-3), ({"contact_laws": [Film(3e5)]}, 0.01)], ids=["adhesion", "film"])
 def test_plates_are_those_of_the_axisymmetric_solid(laws, precision):
-    """In, out and off; with a film the base is bonded, so that tissue slips under the plate."""
+    """Forces are equal in loading, unloading and separation; with a film the base is bonded and the top slips."""
     places = 1e-3 * np.array([0.0, 1.0, 0.3, 0.0, -0.1, -0.3, -1.1])
     tested = model(places, base="bonded" if "contact_laws" in laws else None, **laws)
     mesh = needle_solid(0.03, 0.03, 0.018, HEX27P1, smallest=3.5e-3, growth=1.8, largest=10e-3, around=2)
@@ -136,7 +136,7 @@ def test_a_stickier_ball_is_between_the_limits():
 @pytest.mark.slow
 @pytest.mark.parametrize("friction", ["frictionless", 0.3, "stick"])
 def test_stiffness_knows_the_pull(friction):
-    """Of a ball that is being taken off, along and aside, by steps that are then taken."""
+    """The stiffness of a ball during separation, along and across the axis, predicts the next steps."""
     mesh = needle_solid(0.03, 0.03, 5e-3, HEX8P0, smallest=1.2e-3, growth=1.8, largest=8e-3, around=3)
     solver = make_solver(model([0.0, 2e-3], tool=BALL, friction=friction, base="bonded",
                                adhesion=ts.Adhesion(0.02, 3e-4)), mesh=mesh)

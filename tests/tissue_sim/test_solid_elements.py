@@ -23,7 +23,7 @@ def solver(element, material, cells=1):
 
 
 def forces(tissue):
-    """Of all freedoms, with the pressures as they are: without what the volume still misses."""
+    """Return the forces of all degrees of freedom at given pressures, without the volume residual."""
     tissue._assemble()
     batches, modes = tissue.batches, tissue.mesh.element.pressure_modes
     missed = tissue.tissue.bulk_moduli[0] * batches.moduli[:, None] * batches.gaps.reshape(batches.batches, modes, -1)

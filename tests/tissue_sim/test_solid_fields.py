@@ -81,7 +81,7 @@ def test_simple_shear_is_the_closed_form(element):
 
 
 def test_components_by_r_and_z_turn_with_the_point():
-    """Of uniaxial stress along x, at the angle a about z: rr = s cos(a)^2, hoop = s sin(a)^2."""
+    """Uniaxial stress s along x gives rr = s cos(a)^2 and hoop = s sin(a)^2 at the angle a about z."""
     stretch = 1.2
     stress = MU * (stretch**2 - 1.0 / stretch)
     p = MU * (stretch**2 + 2.0 / stretch) / 3.0 - MU / stretch

@@ -93,7 +93,7 @@ def test_formats_and_elements(tmp_path, format, kind):
 
 
 def test_one_process_reads_one_mesh_after_the_other(tmp_path):
-    """To load the libraries takes a hundred times as long as to read a small mesh."""
+    """Loading the libraries takes a hundred times as long as reading a small mesh."""
     path = write(tmp_path)
     processes = [(read_file_mesh(path), bounded(os.getpid, file=path))[1] for _ in range(3)]
     assert len(set(processes)) == 1

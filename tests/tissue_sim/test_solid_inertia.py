@@ -57,7 +57,7 @@ def column(element, count, held):
 
 
 def forces(element, count, steps, *, held="walls", speed=ALONG, axis=2):
-    """On the top along an axis, until the first echo has gone, N; the times, s, and the closed form."""
+    """Return the forces on the top before the first echo returns, N, their times, s, and the closed form."""
     solver, rise = column(element, count, held), 1.5 * HEIGHT / speed
     times = np.arange(1, steps + 1) * 2.4 * rise / steps
     found = []

@@ -21,7 +21,7 @@ def volume(mesh):
 
 
 def normals(mesh, name):
-    """Of the flat polygons through the corners of each side, times twice their area."""
+    """Return normals of the flat polygons through the corners of each side, times twice their area."""
     corners = mesh.nodes[mesh.faces[name][:, mesh.element.face_corners]]
     return np.cross(corners, np.roll(corners, -1, axis=1)).sum(axis=1), corners.mean(axis=1)
 

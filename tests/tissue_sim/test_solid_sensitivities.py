@@ -65,7 +65,7 @@ def model(tool=FLAT, friction="bonded", way=(0.0, 1.5, 3.0), approach=None, spec
 
 
 def mesh_of(of):
-    """With boundaries on the interfaces of layers, and a region to one side where the material has one."""
+    """Return a mesh with boundaries on the interfaces of layers, and a lateral region if the material has one."""
     if of.experiment.tool.is_plate:
         return needle_solid(0.04, 0.05, 0.024, HEX8P0, smallest=9e-3, growth=2.2, largest=20e-3, around=2)
     mesh = solid_mesh((5e-3, 0.0) if of.experiment.approach else (0.0, 0.0), [
@@ -99,7 +99,7 @@ def test_elastic(tool, friction, approach):
 
 
 def test_a_law_that_is_linear_in_its_parameters():
-    """With the bulk ratio held the force is homogeneous of degree one in C10 and C20 (Euler), with friction too."""
+    """At constant bulk ratio the force is homogeneous of degree one in C10 and C20 (Euler), also with friction."""
     answer = ts.sensitivities(model(ROUND, 0.3, approach=OBLIQUE), ["C10", "C20"], solver="solid",
                               mesh=solid_mesh((5e-3, 0.0)))
     np.testing.assert_allclose(answer.values @ list(STUDY.values()), answer.recording.force, rtol=1e-7, atol=1e-12)
@@ -142,7 +142,7 @@ def test_several_materials(options, names):
      ["C10", "viscoelastic.terms[0].g", "viscoelastic.terms[0].tau", "softening.loss"])],
     ids=["bonded", "oblique", "ball", "bonded plates", "plates with friction", "plates without", "with a past"])
 def test_weight(options, names):
-    """Where the specimen stands, what it remembers of that, where the tool touches it, and what a plate finds level."""
+    """Self-weight enters the equilibrium, the history, the height of the tool's contact, and the level of a plate."""
     assert_exact(model(**{"specimen": HEAVY, **options}), names, 1e-6)
 
 
@@ -192,7 +192,7 @@ def test_by_difference_where_laws_act_on_a_side_as_high_as_placed():
 
 @pytest.mark.slow
 def test_geometry_moves_the_nodes_of_one_mesh():
-    """So that derivatives by difference do not depend on the width."""
+    """Nodes of one mesh move, so that derivatives by differences do not depend on their width."""
     slopes = []
     for width in (1e-2, 1e-4):
         with pytest.MonkeyPatch.context() as patch:
@@ -220,7 +220,7 @@ def test_a_moved_mesh_has_its_circle_and_its_side():
 
 
 def test_the_force_of_a_recording_is_that_against_the_way():
-    """What a load cell on the stage feels; the work of the stage is that of the wrench."""
+    """The force is that on a load cell of the stage; the work of the stage equals that of the wrench."""
     recording = ts.simulate(model(approach=OBLIQUE), solver="solid", mesh=solid_mesh((5e-3, 0.0)))
     way = np.array([math.sin(OBLIQUE.angle), 0.0, -math.cos(OBLIQUE.angle)])
     vector = np.column_stack([recording.channel(name) for name in ("Fx", "Fy", "Fz")])

@@ -118,7 +118,7 @@ def ball_on_shell(offset, depth=1e-3):
 
 @pytest.mark.slow
 def test_a_ball_off_the_apex_is_pushed_along_the_line_of_centres():
-    """It touches where the spheres do; without friction the force goes through both centres."""
+    """The contact is at the contact of the spheres; without friction the force passes through both centres."""
     offset, outer, ball, depth = 0.02, 0.05, 0.01, 1e-3
     solver, step = ball_on_shell(offset)
     apart = math.sqrt((outer + ball) ** 2 - offset**2)

@@ -42,7 +42,7 @@ def turned(angle, axis=(0.0, 1.0, 0.0)):
 
 @pytest.mark.slow
 def test_a_bonded_punch_is_that_of_another_program(reference):
-    """To 0.7 % with 6000 freedoms; the curve is from quadratic tetrahedra with a linear pressure."""
+    """Within 0.7 % with 6000 freedoms of quadratic tetrahedra with linear pressure."""
     depth, force = np.loadtxt(reference / "punch_3d_on_axis_RP.csv", delimiter=",", comments="#").T[:2]
     depths = np.array([1.0, 2.0, 3.5, 5.0])
     solver = make_solver(model(), mesh=coarse(HEX27P1))
@@ -150,7 +150,7 @@ def test_a_closed_way_gives_no_work():
 
 
 def test_a_tool_off_the_axis_is_pushed_along_its_radius():
-    """By symmetry of the mesh, too; towards the axis, where there is more tissue, it is harder to push."""
+    """By symmetry of the mesh the lateral force is radial; pushing towards the axis needs more force."""
     solver = make_solver(model(approach=ts.Approach(offset=0.02)), mesh=coarse(centre=(0.02, 0.0)))
     step = stepped(solver, Pose((0.02, 0.0, -2e-3)), Pose((0.02, 0.0, -4e-3)))
     force = np.array(step.wrench[:3])

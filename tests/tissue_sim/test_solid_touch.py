@@ -1,4 +1,4 @@
-"""Where a tool first touches a solid, between its nodes too."""
+"""Position of the first touch of a tool on a solid, also between nodes."""
 
 import math
 
@@ -28,7 +28,7 @@ def height(mesh, tool, pose, **more):
 
 @ELEMENTS
 def test_points_of_a_side_are_those_of_its_element(element):
-    """At the nodes, and by the element's own functions between them."""
+    """Points at nodes and between them follow the shape functions of the element."""
     mesh = block([0.0, 1.0], [0.0, 1.5], [-1.0, 0.0], element)
     bent = mesh.nodes + 0.05 * np.cos(4.0 * mesh.nodes[:, [1, 2, 0]])
     sides = mesh.faces["top"]
@@ -57,7 +57,7 @@ def test_points_of_a_side_are_those_of_its_element(element):
 @pytest.mark.parametrize("place", [(0.0, 0.0), (2e-3, 2e-3), (1.1e-3, -0.7e-3), (-5.3e-3, 3.1e-3), (0.1e-3, 0.2e-3),
                                    (4.3e-3, -0.1e-3)])
 def test_a_ball_touches_a_flat_top_wherever_it_stands(element, place):
-    """By nodes alone it would come down by up to (0.5 h)^2 / R = 0.5 mm more between those of linear elements."""
+    """With nodes alone the touch between nodes of linear elements is up to (0.5 h)^2 / R = 0.5 mm too late."""
     mesh = block(LINE, LINE, [-0.02, -0.01, 0.0], element)
     assert abs(height(mesh, ts.Tool("sphere", radius=RADIUS), Pose((*place, 0.0)))) < 1e-12
 

@@ -33,7 +33,7 @@ def model(friction="bonded", tool=None, *, specimen=None, gravity=GRAVITY, heigh
 
 
 def column_sag(height):
-    """Of the one-dimensional incompressible column: each slice carries what stands on it."""
+    """Return the sag of the one-dimensional incompressible column: each slice carries the weight above it."""
     def stress(stretch):
         invariant = stretch**2 + 2 / stretch - 3
         return 2 * (STUDY["C10"] + 2 * STUDY["C20"] * invariant) * (stretch - stretch**-2)
@@ -73,7 +73,7 @@ def standing(width, height):
 
 
 def test_sag_of_a_block():
-    """What the one-dimensional theory leaves out is of second order in width over height."""
+    """The one-dimensional theory neglects terms of second order in width over height."""
     assert standing(0.02, 0.045).sag == pytest.approx(column_sag(0.045), rel=3e-3)
 
 

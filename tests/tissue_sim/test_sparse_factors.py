@@ -19,7 +19,7 @@ def chosen(request, monkeypatch):
 
 
 def laplacian(n=12, shift=0.0):
-    """Of a grid, n x n, plus a multiple of one; its least eigenvalue is 8 sin^2(pi / (2 n + 2))."""
+    """Return the Laplacian of an n x n grid plus a multiple of one; smallest eigenvalue 8 sin^2(pi / (2 n + 2))."""
     line = sparse.diags_array([-1.0, 2.0, -1.0], offsets=[-1, 0, 1], shape=(n, n))
     one = sparse.eye_array(n)
     matrix = sparse.csc_array(sparse.kron(line, one) + sparse.kron(one, line) + shift * sparse.eye_array(n * n))
@@ -51,7 +51,7 @@ def test_a_singular_matrix_has_no_factor_that_is_believed(chosen):
 
 
 def _large(shift=0.0, skewed=0.0):
-    """Of a grid of 40 x 40, whose factors may be in single precision; its least eigenvalue is 8 sin^2(pi / 82)."""
+    """Return the Laplacian of a 40 x 40 grid with single-precision factors; smallest eigenvalue 8 sin^2(pi / 82)."""
     matrix = laplacian(40, shift)
     if skewed:
         matrix = sparse.csc_array(matrix + sparse.diags_array([skewed] * 1599, offsets=1))

@@ -1,4 +1,4 @@
-"""What a budget in wall time means in linear solves."""
+"""Conversion of a budget in wall time to linear solves."""
 
 from time import perf_counter
 

@@ -101,7 +101,7 @@ def jumps(solver):
 @pytest.mark.slow
 @TETRAHEDRA
 def test_a_bonded_block_neither_locks_nor_oscillates(element):
-    """From K/mu = 100 to 10 000 the force grows as it does with 27 nodes, and pressures are as smooth."""
+    """From K/mu = 100 to 10 000 force and pressures agree with those of 27-node hexahedra."""
     forces, rough = {}, {}
     for each in (HEX27P1, element):
         for ratio in (1e2, 1e4):
@@ -141,7 +141,7 @@ def test_plates_that_touch_everywhere_press_everywhere_alike(element):
 
 @pytest.mark.slow
 def test_a_punch_is_that_of_another_program(reference):
-    """To 1.8 % on elements of 2.4 mm at the edge; the curve is from quadratic tetrahedra with a linear pressure."""
+    """Within 1.8 % with edge elements of 2.4 mm of quadratic tetrahedra with linear pressure."""
     depth, force = np.loadtxt(reference / "punch_3d_on_axis_RP.csv", delimiter=",", comments="#").T[:2]
     model = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(2e-3, 2), friction="bonded",
                                    tool=ts.Tool("flat", radius=8e-3)), material())
@@ -153,7 +153,7 @@ def test_a_punch_is_that_of_another_program(reference):
 
 @pytest.mark.slow
 def test_a_ball_is_that_of_the_axisymmetric_solid():
-    """With friction, on 750 elements."""
+    """A ball with friction on 750 elements."""
     pressed = ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(2e-3, 2), friction=0.3,
                                      tool=ts.Tool("sphere", radius=8e-3)), material())
     mesh = punched_cylinder(TET15P1, radius=4.5e-3, smallest=2.2e-3, growth=2.5, largest=25e-3, around=1)

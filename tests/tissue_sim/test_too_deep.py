@@ -27,7 +27,7 @@ def simulator(tool, friction):
 
 
 def test_every_converged_force_of_a_plate_is_that_of_the_closed_form():
-    """From 75 % on the mesh found another equilibrium with a quarter of the force."""
+    """Beyond 75 % the mesh found another equilibrium with a quarter of the force."""
     one = simulator(ts.Tool("plate"), "frictionless")
     answers = [one.step(fraction * HEIGHT, 1e-3) for fraction in np.arange(0.05, 1.3, 0.05)]
     converged = [answer for answer in answers if answer.status is ts.ForceStatus.CONVERGED]

@@ -72,7 +72,7 @@ place = st.tuples(coordinate, st.floats(-20e-3, 20e-3))
 
 @given(tool=tools(), one=place, other=place)
 def test_gap_is_a_distance(tool, one, other):
-    """It changes by no more than the way between two points."""
+    """The gap changes by at most the distance between two points."""
     gaps = tool.profile.gap(np.array([one, other]))
     assert abs(gaps[0] - gaps[1]) <= np.hypot(one[0] - other[0], one[1] - other[1]) + 1e-12
 

@@ -38,7 +38,7 @@ def test_tissue_that_has_recovered_answers_as_at_the_first_press():
 @pytest.mark.parametrize(("tool", "friction"), [(FLAT, "stick"), (PLATE, 0.5), (BALL, 0.4)],
                          ids=["face that sticks", "plate with friction", "ball with friction"])
 def test_a_press_onto_creeping_tissue_in_one_tick_is_that_of_fine_steps(tool, friction):
-    """Not a press without friction, which was 5 to 14 % softer."""
+    """A press without friction was 5 to 14 % softer."""
     coarse, fine = (simulator(RELAXING, tool=tool, friction=friction) for _ in range(2))
     for one in (coarse, fine):
         pressed(one, [*PRESS, 1.4e-3, 1.4e-3, -1e-3, -1e-3, -1e-3])
@@ -60,7 +60,7 @@ def test_the_time_in_the_air_is_no_part_of_the_time_of_a_blow():
 
 
 def test_tissue_that_sags_under_its_weight_is_touched_where_it_stands():
-    """At a depth of 1 mm a ball whose last equilibrium had no force was thought to be in the air: no force."""
+    """A ball at a depth of 1 mm had no force, because its last equilibrium without force counted as air."""
     one = simulator(ts.Material("neo_hooke", {"C10": 1500.0}, BULK), tool=BALL, friction=0.3,
                     specimen=ts.Specimen(0.030, 0.060, density=1000.0, gravity=9.81))
     forces = pressed(one, [-1e-3, 0.0, 5e-4, 1e-3, 2e-3])

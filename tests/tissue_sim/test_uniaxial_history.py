@@ -147,7 +147,7 @@ STEPS = st.lists(st.tuples(st.floats(-3, 3), st.floats(-0.6, 0.8)), min_size=1, 
 @given(law=st.sampled_from(LAWS[:2]), mode=st.sampled_from(sorted(MODES)), steps=STEPS, g=st.floats(0.05, 0.9),
        tau=st.floats(0.01, 100.0), loss=st.floats(0.0, 0.9))
 def test_no_energy_comes_out(law, mode, steps, g, tau, loss):
-    """From rest on, the work done on the specimen is never negative, whatever the path.
+    """The work done on a specimen from rest is never negative, for any path.
 
     For one relaxing term the work is a Bregman distance of the convex complementary energy plus a dissipation that is
     not negative, as long as each component of S rises with its strain, which it does for these laws.

@@ -30,7 +30,7 @@ class Spring:
 
 
 def wrench(pose: Pose, slid, stiffness=STIFFNESS) -> np.ndarray:
-    """On the tool, N and N m, shape (6,)."""
+    """Return the wrench on the tool, N and N m, shape (6,)."""
     way = np.array(motion(TOUCH, pose))
     way[:2] -= slid
     return -stiffness @ way
