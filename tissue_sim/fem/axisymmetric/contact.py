@@ -240,13 +240,17 @@ class ContactPoints:
         self.springs[:] = modulus * self._lengths
         self.rounding_rate = np.finfo(float).eps * float(np.linalg.norm(self.springs))
 
-    def positions(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the deformed positions (r, z) of the points, m, shape (n, 2).
+    def positions(self, displacement: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return the deformed positions (r, z) of points, m, shape (points, 2).
 
         Args:
             displacement: displacements of the nodes, m, shape (nodes, 2).
+            points: numbers of the points; None: all.
         """
-        return self.places + np.einsum("na,nai->ni", self.shapes, displacement[self.nodes])
+        places, shapes, nodes = self.places, self.shapes, self.nodes
+        if points is not None:
+            places, shapes, nodes = places[points], shapes[points], nodes[points]
+        return places + np.einsum("na,nai->ni", shapes, displacement[nodes])
 
     def gaps(self, place: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
         """Return the signed distance of points from their bodies, negative inside, m, shape (points,).

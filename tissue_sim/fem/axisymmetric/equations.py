@@ -231,11 +231,17 @@ class Equations:
 
     def _bind_reached(self, depth: float) -> None:
         """Bind the free points under a face without slip that the tool reaches in a step to a depth, m."""
-        state, freedoms = self.state, self.start.size
+        state, surface, freedoms = self.state, self.surface, self.start.size
+        points = surface.face[surface.anchors[surface.face, 0] == contact_kernels.FREE]
+        lift, descent = state.depths[0] - self.settings[newton.Setting.TOUCH], depth - state.depths[0]
+        dofs = 2 * surface.nodes[points] + 1
+        heights = surface.places[points, 1] + (
+            surface.shapes[points] * state.history[state.slots[:, None, None], dofs]).sum(axis=-1)
+        if max(heights[0].max(), (self.weights @ heights).max()) + lift + descent <= 0.0:
+            return  # the deepest point of the tool is at z = 0 in its frame
         now, predicted = (x[:freedoms].reshape(-1, 2) for x in (
             state.latest, self.weights @ state.history[state.slots]))
-        bind_reached(self.surface, now, predicted, state.depths[0] - self.settings[newton.Setting.TOUCH],
-                     depth - state.depths[0])
+        bind_reached(surface, points, now, predicted, lift, descent)
 
     def respond(self, launch, assembles: bool = True, mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
         """Assemble the exact tangent at the last equilibrium with the contact bonds of the step, and call `launch`.

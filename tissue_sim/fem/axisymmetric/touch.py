@@ -59,7 +59,8 @@ def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, de
     points = np.flatnonzero(free)
     if descent <= 0.0 or not points.size:
         return
-    positions = surface.positions(displacement)[points] + [0.0, lift]
+    positions = surface.positions(displacement, points)
+    positions[:, 1] += lift
     way = _way_to_touch(surface, points, positions, np.array([0.0, 1.0]))
     meets = way <= 0.5 * descent
     points, positions = points[meets], positions[meets]
@@ -68,7 +69,8 @@ def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, de
     surface.anchors[points, 1:] = positions - surface.places[points]
 
 
-def bind_reached(surface: ContactPoints, now: np.ndarray, predicted: np.ndarray, lift: float, descent: float) -> None:
+def bind_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, predicted: np.ndarray, lift: float,
+                 descent: float) -> None:
     """Bind the points under a face without slip that the tool reaches in an increment to the positions of their touch.
 
     A point that touches within an increment and is not bound slides without friction until the end of the increment,
@@ -77,15 +79,17 @@ def bind_reached(surface: ContactPoints, now: np.ndarray, predicted: np.ndarray,
 
     Args:
         surface: contact points; `initial` is changed.
+        points: numbers of the points that are not bound.
         now: displacements of the nodes at the beginning of the increment, m, shape (n, 2).
         predicted: predicted displacements of the nodes at the end of the increment, m, shape (n, 2).
         lift: difference between z in the frame of the tool and z at the beginning, m.
         descent: downward motion of the tool in the increment, m.
     """
-    points = surface.face[surface.initial[surface.face, 0] == contact_kernels.FREE]
-    start = surface.positions(now)[points] + [0.0, lift]
-    end = surface.positions(predicted)[points] + [0.0, lift + descent]
-    resting = start + [0.0, descent]
+    start, end = surface.positions(now, points), surface.positions(predicted, points)
+    start[:, 1] += lift
+    end[:, 1] += lift + descent
+    resting = start.copy()
+    resting[:, 1] += descent
     end = np.where((surface.gaps(end, points) < 0.0)[:, None], end, resting)
     reached = surface.gaps(end, points) < 0.0
     points, start, end = points[reached], start[reached], end[reached]
