@@ -48,6 +48,19 @@ def test_a_press_onto_creeping_tissue_in_one_tick_is_that_of_fine_steps(tool, fr
     assert answer.force == pytest.approx(expected, rel=0.02)
 
 
+def test_the_edge_of_a_face_that_touches_after_its_middle_sticks_too():
+    """The edge of a dent that has not recovered is lower than its middle; it slid around the edge of the tool."""
+    one = simulator(RELAXING, tool=FLAT, friction="stick")
+    pressed(one, [*PRESS, 1.4e-3, 1.4e-3, -1e-3, -1e-3, -1e-3])
+    lifted = one.save()
+    at_once = one.step(1.4e-3, 5e-3).force
+    one.restore(lifted)
+    depth = -2e-4
+    while one.step(depth, 1e-5).force == 0.0:
+        depth += 1e-6
+    assert pressed(one, np.linspace(depth, 1.4e-3, 6)[1:])[-1] == pytest.approx(at_once, rel=0.01)
+
+
 @pytest.mark.slow
 def test_the_time_in_the_air_is_no_part_of_the_time_of_a_blow():
     """2 mm of 3 mm in a tick of 1 ms are in the air; the tissue with mass is hit in the last third."""

@@ -153,10 +153,12 @@ class ContactPoints:
         rounding: edge radius of each point's body, m, shape (n,).
         friction: coefficients of the face and of the shaft of each point's body, shape (n, 2).
         places: (r, z) of the undeformed points, m, shape (n, 2).
+        face: numbers of the points under a face without slip of the tool.
         areas: surface area of each point, m2, shape (n,).
         springs: penalty stiffness of each point, N/m, shape (n,).
         anchors: bond (`contact_kernels.FREE`, `HELD` or `TOUCHED`) and anchor of each point at the last equilibrium;
             the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
+        initial: the same at the beginning of a step, with the bonds of points that the tool reaches in the step.
         held: the same during a step.
         met: the same after the step, if the step converges.
         pressed: 1 where a point is in the active set of the normal contact, else 0, shape (n,).
@@ -207,6 +209,7 @@ class ContactPoints:
         self.rounding = np.array([pair.profile.rounding for pair in owners])
         self.friction = np.array([pair.friction for pair in owners], dtype=float)
         self.tied, self.moves = np.array([pair.tied for pair in owners]), self.spans[:, SpanColumn.MOVES].astype(bool)
+        self.face = np.flatnonzero(self.tied & self.moves)
         self.areas, self._lengths, self.springs = np.zeros((3, n))
         for edge, at, weights in edges:
             # The area of a point is 2 pi r times half the length of the edge times the weight of the point.
@@ -216,7 +219,7 @@ class ContactPoints:
             self.areas[at] += areas
             # A point on the axis has no area but needs a penalty stiffness.
             self._lengths[at] += (areas + 0.25 * areas.max() * (r == 0.0)) / length
-        self.anchors, self.held, self.met = np.zeros((3, n, 3))
+        self.anchors, self.initial, self.held, self.met = np.zeros((4, n, 3))
         self.pressed, self.slip_signs, self.slipped = np.zeros((3, n))
         self.forces, self.rates = np.zeros((n, 2)), np.zeros((n, RATE_COLUMNS))
         self.known_rates = np.zeros((n, KNOWN_RATE_COLUMNS))
@@ -237,22 +240,27 @@ class ContactPoints:
         self.springs[:] = modulus * self._lengths
         self.rounding_rate = np.finfo(float).eps * float(np.linalg.norm(self.springs))
 
-    def positions(self, displacement: np.ndarray) -> np.ndarray:
-        """Return the deformed positions (r, z) of the points, m, shape (n, 2).
+    def positions(self, displacement: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return the deformed positions (r, z) of points, m, shape (points, 2).
 
         Args:
             displacement: displacements of the nodes, m, shape (nodes, 2).
+            points: numbers of the points; None: all.
         """
-        return self.places + np.einsum("na,nai->ni", self.shapes, displacement[self.nodes])
+        places, shapes, nodes = self.places, self.shapes, self.nodes
+        if points is not None:
+            places, shapes, nodes = places[points], shapes[points], nodes[points]
+        return places + np.einsum("na,nai->ni", shapes, displacement[nodes])
 
-    def gaps(self, place: np.ndarray) -> np.ndarray:
-        """Return the signed distance of each point from its body, negative inside, m, shape (n,).
+    def gaps(self, place: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return the signed distance of points from their bodies, negative inside, m, shape (points,).
 
         Args:
-            place: positions (r, z) of the points in the frames of their bodies, m, shape (n, 2).
+            place: positions (r, z) of the points in the frames of their bodies, m, shape (points, 2).
+            points: numbers of the points; None: all.
         """
-        gaps = np.zeros(len(place))
+        gaps, owner = np.zeros(len(place)), self._owner if points is None else self._owner[points]
         for number, profile in enumerate(self._profiles):
-            own = self._owner == number
+            own = owner == number
             gaps[own] = profile.gap(place[own])
         return gaps

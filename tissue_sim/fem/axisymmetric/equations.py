@@ -22,6 +22,7 @@ from tissue_sim.fem.axisymmetric.contact_laws import law_settings
 from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import integrate
 from tissue_sim.fem.axisymmetric.state import State
+from tissue_sim.fem.axisymmetric.touch import bind_reached
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
@@ -220,10 +221,27 @@ class Equations:
         self.counts[newton.Count.START_MODE] = newton.StartMode.RESUME if resumes else newton.StartMode.PREDICT
         self.counts[newton.Count.ITERATED] = iterated
         if not resumes:
-            self.surface.held[:], self.surface.slip_signs[:] = self.surface.anchors, self.surface.slipped
-            self.surface.pressed[:] = 0.0
+            surface = self.surface
+            surface.initial[:], surface.slip_signs[:], surface.pressed[:] = surface.anchors, surface.slipped, 0.0
+            if surface.face.size and not surface.anchors[surface.face, 0].all() and not self._laws:
+                self._bind_reached(depth)
+            surface.held[:] = surface.initial
         with LOCK:
             self._kernel()
+
+    def _bind_reached(self, depth: float) -> None:
+        """Bind the free points under a face without slip that the tool reaches in a step to a depth, m."""
+        state, surface, freedoms = self.state, self.surface, self.start.size
+        points = surface.face[surface.anchors[surface.face, 0] == contact_kernels.FREE]
+        lift, descent = state.depths[0] - self.settings[newton.Setting.TOUCH], depth - state.depths[0]
+        dofs = 2 * surface.nodes[points] + 1
+        heights = surface.places[points, 1] + (
+            surface.shapes[points] * state.history[state.slots[:, None, None], dofs]).sum(axis=-1)
+        if max(heights[0].max(), (self.weights @ heights).max()) + lift + descent <= 0.0:
+            return  # the deepest point of the tool is at z = 0 in its frame
+        now, predicted = (x[:freedoms].reshape(-1, 2) for x in (
+            state.latest, self.weights @ state.history[state.slots]))
+        bind_reached(surface, points, now, predicted, lift, descent)
 
     def respond(self, launch, assembles: bool = True, mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
         """Assemble the exact tangent at the last equilibrium with the contact bonds of the step, and call `launch`.
@@ -234,8 +252,8 @@ class Equations:
             mode: contact and results of the assembly, see `newton.StartMode`.
         """
         surface, after = self.surface, self.surface.held.copy()
-        surface.held[:] = surface.anchors
-        released = (surface.anchors[:, 0] == contact_kernels.HELD) & (after != surface.anchors).any(axis=-1)
+        surface.held[:] = surface.initial
+        released = (surface.initial[:, 0] == contact_kernels.HELD) & (after != surface.initial).any(axis=-1)
         surface.held[released] = 0.0
         if not assembles:
             with LOCK:

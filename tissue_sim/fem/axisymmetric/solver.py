@@ -260,7 +260,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return begins
 
     def meet(self, pose: Pose) -> None:
-        """See `FreeTool.meet`; binds the points that touch in the first half of the increment."""
+        """See `FreeTool.meet`; binds the points with friction that touch in the first half of the increment."""
         committed = self.committed
         if committed.motion is not None:
             committed.motion.restart()

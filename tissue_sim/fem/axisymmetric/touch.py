@@ -8,6 +8,11 @@ from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.contact import Contact, ContactPoints
 from tissue_sim.mesh import Mesh
 
+#: Number of linearisations of the gap along the path of a point until it touches; one is exact at a plane face.
+TOUCH_ITERATIONS = 3
+#: Smallest decrease of a gap over the motion of the point that is divided by, 1.
+LEAST_CLOSING = 1e-3
+
 
 def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacement: np.ndarray) -> float:
     """Place the tool at its first touch of the surface, and bind the points that touch a body.
@@ -35,7 +40,9 @@ def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacemen
 
 
 def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, descent: float) -> None:
-    """Bind the points with friction or without slip that the tool reaches in the first half of an increment.
+    """Bind the points with friction that the tool reaches in the first half of an increment.
+
+    Points under a face without slip are left to `bind_reached`.
 
     A point is bound to the position on the tool that would reach the point if the tissue did not move. Points that the
     tool reaches later slide freely until the end of the increment, so that the errors of both halves have opposite
@@ -48,20 +55,69 @@ def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, de
         descent: downward motion of the tool in the increment, m.
     """
     free = (surface.anchors[:, 0] == contact_kernels.FREE) & surface.moves & surface.friction.any(axis=1)
-    if descent <= 0.0 or not free.any():
+    free[surface.face] = False
+    points = np.flatnonzero(free)
+    if descent <= 0.0 or not points.size:
         return
-    positions = surface.positions(displacement)
+    positions = surface.positions(displacement, points)
     positions[:, 1] += lift
-    gap = np.maximum(surface.gaps(positions), 0.0)
-    # Within half of its gap a point stays at the same face, so that edges have no influence.
-    ahead = positions.copy()
-    ahead[:, 1] += 0.5 * gap
-    closes = gap - surface.gaps(ahead)
-    needed = np.where(gap > 0.0, 0.5 * gap**2 / np.maximum(closes, 1e-3 * gap + np.finfo(float).tiny), 0.0)
-    meets = free & (needed <= 0.5 * descent)
-    positions[meets, 1] += needed[meets]
-    surface.anchors[meets, 0] = contact_kernels.TOUCHED
-    surface.anchors[meets, 1:] = (positions - surface.places)[meets]
+    way = _way_to_touch(surface, points, positions, np.array([0.0, 1.0]))
+    meets = way <= 0.5 * descent
+    points, positions = points[meets], positions[meets]
+    positions[:, 1] += way[meets]
+    surface.anchors[points, 0] = contact_kernels.TOUCHED
+    surface.anchors[points, 1:] = positions - surface.places[points]
+
+
+def bind_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, predicted: np.ndarray, lift: float,
+                 descent: float) -> None:
+    """Bind the points under a face without slip that the tool reaches in an increment to the positions of their touch.
+
+    A point that touches within an increment and is not bound slides without friction until the end of the increment,
+    and may slide around the edge of the face. The path of a point until the touch is the straight line to its predicted
+    position; if the tool reaches the point only where the tissue does not move, the point rests until the touch.
+
+    Args:
+        surface: contact points; `initial` is changed.
+        points: numbers of the points that are not bound.
+        now: displacements of the nodes at the beginning of the increment, m, shape (n, 2).
+        predicted: predicted displacements of the nodes at the end of the increment, m, shape (n, 2).
+        lift: difference between z in the frame of the tool and z at the beginning, m.
+        descent: downward motion of the tool in the increment, m.
+    """
+    start, end = surface.positions(now, points), surface.positions(predicted, points)
+    start[:, 1] += lift
+    end[:, 1] += lift + descent
+    resting = start.copy()
+    resting[:, 1] += descent
+    end = np.where((surface.gaps(end, points) < 0.0)[:, None], end, resting)
+    reached = surface.gaps(end, points) < 0.0
+    points, start, end = points[reached], start[reached], end[reached]
+    length = np.maximum(np.linalg.norm(end - start, axis=1), np.finfo(float).tiny)
+    direction, way = (end - start) / length[:, None], np.zeros(points.size)
+    for _ in range(TOUCH_ITERATIONS):
+        way = np.minimum(way + _way_to_touch(surface, points, start + way[:, None] * direction, direction), length)
+    surface.initial[points, 0] = contact_kernels.TOUCHED
+    surface.initial[points, 1:] = start + way[:, None] * direction - surface.places[points]
+
+
+def _way_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndarray,
+                  direction: np.ndarray) -> np.ndarray:
+    """Return how far points move in straight lines until they touch their bodies, from a linearised gap, m.
+
+    The gap is linearised over half of its size, where the point stays at the same face of the body, so that edges have
+    no influence.
+
+    Args:
+        surface: contact points.
+        points: numbers of the points.
+        positions: (r, z) of these points in the frames of their bodies, m, shape (points, 2).
+        direction: unit vectors of the motions, shape (points, 2) or (2,).
+    """
+    gap = np.maximum(surface.gaps(positions, points), 0.0)
+    closes = gap - surface.gaps(positions + 0.5 * gap[:, None] * direction, points)
+    least = LEAST_CLOSING * gap + np.finfo(float).tiny
+    return np.where(gap > 0.0, 0.5 * gap**2 / np.maximum(closes, least), 0.0)
 
 
 def _level_top(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, positions: np.ndarray,
