@@ -10,7 +10,7 @@ import tissue_sim as ts
 from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity, without_cell_units
 from tissue_sim.recording.formats.guesses import ColumnHints
 from tissue_sim.recording.formats.number_text import is_number, parse_number
-from tissue_sim.recording.formats.sizes import quantity_in
+from tissue_sim.recording.formats.sizes import parse_quantity
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.understanding import understand
 
@@ -106,4 +106,4 @@ def test_a_table_of_exponents(tmp_path, style, decimal):
 
 @pytest.mark.parametrize(("quantity", "expected"), [("1.25D+01 mm", (12.5, "mm")), ("1,25E+01 mm", (12.5, "mm"))])
 def test_sizes_with_exponents(quantity, expected):
-    assert quantity_in(quantity) == expected
+    assert parse_quantity(quantity) == expected

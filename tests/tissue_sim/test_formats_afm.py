@@ -115,7 +115,7 @@ def test_a_file_of_several_curves(tmp_path):
     assert [recording.name for recording in single] == ["curve"]
     error = refusal(read_recording, path, format="afm")
     assert error.field == "curve" and "choose one with curve = 1 to 3" in error.problem
-    assert "there is no curve 4; the file has 3" in refusal(read_afm, path, curve=4).problem
+    assert "must be from 1 to 3, the number of curves in the file; got 4" in refusal(read_afm, path, curve=4).problem
     for curve in (0, -1, 1.0, True, "2"):
         assert refusal(read_afm, path, curve=curve).field == "curve"
 

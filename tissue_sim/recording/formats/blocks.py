@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.recording.formats.header import find_header, find_numbers, matches, places_of
-from tissue_sim.recording.formats.number_text import any_number, is_number
-from tissue_sim.recording.formats.size_words import size_class
+from tissue_sim.recording.formats.number_text import is_number, parse_any_number
+from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Row, Table
 from tissue_sim.units import known_unit, loose_header
 
@@ -120,7 +120,7 @@ def unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple[str,
     for place, name in enumerate(header.cells):
         cells = [row.cells[place] for row in rows[:_SETTINGS.examined_rows]
                  if place < len(row.cells) and row.cells[place]]
-        is_size = size_class(loose_header(name)[0]) is not None and len(set(cells)) == 1
+        is_size = classify_size_name(loose_header(name)[0]) is not None and len(set(cells)) == 1
         if place not in used and cells and 2 * sum(map(is_number, cells)) > len(cells) and not is_size:
             found.append(str(place + 1) if not name or is_number(name) else name)
     return tuple(found)
@@ -184,7 +184,7 @@ def _continues(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
 
 def _follows(before: Sequence[Row], row: Row, place: int) -> bool:
     """Return whether a number at `place` continues the rows, within `BlockSettings.largest_gap` of their steps."""
-    values = [any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
+    values = [parse_any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
     if len(values) < 3:
         return False
     step, gap = values[-2] - values[-3], values[-1] - values[-2]

@@ -24,10 +24,10 @@ from tissue_sim.recording.formats.table import (
     Column,
     Row,
     Table,
-    cells_of,
-    conversion,
-    narrow,
+    column_cells,
     read_recording_table,
+    select_cells,
+    si_conversion,
 )
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.measures import check_measure, convert_measures
@@ -149,7 +149,8 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
         found += _of_text(text, skip_lines, delimiters, wanted, path, metadata, decimal)
     for number in chosen:
         if number > len(found):
-            raise InputError(f"there is no curve {number}; the file has {len(found)}", file=path, field="curve")
+            raise InputError(f"must be from 1 to {len(found)}, the number of curves in the file; got {number}.",
+                             file=path, field="curve")
     return tuple(found[number - 1] for number in chosen) if chosen else tuple(found)
 
 
@@ -168,7 +169,7 @@ def _curves(curve: Any, path: Path) -> list[int]:
     numbers = list(curve) if isinstance(curve, list | tuple) else [] if curve is None else [curve]
     for each in numbers:
         if isinstance(each, bool) or not isinstance(each, int) or each < 1:
-            raise InputError(f"{each!r} is not the number of a curve; give a whole number from 1", file=path,
+            raise InputError(f"must be a whole number from 1; got {each!r}. Give the number of a curve.", file=path,
                              field="curve")
     return numbers
 
@@ -239,7 +240,7 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
 def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimiter: str | None,
            decimal: str | None) -> NumberMarks:
     """Return the common decimal mark of all blocks; columns that are read decide before other columns."""
-    used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in cells_of(block.rows, columns)]
+    used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in column_cells(block.rows, columns)]
     places = {column.index for columns in chosen for column in columns}
 
     def others() -> Iterator[list[str]]:
@@ -285,7 +286,7 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
             continue
         unit = entry.get("unit", loose_header(cell)[1] or block.unit(index) or split_header(cell)[1])
         try:
-            factor, offset = conversion(channel, unit, entry.get("scale"))
+            factor, offset = si_conversion(channel, unit, entry.get("scale"))
         except InputError as error:
             key, value = ("name", f'"{entry["name"]}"') if "name" in entry else ("column", entry["column"])
             faults.append(InputError(
@@ -305,7 +306,7 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
 
 def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
     """Select the chosen columns, and the rows with content in them; a sheet may have other content around a table."""
-    return (narrow(rows, [column.index for column in chosen]),
+    return (select_cells(rows, [column.index for column in chosen]),
             [Column(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])
 

@@ -11,7 +11,7 @@ from itertools import islice
 import numpy as np
 
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, parse_number, thousands_separator
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, find_thousands_separator, parse_number
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _with_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> Nu
         text = "\n".join(cells)
         if marks.other in text or not text.isascii() or " " in text or "'" in text:
             for cell in cells:
-                if separator := thousands_separator(cell, marks.decimal):
+                if separator := find_thousands_separator(cell, marks.decimal):
                     seen.setdefault(separator, cell)
                     if not marks.is_certain and not marks.example:
                         break

@@ -15,7 +15,7 @@ from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
 from tissue_sim.recording.formats.header import find_header, text_tables
 from tissue_sim.recording.formats.long_text import split_long
-from tissue_sim.recording.formats.number_text import any_number, is_number
+from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header, to_si
 
@@ -53,7 +53,7 @@ def _metadata(lines: list[str]) -> dict:
     for key, value in pairs.items():
         name, unit = split_header(key)
         if name == "speed" and unit == "mm/min" and is_number(value):
-            metadata["speed_mm_s"] = any_number(value) / 60.0
+            metadata["speed_mm_s"] = parse_any_number(value) / 60.0
         elif name in ("machine", "load cell"):
             metadata[name.replace(" ", "_")] = value
     return metadata

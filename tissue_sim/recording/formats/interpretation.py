@@ -12,7 +12,7 @@ from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.comparison import shared_values
 from tissue_sim.recording.formats.gauge_length import is_derived
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.pairing import with_measure
+from tissue_sim.recording.formats.pairing import apply_measure
 from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of, other_measures
 from tissue_sim.recording.recording import CHANNELS, Recording
@@ -212,7 +212,7 @@ def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recor
 
 def _has_cell_units(column: ColumnGuess) -> bool:
     """Return whether the cells of a column have units behind their numbers."""
-    return "unit behind each number" in column.reason
+    return "unit after each number" in column.reason
 
 
 def _is_ratio(column: ColumnGuess) -> bool:
@@ -273,7 +273,7 @@ def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
     alternatives = []
     for other in dict.fromkeys(others):
         bare = replace(column, measure=None, offset=None)
-        changed = with_measure(bare, other)
+        changed = apply_measure(bare, other)
         alternatives.append(Alternative(other, _ratio(read, column, changed, recordings, columns),
                                         f"--measure {flag}={other}"))
     return Assumption(f"measure of {column.channel}", value, evidence, alternatives=tuple(alternatives),

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissue_sim.recording.formats.number_text import with_plain_marks
+from tissue_sim.recording.formats.number_text import normalize_number_marks
 
 #: Number of lines of the beginning; a shorter text is read cell by cell completely.
 BEGINNING = 2000
@@ -169,7 +169,7 @@ def _pieces(text: str, place: int) -> Iterator[bytes]:
         end = text.find("\n", place + _SETTINGS.chunk_characters) + 1 or len(text)
         content = text[place:end]
         if not content.isascii():
-            content = with_plain_marks(content)
+            content = normalize_number_marks(content)
         piece = content.encode("ascii", "replace").replace(b"\r\n", b"\n")
         if b" " in piece and any(pair in piece for pair in _AT_EDGES):
             piece = _BLANKS.sub(rb"\1", piece)

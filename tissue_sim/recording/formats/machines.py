@@ -57,7 +57,8 @@ def _read(path: str | Path, machine: str | None, sheet: Sheets | None, curve: in
         for reading in understood.readings for recording in reading.recordings]
     if curve is not None:
         if isinstance(curve, bool) or not isinstance(curve, int) or not 1 <= curve <= len(found):
-            raise InputError(f"there is no curve {curve!r}; the file has {len(found)}", file=path, field="curve")
+            raise InputError(f"must be from 1 to {len(found)}, the number of curves in the file; got {curve!r}.",
+                             file=path, field="curve")
         found = found[curve - 1:curve]
     return tuple(found)
 

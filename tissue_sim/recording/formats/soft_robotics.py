@@ -12,7 +12,7 @@ from pathlib import Path
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
 from tissue_sim.recording.formats.header import find_header, text_tables
-from tissue_sim.recording.formats.number_text import any_number, is_number
+from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header
@@ -54,4 +54,5 @@ def _runs_backwards(header: Row, rows: list[Row]) -> bool:
     index = next(i for i, cell in enumerate(header.cells) if split_header(cell)[0].casefold() == _TIME.casefold())
     cells = [row.cells[index] for row in rows if len(row.cells) > index]
     # A damaged cell keeps the column, so that the reader reports the line of the cell.
-    return all(map(is_number, cells)) and any(after < before for before, after in pairwise(map(any_number, cells)))
+    return all(map(is_number, cells)) and any(
+        after < before for before, after in pairwise(map(parse_any_number, cells)))

@@ -16,7 +16,7 @@ from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.long_text import split_long
 from tissue_sim.recording.formats.number_text import is_number
-from tissue_sim.recording.formats.size_words import size_class
+from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
@@ -221,7 +221,7 @@ def _names_columns(above: Sequence[Row], columns: Sequence[int]) -> bool:
 def _states_size(row: Row) -> bool:
     """Return whether a row states a size, such as ``Height 12 mm``, and not names."""
     cells = [cell for cell in row.cells if cell]
-    return len(cells) > 1 and is_number(cells[1]) and size_class(cells[0]) is not None
+    return len(cells) > 1 and is_number(cells[1]) and classify_size_name(cells[0]) is not None
 
 
 def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.recording.formats.columns import Sheets, read_blocks
-from tissue_sim.recording.formats.native import native_recording
-from tissue_sim.recording.formats.table import narrow
+from tissue_sim.recording.formats.native import read_native_rows
+from tissue_sim.recording.formats.table import select_cells
 from tissue_sim.recording.formats.workbook import Sheet, read_sheet, read_sheets
 from tissue_sim.recording.recording import Recording
 
@@ -41,4 +41,4 @@ def _native(found: Sheet) -> Recording:
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Columns without a name are not part of the table.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
-        return native_recording(narrow(rows, named), found.file)
+        return read_native_rows(select_cells(rows, named), found.file)
