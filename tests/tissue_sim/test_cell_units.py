@@ -7,9 +7,9 @@ import openpyxl
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity, without_cell_units
+from tissue_sim.recording.formats.cell_units import CellUnits, without_cell_units
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.number_text import is_number, parse_number
+from tissue_sim.recording.formats.number_text import is_number, parse_number, split_quantity
 from tissue_sim.recording.formats.sizes import parse_quantity
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.understanding import understand

@@ -15,6 +15,7 @@ import numpy as np
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks, unread_columns
+from tissue_sim.recording.formats.cell_units import has_equal_units
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
@@ -202,7 +203,8 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
     table, blocks = (named_blocks(tables, names, also=places, file=path) if names
                      else placed_blocks(tables, places, file=path))
     # The plain end continues the last row; rows above belong to another block.
-    if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line):
+    if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line
+                            or not has_equal_units(table.rows, end)):
         raise NotPlainError
     # A summary has the names of its table, too.
     blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks

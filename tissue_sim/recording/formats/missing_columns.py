@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from tissue_sim.recording.formats.cell_units import split_quantity
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.number_text import is_number
+from tissue_sim.recording.formats.number_text import is_number, split_quantity
 from tissue_sim.recording.formats.pairing import find_column_position, find_named_column
 from tissue_sim.recording.formats.sizes import find_sizes_without_unit
 from tissue_sim.recording.formats.sources import Numbers

@@ -50,7 +50,7 @@ def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, s
             raise InputError(f"files of format 'native' have no {key}; leave it out", field=key)
     text = read_text(path, f"a recording with the header {EXAMPLE!r}")
     beginning, end = split_long(text)
-    if end is not None:
+    if end is not None and not any(end.units):
         with suppress(InputError, NotPlainError):
             return read_native_rows(_split_native_rows(beginning, path), path, end)
     return read_native_rows(_split_native_rows(text, path), path)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import re
 
+from tissue_sim.units import known_unit
+
 #: Possible decimal marks. The mark that is not the decimal mark may be a thousands separator.
 DECIMAL_MARKS = (".", ",")
 #: Blanks that separate thousands: plain, no-break, narrow no-break, thin and figure space.
@@ -16,6 +18,9 @@ _SPELLINGS = {**dict.fromkeys(_BLANKS[1:], " "), **dict.fromkeys(_APOSTROPHES[1:
               "\u00d7": "x", "\u00b7": "*"}
 #: The same table for `str.translate`.
 _SPELLING_TABLE = str.maketrans(_SPELLINGS)
+#: A number and its unit in one cell.
+_QUANTITY = re.compile(r"(?P<number>[-+\u2212]?[\d.,](?:[\d.,'\u2019\u00a0\u202f\u2009 ]*[\d.,])?(?:[eEdD][-+]?\d+)?)"
+                       r"\s*(?P<unit>[\[(]?(?:[^\W\d_]\S*|%|\u00b0C)[\])]?)")
 #: A number with an exponent that `float` does not read: ``1.2D-03`` of Fortran, ``1.2 x 10^-3``.
 _EXPONENT_PATTERN = re.compile(r"(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+))(?: ?(?P<letter>[eEdD]) ?| ?[x*] ?10\^)"
                        r"(?P<power>[+-]?\d{1,3})", re.ASCII)
@@ -123,3 +128,12 @@ def _parse_grouped(plain: str, decimal: str) -> float:
     if match is None:
         return math.nan
     return float(plain.replace(match["separator"], "").replace(decimal, "."))
+
+
+def split_quantity(cell: str) -> tuple[str, str] | None:
+    """Return the number and the name of the unit in a cell, ``("12.3", "N")``; None: not a number with a known unit."""
+    match = _QUANTITY.fullmatch(cell)
+    unit = None if match is None else known_unit(match["unit"])
+    if match is None or unit is None or not is_number(match["number"]):
+        return None
+    return match["number"], unit

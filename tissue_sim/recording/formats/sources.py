@@ -11,7 +11,7 @@ from pathlib import Path
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import begins_with_word, is_mostly_units, is_unit_row
-from tissue_sim.recording.formats.cell_units import without_cell_units
+from tissue_sim.recording.formats.cell_units import has_equal_units, without_cell_units
 from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.long_text import split_long
@@ -120,7 +120,7 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
             runs = [*_runs(table)]
             # A single run of numbers in all columns, up to the end of the file, needs no further search.
             if table.delimiter == end.delimiter and [columns for _, columns in runs] == [(*range(end.cells),)] and (
-                    runs[0][0][-1] is table.rows[-1]):
+                    runs[0][0][-1] is table.rows[-1] and has_equal_units(table.rows, end)):
                 return Source(path, "text", (table,), encoding)
     return Source(path, "text", (_text_table(text, delimiter, skip_lines, path),), encoding)
 
