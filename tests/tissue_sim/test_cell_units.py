@@ -50,7 +50,7 @@ def test_units_in_the_cells_are_read_and_named(tmp_path, decimal, header):
     np.testing.assert_allclose(recording.displacement, 1e-3 * WAY, atol=1e-12)
     np.testing.assert_allclose(recording.force, FORCE, atol=1e-4)
     unit = next(each for each in reading.assumptions if each.subject == "unit of force")
-    assert unit.value == "N" and unit.evidence[0] in ("behind each number of the column", "in the header 'Load (N)'")
+    assert unit.value == "N" and unit.evidence[0] in ("after each number of the column", "in the header 'Load (N)'")
     again = ts.read_recording(path, **reading.options)
     np.testing.assert_array_equal(again.force, recording.force)
 

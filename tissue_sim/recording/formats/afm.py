@@ -20,7 +20,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
-from tissue_sim.recording.formats.afm_curve import curve_recording, tip_radius
+from tissue_sim.recording.formats.afm_curve import build_curve_recording, tip_radius
 from tissue_sim.recording.formats.extra import require
 from tissue_sim.recording.recording import Recording
 
@@ -72,7 +72,7 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
                 number += 1
                 if curve in (None, number):
                     with _as_input_errors(path, f"curve {number}"):
-                        recording = curve_recording(each, number, overrides, tip_radius(member))
+                        recording = build_curve_recording(each, number, overrides, tip_radius(member))
                     recordings.append(recording if member == path else recording.with_metadata(member=member.name))
             if curve is not None and number >= curve:
                 break

@@ -36,10 +36,10 @@ def without_cell_units(rows: list[Row], text: str | None = None) -> list[Row]:
     found: list[Row] = []
     run: list[Row] = []
     for row in (*rows, Row(0, ())):
-        if _is_of_quantities(row, begun=bool(run)):
+        if _has_quantities(row, begun=bool(run)):
             run.append(row)
             continue
-        found += _plain(run)
+        found += _remove_common_units(run)
         run = []
         found.append(row)
     return found[:-1]
@@ -56,7 +56,7 @@ def has_equal_units(rows: Sequence[Row], end: PlainEnd) -> bool:
     return (last.cells if last is not None else ("",) * end.cells) == end.units
 
 
-def _is_of_quantities(row: Row, *, begun: bool) -> bool:
+def _has_quantities(row: Row, *, begun: bool) -> bool:
     """Return whether most cells are numbers, and at least one has a unit; in a `begun` table, no unit is needed."""
     filled = [cell for cell in row.cells if cell]
     united = sum(split_quantity(cell) is not None for cell in filled)
@@ -64,10 +64,10 @@ def _is_of_quantities(row: Row, *, begun: bool) -> bool:
     return numbers >= 2 and 2 * numbers >= len(filled) and (united > 0 or begun)
 
 
-def _plain(run: Sequence[Row]) -> Iterable[Row]:
+def _remove_common_units(run: Sequence[Row]) -> Iterable[Row]:
     """Return the rows of one table with plain numbers below a row of units; unchanged without a common unit."""
     width = max((len(row.cells) for row in run), default=0)
-    units = [_unit_of(run, place) for place in range(width)]
+    units = [_find_common_unit(run, place) for place in range(width)]
     if len(run) < MIN_POINTS or not any(units):
         return run
     plain = []
@@ -77,7 +77,7 @@ def _plain(run: Sequence[Row]) -> Iterable[Row]:
     return [CellUnits(run[0].line, tuple(units)), *plain]
 
 
-def _unit_of(run: Sequence[Row], place: int) -> str:
+def _find_common_unit(run: Sequence[Row], place: int) -> str:
     """Return the common unit of all numbers of a column; empty without a common unit."""
     units = set()
     for row in run:

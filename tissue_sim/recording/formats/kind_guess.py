@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
-from tissue_sim.recording.formats.kind_words import Hint, NamedTest, named_tests
+from tissue_sim.recording.formats.kind_words import Hint, NamedTest, find_named_tests
 from tissue_sim.recording.formats.orientation import largest_excursion
 from tissue_sim.recording.formats.vocabulary import Machine
 from tissue_sim.recording.recording import Recording
@@ -37,7 +37,7 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
         machine: machine that wrote the file; None: unknown.
         stated: kind that the user states, which has precedence over all evidence; None: not stated.
     """
-    named = named_tests(hints)
+    named = find_named_tests(hints)
     if stated is not None:
         return KindGuess(stated, "stated", against=_contradicting_words(stated, named), is_stated=True)
     refused = _find_unknown_test(named, hints)
@@ -75,7 +75,7 @@ def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
     """
     found: dict[frozenset[str], str] = {}
     for hints in texts:
-        named = named_tests(hints)
+        named = find_named_tests(hints)
         tests = frozenset(each.title for each in named)
         if tests:
             found.setdefault(tests, " and ".join(dict.fromkeys(each.word for each in named)))

@@ -227,7 +227,7 @@ def _without_groups(piece: bytes, separator: str, decimal: str) -> bytes | None:
 
 
 def _normalize(text: str) -> bytes:
-    """Convert minus signs, blanks and apostrophes to ASCII, and line ends to ``\\n``; the result is Latin-1."""
+    """Convert minus signs, blanks and apostrophes to ASCII, and line ends to line feeds; the result is Latin-1."""
     if not text.isascii():
         text = normalize_number_marks(text)
     return text.encode("latin-1", "replace").replace(b"\r\n", b"\n")
@@ -263,7 +263,7 @@ def _unquote(piece: bytes, delimiter: str) -> bytes:
 
 
 def _pieces(text: str, start: int, delimiter: str) -> Iterator[bytes]:
-    """Yield complete lines from a position on, with tabs between cells and ``\\n`` at their ends.
+    """Yield complete lines from a position on, with tabs between cells and line feeds at their ends.
 
     Cells have neither quotation marks nor blanks at their ends. Blanks, apostrophes and minus signs are ASCII; any
     other character outside of Latin-1 is a question mark.

@@ -10,8 +10,8 @@ from tissue_sim.recording.formats.pairing import find_column_position, find_name
 from tissue_sim.recording.formats.sizes import find_sizes_without_unit
 from tissue_sim.recording.formats.sources import Numbers
 from tissue_sim.recording.formats.statements import find_constant_size_columns
-from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of
-from tissue_sim.recording.measures import MEASURES, measure_of
+from tissue_sim.recording.formats.vocabulary import Machine, find_role, normalize_words
+from tissue_sim.recording.measures import MEASURES, find_measure
 
 
 def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, hints: ColumnHints,
@@ -42,7 +42,7 @@ def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, h
                 "direction are of kind uniaxial_tension")
     sizes = {position for position, _ in find_constant_size_columns(numbers)}
     known = {role for position in numbers.columns if position not in sizes
-             if (role := (role_of(numbers.bare_name(position), numbers.unit(position), machine) or [None])[0])}
+             if (role := (find_role(numbers.bare_name(position), numbers.unit(position), machine) or [None])[0])}
     missing_roles = [words for words, roles in (("a motion (displacement, stretch, strain)",
                                        {"displacement", "stretch", "strain", "shear strain"}),
                                       ("a load (force, stress)", {"force", "stress"})) if not known & roles]
@@ -54,7 +54,7 @@ def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, h
         return (f"needs the gauge length, {gauge}: {has}; state the gauge length (--height-mm), which relates a strain "
                 "to a force, or a displacement to a stress")
     true = [name for position in numbers.columns
-            if measure_of(plain(name := numbers.name(position)), "stress") in MEASURES]
+            if find_measure(normalize_words(name := numbers.name(position)), "stress") in MEASURES]
     if missing_roles and true and "stress" in known:
         return (f"has a true stress in {', '.join(map(repr, true))}, whose conversion to a nominal stress needs the "
                 f"stretch: {has}; add a column of stretch, strain or displacement")

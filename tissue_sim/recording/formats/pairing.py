@@ -9,18 +9,18 @@ from typing import NamedTuple
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.cell_units import CellUnits
 from tissue_sim.recording.formats.columns import column_number
-from tissue_sim.recording.formats.gauge_length import displacement_of_strain, gauge_length, stretch_of_displacement
+from tissue_sim.recording.formats.gauge_length import displacement_to_stretch, find_gauge_length, strain_to_displacement
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.header import matches
+from tissue_sim.recording.formats.header import find_matching_cells
 from tissue_sim.recording.formats.kind_hints import title_hints
-from tissue_sim.recording.formats.kind_words import named_tests
+from tissue_sim.recording.formats.kind_words import find_named_tests
 from tissue_sim.recording.formats.sizes import size_signature
 from tissue_sim.recording.formats.sources import Numbers
-from tissue_sim.recording.formats.speed_text import speeds_in
+from tissue_sim.recording.formats.speed_text import find_speeds
 from tissue_sim.recording.formats.statements import find_constant_size_columns
 from tissue_sim.recording.formats.temperature import has_temperature
-from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
-from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of
+from tissue_sim.recording.formats.vocabulary import Machine, find_role, find_source, normalize_words
+from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure
 from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS, known_unit
 
@@ -39,8 +39,8 @@ class KnownColumn(NamedTuple):
 
     Attributes:
         position: position of the column, from 0.
-        role: role; see `role_of`.
-        rank: rank; see `role_of`.
+        role: role; see `find_role`.
+        rank: rank; see `find_role`.
         variant: source and measure of the column. Columns with one role and different variants belong to one
             recording.
     """
@@ -82,7 +82,7 @@ class Group:
         """Hashable key of columns, sizes and words for a test; the signatures of replicates are equal."""
         sheet = self.numbers.table.name
         sizes = size_signature(self.stated) if sheet else ()
-        tests = sorted({each.title for each in named_tests(title_hints(self.numbers))}) if sheet else ()
+        tests = sorted({each.title for each in find_named_tests(title_hints(self.numbers))}) if sheet else ()
         return (*sizes, *tests, self.speed,
                 *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
@@ -105,7 +105,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, s
     sizes = {position for position, _ in find_constant_size_columns(numbers)}
     roles = [KnownColumn(position, *known, _column_variant(numbers, position, known[0]))
              for position in numbers.columns if position not in sizes
-             and (known := role_of(numbers.bare_name(position), numbers.unit(position), machine))]
+             and (known := find_role(numbers.bare_name(position), numbers.unit(position), machine))]
     groups: list[Group] = []
     time = None
     for part in _split_adjacent_recordings(roles):
@@ -115,7 +115,7 @@ def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, s
         if pair is None and (speed := _find_constant_speed(chosen, numbers, hints)):
             pair = ("force",)
         elif derived := _find_derived_pair(part, chosen, pair):
-            gauge = gauge_length(numbers, statements, hints)
+            gauge = find_gauge_length(numbers, statements, hints)
             pair = derived if gauge is not None else pair
         if pair is None:
             continue
@@ -134,11 +134,12 @@ def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, s
                        if each.role in same and each.position not in wanted.values())
         if gauge is not None:
             rivals = tuple(_convert_by_gauge_length(column, pair[0], gauge) for column in rivals)
-        elif pair == ("displacement", "force") and (length := gauge_length(numbers, statements, hints)) is not None:
+        elif pair == ("displacement", "force") and (
+                length := find_gauge_length(numbers, statements, hints)) is not None:
             # A strain that differs from displacement / gauge length was measured by another sensor.
             strains = [_guess_column(numbers, each.position, each.role, machine, hints) for each in part
                        if each.role in ("strain", "shear strain") and each.variant[1] not in MEASURES]
-            rivals = (*rivals, *(replace(displacement_of_strain(strain, length), rank=rank[chosen["displacement"]])
+            rivals = (*rivals, *(replace(strain_to_displacement(strain, length), rank=rank[chosen["displacement"]])
                                  for strain in strains if not strain.missing))
         groups.append(Group(numbers, columns, others, rivals, speed))
     return groups
@@ -151,7 +152,7 @@ def _group_of_named_columns(numbers: Numbers, named: Sequence[ColumnGuess], hint
     motion = next((role for role, load in (("strain", "force"), ("shear strain", "force"), ("displacement", "stress"))
                    if {role, load} <= roles.keys()), None)
     mechanical = {"displacement", "force"} <= roles.keys()
-    gauge = gauge_length(numbers, statements, hints) if motion is not None and not mechanical else None
+    gauge = find_gauge_length(numbers, statements, hints) if motion is not None and not mechanical else None
     if gauge is not None and motion is not None and roles[motion].measure is None:
         named = [_convert_by_gauge_length(column, motion, gauge) for column in named]
     return Group(numbers, tuple(named), (), (), _find_constant_speed(roles, numbers, hints))
@@ -182,14 +183,14 @@ def _convert_by_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[floa
     """Return the column of the motion converted by the gauge length (m, source); another column without a change."""
     if column.role != motion or column.missing:
         return column
-    convert = stretch_of_displacement if motion == "displacement" else displacement_of_strain
+    convert = displacement_to_stretch if motion == "displacement" else strain_to_displacement
     return convert(column, gauge)
 
 
 def _column_variant(numbers: Numbers, position: int, role: str) -> tuple[str, str]:
     """Return source and measure that the header of a column names; empty texts for missing words."""
-    words = plain(numbers.name(position))
-    return source_of(words), measure_of(words, role) or ""
+    words = normalize_words(numbers.name(position))
+    return find_source(words), find_measure(words, role) or ""
 
 
 def _find_constant_speed(roles: Collection[str], numbers: Numbers, hints: ColumnHints) -> tuple[float, str] | None:
@@ -203,7 +204,7 @@ def _find_constant_speed(roles: Collection[str], numbers: Numbers, hints: Column
     """
     if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
         return None
-    speeds = speeds_in((*numbers.above, *numbers.below))
+    speeds = find_speeds((*numbers.above, *numbers.below))
     if hints.speed is not None:
         if speeds and not any(abs(speed / hints.speed - 1.0) <= _SPEED_TOLERANCE for speed in speeds):
             lines = "; ".join(speeds.values())
@@ -317,8 +318,8 @@ def _contradicting_unit(numbers: Numbers, position: int, unit: str | None) -> st
 
 def _is_remark(text: str, role: str) -> bool:
     """Return whether a text in brackets is a measure, a source or a symbol instead of a unit."""
-    words = plain(text)
-    return bool(measure_of(words, role) or source_of(words)) or words in ("lambda", "λ")
+    words = normalize_words(text)
+    return bool(find_measure(words, role) or find_source(words)) or words in ("lambda", "λ")
 
 
 def apply_measure(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
@@ -328,7 +329,7 @@ def apply_measure(column: ColumnGuess, stated_measure: str | None = None) -> Col
         column: column without offset and measure.
         stated_measure: measure that replaces the measure in the header; None: the measure in the header.
     """
-    measure = stated_measure or measure_of(plain(column.header), column.role)
+    measure = stated_measure or find_measure(normalize_words(column.header), column.role)
     if column.role == "stretch" and measure == ENGINEERING and not stated_measure:
         measure = None
     own = MEASURES.get(measure or "")
@@ -353,9 +354,10 @@ def find_named_column(numbers: Numbers, channel: str, name: str | int, hints: Co
 
 def find_column_position(numbers: Numbers, name: str | int) -> int | None:
     """Return the position (from 0) of the column with this header, number (from 1) or letter; None: no such column."""
-    positions = [] if isinstance(name, int) or numbers.header is None else matches(numbers.header.cells, name)
-    if positions:
-        return positions[0]
+    if not isinstance(name, int) and numbers.header is not None:
+        positions = find_matching_cells(numbers.header.cells, name)
+        if positions:
+            return positions[0]
     try:
         position = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
     except InputError:

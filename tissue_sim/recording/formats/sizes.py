@@ -10,7 +10,7 @@ from itertools import product
 
 from tissue_sim.recording.formats.number_text import parse_any_number
 from tissue_sim.recording.formats.size_words import classify_size_name
-from tissue_sim.recording.formats.vocabulary import plain
+from tissue_sim.recording.formats.vocabulary import normalize_words
 from tissue_sim.units import UNITS, known_unit, loose_header
 
 
@@ -85,7 +85,7 @@ def find_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, Siz
     """
     found = {key: several[0] for key, several in find_distinct_sizes(statements, kind).items()}
     for key, text in statements.items():
-        if _SPEED_WORDS.search(plain(key)) and not _OTHER_SPEED_WORDS.search(plain(key)):
+        if _SPEED_WORDS.search(normalize_words(key)) and not _OTHER_SPEED_WORDS.search(normalize_words(key)):
             value, unit = _parse_speed(key, text)
             if value is not None and unit in _SPEED_FACTORS and value > 0:
                 found.setdefault("speed_mm_s", Size("speed_mm_s", value * _SPEED_FACTORS[unit],

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
-from tissue_sim.recording.formats.header import find_header, text_tables
+from tissue_sim.recording.formats.header import find_header, split_text_tables
 from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.recording import Recording
@@ -36,7 +36,7 @@ def read_soft_robotics(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, f"a tensile test with the columns {_STRAIN} and {_STRESS}")
-    _, header, data = find_header(text_tables(text, file=path), [_TIME, _STRAIN, _STRESS], file=path)
+    _, header, data = find_header(split_text_tables(text, file=path), [_TIME, _STRAIN, _STRESS], file=path)
     lines = [line.split(";") for line in text.splitlines()[1:header.line - 1]]
     parameters = {cells[0].strip(): cells[1].strip() for cells in lines if len(cells) > 1 and cells[0].strip()}
     columns = {"stretch": {"name": _STRAIN, "unit": "-"}, "nominal stress": _STRESS}

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 
 from tissue_sim.recording.formats.sources import Numbers
-from tissue_sim.recording.formats.vocabulary import plain
+from tissue_sim.recording.formats.vocabulary import normalize_words
 
 #: Words for one of several replicates. A number or a single letter after such a word is a running number.
 _REPLICATE_WORDS = re.compile(
@@ -59,7 +59,7 @@ def _title_of_row(cells: Sequence[str]) -> str:
     match = _KEY_VALUE.match(first) if len(cells) == 1 else None
     key, value = (match["key"], match["value"]) if match else (first, cells[1] if len(cells) == 2 else "")
     if value:
-        return f"{key} {value}" if _NAMING_KEYS.search(plain(key)) else ""
+        return f"{key} {value}" if _NAMING_KEYS.search(normalize_words(key)) else ""
     return first if re.search(r"[^\W\d_]", first) else ""
 
 
@@ -87,7 +87,7 @@ def name_materials(titles: Sequence[str]) -> list[str]:
 
 def _split_running_number(title: str) -> tuple[str, int | None]:
     """Return the name in a title without words for replicates, and the running number; None: no number."""
-    words, kept, number = plain(title).split(), [], None
+    words, kept, number = normalize_words(title).split(), [], None
     for i, word in enumerate(words):
         unit = i + 1 < len(words) and _MATERIAL_UNITS.match(words[i + 1]) is not None
         after = i > 0 and _REPLICATE_WORDS.match(words[i - 1]) is not None

@@ -15,13 +15,13 @@ from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.cleaning import clean, counted_from_start, start_of
 from tissue_sim.recording.formats.columns import MarkedRecording
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, marks_with_text
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, resolve_marks_by_text
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, Reading, Understanding
-from tissue_sim.recording.formats.header import matches
+from tissue_sim.recording.formats.header import find_matching_cells
 from tissue_sim.recording.formats.interpretation import (
-    column_assumptions,
+    compare_rival_columns,
     format_assumption,
-    settle_rivals,
+    list_column_assumptions,
     speed_assumption,
 )
 from tissue_sim.recording.formats.kind_guess import guess_kind, kind_assumption, require_one_test
@@ -29,7 +29,7 @@ from tissue_sim.recording.formats.kind_hints import file_hints, header_hint, lab
 from tissue_sim.recording.formats.kind_words import Hint
 from tissue_sim.recording.formats.materials import add_material_question, split_by_material
 from tissue_sim.recording.formats.missing_columns import explain_missing_columns
-from tissue_sim.recording.formats.orientation import oriented
+from tissue_sim.recording.formats.orientation import orient_columns
 from tissue_sim.recording.formats.pairing import Group, find_groups, group_equal_tables
 from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source
 from tissue_sim.recording.formats.statements import (
@@ -41,7 +41,7 @@ from tissue_sim.recording.formats.statements import (
     merge_statements,
     states_sizes,
 )
-from tissue_sim.recording.formats.sweeps import is_sweep, sweep_sentence
+from tissue_sim.recording.formats.sweeps import describe_sweep, is_sweep
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.table_reader import TableReader
 from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
@@ -105,9 +105,9 @@ def _remove_sweeps(found: Sequence[Numbers], path: Path) -> tuple[list[Numbers],
     headers = [[numbers.name(position) for position in numbers.columns] for numbers in found]
     sweeps = [names for names in headers if is_sweep(names)]
     if len(sweeps) == len(found):
-        raise InputError(sweep_sentence(sweeps[0]), file=path, line=found[0].rows[0].line)
+        raise InputError(describe_sweep(sweeps[0]), file=path, line=found[0].rows[0].line)
     return ([numbers for numbers, names in zip(found, headers, strict=True) if not is_sweep(names)],
-            tuple(f"a table is omitted: {sweep_sentence(names)}" for names in sweeps[:1]))
+            tuple(f"a table is omitted: {describe_sweep(names)}" for names in sweeps[:1]))
 
 
 def _remove_unknown_tests(readings: Sequence[Reading], hints: ColumnHints
@@ -217,11 +217,11 @@ def _read_tables(source: Source, groups: Sequence[Group], hints: ColumnHints, ma
     columns = tuple(replace(column, by_name=by_name) for column in first.columns)
     options = _reading_options(source, first, hints, sheets, by_name=by_name)
     reader = TableReader(source.file, options, None if first.speed is None else first.speed[0])
-    columns, marked, remarks = reader.readable(_check_shear_measures(columns))
+    columns, marked, remarks = reader.read_corrected(_check_shear_measures(columns))
     marks = _settle_marks(marked, groups)
     if marks.decimal != marked[0].marks.decimal:
         columns, marked, remarks = TableReader(source.file, {**options, "decimal": marks.decimal},
-                                               reader.speed).readable(columns)
+                                               reader.speed).read_corrected(columns)
     if marks.thousands or (marks.example and not marks.is_certain):
         options["decimal"] = marks.decimal
     recordings = tuple(each.recording for each in marked)
@@ -238,19 +238,19 @@ def _read_tables(source: Source, groups: Sequence[Group], hints: ColumnHints, ma
                         if _is_strain(column) else column for column in columns)
         recordings = reader.recordings(_check_shear_measures(columns))
     signed = {column.channel for column in columns if hints.signs.keys() & {column.channel, column.role}}
-    columns, recordings, rivals, compared = settle_rivals(reader.recordings, columns, recordings, first.rivals)
+    columns, recordings, rivals, compared = compare_rival_columns(reader.recordings, columns, recordings, first.rivals)
     # Signs and zeros are determined without outliers and saturated samples.
     screened = screened if recordings is before else [clean(each) for each in recordings]
-    turned = oriented(columns, [rest for rest, _ in screened],
+    turned = orient_columns(columns, [rest for rest, _ in screened],
                       [start_of(each, found, "displacement") if "displacement" in each else None
                        for each, (_, found) in zip(recordings, screened, strict=True)], kind.kind, signed)
-    recordings = reader.turned(recordings, columns, turned)
+    recordings = reader.with_changed_signs(recordings, columns, turned)
     columns, zeroed = turned, [column.channel for column in turned if column.offset == "start"]
     recordings = tuple(counted_from_start(each, zeroed) for each in recordings)
     moved = () if first.speed is None else (speed_assumption(first.speed, [rest for rest, _ in screened]),)
     remarks = (*remarks, *(sentence for each in moved for sentence in each.against))
-    assumptions = (*column_assumptions(reader.recordings, columns, recordings, first.rivals, hints), *moved, *rivals,
-                   kind_assumption(kind))
+    assumptions = (*list_column_assumptions(reader.recordings, columns, recordings, first.rivals, hints),
+                   *moved, *rivals, kind_assumption(kind))
     kept = {**options, "columns": {column.channel: column.entry() for column in columns}}
     if marks.is_open:
         # An ambiguous decimal mark is a question to the user.
@@ -287,7 +287,7 @@ def _settle_marks(marked: Sequence[MarkedRecording], groups: Sequence[Group]) ->
     if not found.is_open:
         return found
     rows = [row for group in groups for row in (*group.numbers.above, *group.numbers.below)]
-    return marks_with_text(found, "\n".join(" ".join(row.cells) for row in rows))
+    return resolve_marks_by_text(found, "\n".join(" ".join(row.cells) for row in rows))
 
 
 def _kind_hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:
@@ -330,7 +330,7 @@ def _has_unique_headers(groups: Sequence[Group]) -> bool:
         if header is None or not all(column.header for column in group.columns):
             return False
         count = sum(other.numbers is group.numbers for other in groups)
-        if any(len(matches(header.cells, column.header)) != count for column in group.columns):
+        if any(len(find_matching_cells(header.cells, column.header)) != count for column in group.columns):
             return False
     return True
 
