@@ -1,4 +1,4 @@
-"""Write the text of a campaign, with the reason of each assumed line."""
+"""Format an imported campaign as TOML with the reason of each assumed line as a comment."""
 
 from __future__ import annotations
 
@@ -14,76 +14,83 @@ from calibration.importing.assumption_table import campaign_comment
 from calibration.importing.imported import ImportedTest, Line
 from calibration.report.drawing import format_count
 
-#: Character position of the reason in a line that is short enough.
+#: Character position of the comment with the reason. Longer lines have the comment in the previous line.
 _REASON_POSITION = 44
+#: A TOML key that needs no quotation marks.
 _BARE = re.compile(r"[A-Za-z0-9_-]+")
+#: Comment of a line whose value the user must state.
 FILL_IN = "FILL IN"
 
 
-def campaign_text(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequence[Line]], fit: Sequence[Line],
+def format_campaign(tests: Sequence[ImportedTest], specimens: Mapping[str, Sequence[Line]], fit: Sequence[Line],
                   folder: Path, questions: Sequence[str] = ()) -> str:
     """Return the text of a campaign file (TOML); keys that all tests share are in ``[defaults]``.
 
     Args:
-        tests: tests in order. specimens: name -> keys. fit: keys of ``[fit]``.
+        tests: tests in the order of the file.
+        specimens: name of a specimen -> its lines.
+        fit: lines of ``[fit]``.
         folder: folder of the campaign; the paths of the recordings are relative to this folder.
         questions: open questions; a campaign with a question is refused.
     """
     count = sum(len(part.motions) for test in tests for part in test.parts)
     parts = [f"# Written by tissue-sim import from {format_count(count, 'recording')}. "
-             "Behind a # stands why a line is as "
-             "it is;\n# correct what is wrong."]
+             "The comments give the reasons of the lines;\n# correct lines that are wrong."]
     parts += filter(None, [campaign_comment(tests)])
     if questions:
-        parts.append(_line(Line("questions", list(questions), "import again with the flag that decides, or delete this "
-                                "key to accept the assumed values")))
+        parts.append(_format_line(Line("questions", list(questions), "import again with the flag in the question, or "
+                                       "delete this key to accept the assumed values")))
     for name, lines in specimens.items():
         named = [Line("name", name)] if len(specimens) > 1 else []
-        parts.append("\n".join(["[[specimen]]", *(_line(each) for each in (*named, *lines))]))
-    shared = _shared([test.lines for test in tests]) if len(tests) > 1 else []
-    columns = _shared([test.columns for test in tests]) if len(tests) > 1 else []
+        parts.append("\n".join(["[[specimen]]", *(_format_line(each) for each in (*named, *lines))]))
+    shared = _common_lines([test.lines for test in tests]) if len(tests) > 1 else []
+    columns = _common_lines([test.columns for test in tests]) if len(tests) > 1 else []
     same_columns = bool(columns) and all(len(test.columns) == len(columns) for test in tests)
     if shared or same_columns:
-        parts.append("\n".join(["[defaults]", *map(_line, shared)]))
+        parts.append("\n".join(["[defaults]", *map(_format_line, shared)]))
         if same_columns:
-            parts.append("\n".join(["[defaults.columns]", *map(_line, columns)]))
+            parts.append("\n".join(["[defaults.columns]", *map(_format_line, columns)]))
     for test in tests:
         specimen = [Line("specimen", test.specimen)] if test.specimen and len(specimens) > 1 else []
-        own = [line for line in test.lines if not any(_equal(line, other) for other in shared)]
-        files = [_place(part.file, folder) for part in test.parts]
-        parts.append("\n".join(["[[test]]", *map(_line, (Line("name", test.name), *specimen, *own)),
-                                _line(Line("recordings", list(dict.fromkeys(files)), test.reason))]))
+        own = [line for line in test.lines if not any(_has_equal_value(line, other) for other in shared)]
+        files = [_relative_path(part.file, folder) for part in test.parts]
+        parts.append("\n".join(["[[test]]", *map(_format_line, (Line("name", test.name), *specimen, *own)),
+                                _format_line(Line("recordings", list(dict.fromkeys(files)), test.reason))]))
         if test.columns and not same_columns:
-            parts.append("\n".join(["[test.columns]", *map(_line, test.columns)]))
-    parts.append("\n".join(["[fit]", *map(_line, fit)]))
+            parts.append("\n".join(["[test.columns]", *map(_format_line, test.columns)]))
+    parts.append("\n".join(["[fit]", *map(_format_line, fit)]))
     return "\n\n".join(parts) + "\n"
 
 
-def _shared(lines: Sequence[Sequence[Line]]) -> list[Line]:
-    """Return the lines that all tests have."""
-    return [line for line in lines[0] if all(any(_equal(line, other) for other in each) for each in lines[1:])]
+def _common_lines(lines: Sequence[Sequence[Line]]) -> list[Line]:
+    """Return the lines that are equal in all tests."""
+    return [line for line in lines[0]
+            if all(any(_has_equal_value(line, other) for other in each) for each in lines[1:])]
 
 
-def _equal(first: Line, second: Line) -> bool:
+def _has_equal_value(first: Line, second: Line) -> bool:
+    """Return whether two lines have equal keys and values, whatever their reasons."""
     return (first.key, first.value) == (second.key, second.value)
 
 
-def _line(line: Line) -> str:
+def _format_line(line: Line) -> str:
+    """Return a line of TOML with its reason as a comment; a line without a value is a comment to fill in."""
     reason = " ".join(line.reason.split())
     if line.value is None:
         return f"# {line.key} =   # {FILL_IN}: {reason}"
-    text = f"{_key(line.key)} = {toml_value(line.value)}"
+    text = f"{_format_key(line.key)} = {format_toml_value(line.value)}"
     if not reason:
         return text
     return f"{text:<{_REASON_POSITION}}  # {reason}" if len(text) + len(reason) < 116 else f"# {reason}\n{text}"
 
 
-def _key(key: str) -> str:
-    return key if _BARE.fullmatch(key) else toml_value(key)
+def _format_key(key: str) -> str:
+    """Return a TOML key with quotation marks if necessary."""
+    return key if _BARE.fullmatch(key) else format_toml_value(key)
 
 
-def toml_value(value: Any) -> str:
-    """Format a value for a campaign, in one line or as a list of lines.
+def format_toml_value(value: Any) -> str:
+    """Format a value as TOML; a long list has one item per line.
 
     Raises:
         ValueError: a number that is not finite.
@@ -91,22 +98,23 @@ def toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, str):
-        # TOML takes JSON's strings, but for the delete character.
+        # A JSON string is a valid TOML string, except for the delete character.
         return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(str(key))} = {toml_value(item)}" for key, item in value.items()) + " }"
+        pairs = (f"{_format_key(str(key))} = {format_toml_value(item)}" for key, item in value.items())
+        return f"{{ {', '.join(pairs)} }}"
     if isinstance(value, list | tuple):
-        items = [toml_value(item) for item in value]
+        items = [format_toml_value(item) for item in value]
         one = f"[{', '.join(items)}]"
         return one if len(one) < 110 else "[\n" + "".join(f"    {item},\n" for item in items) + "]"
     if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{value} has no place in a campaign")
+        raise ValueError(f"a number of a campaign must be finite; got {value}")
     return repr(value)
 
 
-def _place(file: Path, folder: Path) -> str:
-    """Return the path of a file in a campaign."""
-    # Links of folders are followed, for ".." does so, too.
+def _relative_path(file: Path, folder: Path) -> str:
+    """Return the path of a file relative to a folder; an absolute path on another drive."""
+    # Symbolic links are resolved first, because ".." also refers to the resolved folder.
     there = file.parent.resolve() / file.name
     try:
         return Path(os.path.relpath(there, folder.resolve())).as_posix()

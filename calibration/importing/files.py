@@ -11,7 +11,7 @@ from typing import Any
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
-from calibration.importing.campaign_text import FILL_IN, campaign_text
+from calibration.importing.campaign_text import FILL_IN, format_campaign
 from calibration.importing.decimal_marks import decimal_reason, same_decimal_mark
 from calibration.importing.flags import applies, check_options, require_used
 from calibration.importing.grouping import group, same_motion
@@ -19,10 +19,14 @@ from calibration.importing.imported import Imported, ImportedTest, ImportOptions
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
-from calibration.importing.signal_lines import leave_out_lines, offset_lines, start_lines
+from calibration.importing.signal_lines import (
+    format_left_out_samples,
+    format_offset_settings,
+    format_viscoelastic_start,
+)
 from calibration.importing.size_assumptions import unclear_statement, with_size_assumptions
 from calibration.importing.sizes_of_tables import with_sizes_compared
-from calibration.importing.zero import linear_laws, with_zero
+from calibration.importing.zero import add_zero_assumption, select_linear_laws
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located, shortened
@@ -80,7 +84,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     fit = _fit(tests, wishes)
 
     def text_in(folder: Path, questions: Sequence[str] = ()) -> str:
-        return campaign_text(tests, specimens, fit, folder, questions)
+        return format_campaign(tests, specimens, fit, folder, questions)
 
     text = text_in(Path() if output is None else output.parent, questions_of(tests))
     imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _warnings(parts, tests))
@@ -175,8 +179,8 @@ def _has_sizes(sizes: Mapping[str, Size]) -> bool:
 def _with_zero(parts: Sequence[Part], wishes: ImportOptions) -> tuple[tuple[Part, ...], Zero | None]:
     """Add the meaning of a load at zero displacement to the replicates of a test."""
     sizes = {key: size.value for key, size in _sizes(parts[0].reading, wishes).items()}
-    laws = linear_laws(wishes.laws or _LAWS["analytical"])
-    return with_zero(parts, sizes, laws, wishes.zero)
+    laws = select_linear_laws(wishes.laws or _LAWS["analytical"])
+    return add_zero_assumption(parts, sizes, laws, wishes.zero)
 
 
 def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wishes: ImportOptions
@@ -275,7 +279,7 @@ def _keys(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line], lis
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
     lines += _found(parts)
-    lines += leave_out_lines(parts)
+    lines += format_left_out_samples(parts)
     lines += _speed(parts, test.pop("speed_mm_s", None))
     lines += [Line(key, value, "stated") for key, value in test.items() if applies(key, value, kind)]
     return lines, missing
@@ -350,7 +354,7 @@ def _fit(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[Line]:
              Line("laws", list(wishes.laws or _LAWS[method]), "stated" if wishes.laws else "of two parameters at most")]
     if not closed:
         lines.append(Line("bulk_ratio", _BULK_RATIO, "K / mu0; gels and soft tissues hardly change their volume"))
-    return [*lines, *offset_lines(tests, bounded=closed), *start_lines(tests)]
+    return [*lines, *format_offset_settings(tests, bounded=closed), *format_viscoelastic_start(tests)]
 
 
 def _problem(text_in: Callable[[Path], str]) -> str | None:

@@ -1,4 +1,4 @@
-"""Lines of a campaign that follow from the signals: samples left out, contact offset, relaxation."""
+"""Write the lines of a campaign that follow from the signals: omitted samples, contact offset, relaxation."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from tissue_sim.recording.segments import loading_of
 
 #: Bounds of a fitted contact offset, in its standard deviations.
 _OFFSET_BOUNDS = 3.0
-#: Relaxed fractions from which a fit starts.
+#: Smallest and largest relaxed fraction of the stiffness at the start of a fit.
 _FRACTIONS = (0.1, 0.9)
 
 
-def leave_out_lines(parts: Sequence[Part]) -> list[Line]:
-    """``leave_out`` of a test: the outliers of its recordings, with the reason of the first one."""
+def format_left_out_samples(parts: Sequence[Part]) -> list[Line]:
+    """Return the line ``leave_out`` of a test: numbers of the outliers, and the reason of the first outlier.
+
+    Without outliers, no line is returned.
+    """
     found: dict[str, list[int]] = {}
     reasons: list[str] = []
     for part in parts:
@@ -38,22 +41,31 @@ def leave_out_lines(parts: Sequence[Part]) -> list[Line]:
     return [Line("leave_out", next(iter(found.values())) if alone else found, f"{reasons[0]}{more}")]
 
 
-class _Offset(NamedTuple):
-    """Standard deviation and largest value of a contact offset, mm, and the reason to fit it."""
+class _ContactOffset(NamedTuple):
+    """Prior of a fitted contact offset.
+
+    Attributes:
+        prior: standard deviation, mm.
+        bound: largest absolute value, mm.
+        reason: reason of the fit in one sentence.
+    """
 
     prior: float
     bound: float
     reason: str
 
 
-def offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -> list[Line]:
-    """Keys of ``[fit]`` by which contact is found where the displacement was zeroed at a preload, or where the interval
-    of contact after air is too wide for the modulus.
+def format_offset_settings(tests: Sequence[ImportedTest], *, bounded: bool) -> list[Line]:
+    """Return the lines of ``[fit]`` that fit a contact offset.
+
+    The offset is fitted if the displacement was zeroed at a preload, or if the interval of contact after motion in air
+    is too wide for the modulus.
 
     Args:
-        bounded: whether the method takes bounds of the offset.
+        tests: imported tests.
+        bounded: whether the method supports bounds of the offset.
     """
-    found = [*_of_preloads(tests), *(_of_wide_intervals(tests) if bounded else ())]
+    found = [*_offsets_of_preloads(tests), *(_offsets_of_wide_intervals(tests) if bounded else ())]
     if not found:
         return []
     widest = max(found, key=lambda each: each.prior)
@@ -64,18 +76,22 @@ def offset_lines(tests: Sequence[ImportedTest], *, bounded: bool) -> list[Line]:
     return lines
 
 
-def _of_preloads(tests: Sequence[ImportedTest]) -> Iterator[_Offset]:
+def _offsets_of_preloads(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
+    """Yield the contact offset of each test whose displacement was zeroed at a preload."""
     for test in tests:
         if test.zero is None or test.zero.value != PRELOAD:
             continue
         shift = 1e3 * abs(test.zero.shift)
         side = "after contact" if test.zero.load > 0 else "before the force of the specimen is zero"
-        yield _Offset(shift, _OFFSET_BOUNDS * shift, f"{test.name}: the displacement was zeroed at a preload of "
+        yield _ContactOffset(shift, _OFFSET_BOUNDS * shift, f"{test.name}: the displacement was zeroed at a preload of "
                       f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
 
 
-def _of_wide_intervals(tests: Sequence[ImportedTest]) -> Iterator[_Offset]:
-    """Contact that is found after air, and whose interval changes the modulus by more than its tolerance."""
+def _offsets_of_wide_intervals(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
+    """Yield the contact offset of each recording whose interval of contact changes the modulus too much.
+
+    The limit is `MODULUS_TOLERANCE`; only tests with motion in air before contact are examined.
+    """
     for test in tests:
         if not any(line.key == "contact" for line in test.lines):
             continue
@@ -85,24 +101,25 @@ def _of_wide_intervals(tests: Sequence[ImportedTest]) -> Iterator[_Offset]:
                 if contact is None or motion.channel != "displacement":
                     continue
                 kept = recording if motion.kept is None else recording.select(motion.kept)
-                way, load, _ = loading_of(kept, KINDS.get(test.kind) if test.kind else None)
+                displacement, load, _ = loading_of(kept, KINDS.get(test.kind) if test.kind else None)
                 time = kept.time if "time" in kept else None
-                way, load = contact.counted_from(way, load, time)
-                pressed = way >= 0
-                error = contact_error(way[pressed], load[pressed], None if time is None else time[pressed], contact)
+                displacement, load = contact.counted_from(displacement, load, time)
+                pressed = displacement >= 0
+                error = contact_error(displacement[pressed], load[pressed],
+                                      None if time is None else time[pressed], contact)
                 half = 0.5e3 * (contact.interval[1] - contact.interval[0])
                 if error > MODULUS_TOLERANCE:
-                    yield _Offset(half / INTERVAL_DEVIATIONS, half, f"{test.name}: contact is known to "
+                    yield _ContactOffset(half / INTERVAL_DEVIATIONS, half, f"{test.name}: contact is known to "
                                   f"{half:.2g} mm, which changes the modulus by {100 * error:.2g} %")
 
 
-def start_lines(tests: Sequence[ImportedTest]) -> list[Line]:
-    """Key of ``[fit]`` by which relaxation and creep are fitted, where an elastic law cannot describe them."""
+def format_viscoelastic_start(tests: Sequence[ImportedTest]) -> list[Line]:
+    """Return the line of ``[fit]`` that fits relaxation or creep if an elastic law cannot describe a test."""
     for test in tests:
         for part in test.parts:
             for motion in part.motions:
                 control = motion.screening.control
-                if control is not None and motion.rate is not None and needs_memory(control):
+                if control is not None and motion.rate is not None and needs_viscoelasticity(control):
                     lost = control.creep / (1 + control.creep) if control.pattern == "creep" else control.relaxation
                     low, high = _FRACTIONS
                     start = {"viscoelastic.terms[0].g": float(f"{min(max(1.2 * lost, low), high):.2g}"),
@@ -112,8 +129,8 @@ def start_lines(tests: Sequence[ImportedTest]) -> list[Line]:
     return []
 
 
-def needs_memory(control: Control) -> bool:
-    """Return whether an elastic law describes neither the test nor its loading alone, and a hold shows relaxation."""
+def needs_viscoelasticity(control: Control) -> bool:
+    """Return whether a hold shows relaxation, and an elastic law describes neither the test nor its loading."""
     if control.time_constant is None:
         return False
     return not control.is_elastic or (control.pattern == "creep" and control.loading < MIN_POINTS)

@@ -11,7 +11,7 @@ from calibration.importing.imported import ImportOptions
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import Reading, Understanding
-from tissue_sim.recording.formats.sizes import Size, sizes_without_unit, stated_sizes
+from tissue_sim.recording.formats.sizes import Size, find_distinct_sizes, find_sizes_without_unit
 from tissue_sim.recording.formats.statements import DIMENSIONS
 
 #: Key -> name and unit of the size.
@@ -39,7 +39,7 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
     given = {key for key in reading.specimen if key != "shape"} | set(stated)
     section = bool(given & {"radius_mm", "area_mm2"}) or "shape" in given
     assumptions = []
-    for key, several in stated_sizes(reading.stated, reading.kind.kind).items():
+    for key, several in find_distinct_sizes(reading.stated, reading.kind.kind).items():
         name, unit = _NAMES[key]
         first, *others = several
         is_stated = section if key != "height_mm" else bool(given & {key, "shape"})
@@ -52,7 +52,7 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
 
 def unclear_statement(reading: Reading, key: str) -> str:
     """Return the reason why a statement in the file does not give the size `key`; empty without such a statement."""
-    seen = sizes_without_unit(reading.stated)
+    seen = find_sizes_without_unit(reading.stated)
     found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
     if found:
         return f"the file states {found!r} without a known unit"

@@ -159,10 +159,10 @@ def build_campaign(request: CalibrationRequest, folder: Path) -> str:
     Raises:
         InputError: The tool has an adhesion, which a campaign can state only as a contact law.
     """
-    from calibration.importing.campaign_text import toml_value
+    from calibration.importing.campaign_text import format_toml_value
 
     def table(heading: str, lines: dict[str, Any]) -> str:
-        return "\n".join([heading, *(f"{key} = {toml_value(value)}" for key, value in lines.items())])
+        return "\n".join([heading, *(f"{key} = {format_toml_value(value)}" for key, value in lines.items())])
 
     experiment, material = request.experiment, request.material
     if experiment.adhesion is not None:

@@ -206,7 +206,7 @@ def test_cycles_are_counted(tmp_path):
     ("", "is empty"), ("just words\n", "holds no table of numbers"), ("\x00\x01\x02\x03", "binary"),
     ("lambda1,lambda2,s1,s2\n" + "1.1,1.0,0.2,0.1\n" * 9, "biaxial"),
     ("Time (s),Temperature (degC)\n" + "1,20\n" * 9, "a motion (displacement, stretch, strain) and a load"),
-    ("1,2,3\n" * 9, "its 3 columns of numbers have no names; name them"),
+    ("1,2,3\n" * 9, "its 3 columns of numbers have no names; name the columns"),
     ("Time (s),Compression (mm),Load (N)\n" + "1,2,3\n" * 4, "holds no table of numbers"),
     ("Time (s),Compression (mm),Load (N)\n" + "1,2,3\n" * 9 + "2,3,1e300\n", "which no machine measures"),
 ])

@@ -247,7 +247,7 @@ def test_sheets_of_other_tests_are_left_out_with_a_note(tmp_path):
     book.save(path)
     imported = load(path)
     assert [test.kind for test in imported.tests] == ["uniaxial_tension"]
-    assert "a table is left out: planar tension" in imported.warnings[0]
+    assert "a table is omitted: planar tension" in imported.warnings[0]
     assert shear_modulus(imported, tmp_path) == pytest.approx(MU, rel=1e-4)
 
 

@@ -7,10 +7,10 @@ import openpyxl
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity, without_cell_units
+from tissue_sim.recording.formats.cell_units import CellUnits, without_cell_units
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.number_text import is_number, parse_number
-from tissue_sim.recording.formats.sizes import quantity_in
+from tissue_sim.recording.formats.number_text import is_number, parse_number, split_quantity
+from tissue_sim.recording.formats.sizes import parse_quantity
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.understanding import understand
 
@@ -50,7 +50,7 @@ def test_units_in_the_cells_are_read_and_named(tmp_path, decimal, header):
     np.testing.assert_allclose(recording.displacement, 1e-3 * WAY, atol=1e-12)
     np.testing.assert_allclose(recording.force, FORCE, atol=1e-4)
     unit = next(each for each in reading.assumptions if each.subject == "unit of force")
-    assert unit.value == "N" and unit.evidence[0] in ("behind each number of the column", "in the header 'Load (N)'")
+    assert unit.value == "N" and unit.evidence[0] in ("after each number of the column", "in the header 'Load (N)'")
     again = ts.read_recording(path, **reading.options)
     np.testing.assert_array_equal(again.force, recording.force)
 
@@ -106,4 +106,4 @@ def test_a_table_of_exponents(tmp_path, style, decimal):
 
 @pytest.mark.parametrize(("quantity", "expected"), [("1.25D+01 mm", (12.5, "mm")), ("1,25E+01 mm", (12.5, "mm"))])
 def test_sizes_with_exponents(quantity, expected):
-    assert quantity_in(quantity) == expected
+    assert parse_quantity(quantity) == expected

@@ -11,7 +11,7 @@ import pytest
 from tissue_sim import InputError, read_recording
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.afm import read_afm
-from tissue_sim.recording.formats.afm_curve import curve_recording
+from tissue_sim.recording.formats.afm_curve import build_curve_recording
 
 #: Stiffness, N/m.
 STIFFNESS = 0.05
@@ -95,7 +95,7 @@ def test_without_a_spring_constant_the_piezo_moves(tmp_path):
     assert stated.displacement.max() == pytest.approx(DEPTH, abs=60e-9)
     assert stated.metadata["spring_constant_N_per_m"] == STIFFNESS
     problem = refusal(read_afm, write(tmp_path), spring_constant=2 * STIFFNESS).problem
-    assert "the file's own spring constant is 0.05, not 0.1" in problem
+    assert "spring constant must be 0.05 as in the file; got 0.1" in problem
 
 
 def test_a_file_of_several_curves(tmp_path):
@@ -115,7 +115,7 @@ def test_a_file_of_several_curves(tmp_path):
     assert [recording.name for recording in single] == ["curve"]
     error = refusal(read_recording, path, format="afm")
     assert error.field == "curve" and "choose one with curve = 1 to 3" in error.problem
-    assert "there is no curve 4; the file has 3" in refusal(read_afm, path, curve=4).problem
+    assert "must be from 1 to 3, the number of curves in the file; got 4" in refusal(read_afm, path, curve=4).problem
     for curve in (0, -1, 1.0, True, "2"):
         assert refusal(read_afm, path, curve=curve).field == "curve"
 
@@ -149,12 +149,12 @@ def test_odd_curves(tmp_path, change, message):
         curve[name] = values
     if message is None:
         # A file that does not tell the segments apart turns where the tip is deepest.
-        segment = curve_recording(curve, 1).labels["segment"]
+        segment = build_curve_recording(curve, 1).labels["segment"]
         # The two samples in the middle are equally deep.
         assert segment.tolist() in (["approach"] * n + ["retract"] * (800 - n) for n in (400, 401))
     else:
         with pytest.raises(InputError, match=message):
-            curve_recording(curve, 1)
+            build_curve_recording(curve, 1)
 
 
 def test_without_the_extra_the_answer_names_it(tmp_path, monkeypatch):

@@ -101,7 +101,7 @@ def test_which_sheet(tmp_path):
     assert caught.value.field == "curve"
     assert read_xlsx(path, sheet=1, columns={"displacement": "displacement", "force": "force"}).force[-1] == 1.25
     assert "did you mean 'Second'" in refusal(read_xlsx, path, sheet="Secnd").problem
-    assert "the file has 2" in refusal(read_xlsx, path, sheet=3).problem
+    assert "must be from 1 to 2, the number of sheets in the file; got 3" in refusal(read_xlsx, path, sheet=3).problem
     assert refusal(read_xlsx, path, sheet=1.5).field == "sheet"
     assert refusal(read_xlsx, write(tmp_path, ("Empty", []))).problem.startswith("is empty")
 

@@ -4,7 +4,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.kind_words import Hint, named_tests, plain_text
+from tissue_sim.recording.formats.kind_words import Hint, find_named_tests, normalize_text
 from tissue_sim.recording.formats.understanding import understand
 from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS
 
@@ -13,7 +13,7 @@ TABLE = "Time (s),Travel (mm),Load (N)\n" + ROWS
 
 
 def names(text):
-    return list(dict.fromkeys(each.kind or each.unknown.name for each in named_tests([Hint(text, "here")])))
+    return list(dict.fromkeys(each.kind or each.unknown.name for each in find_named_tests([Hint(text, "here")])))
 
 
 @pytest.mark.parametrize(("text", "expected"), [
@@ -50,7 +50,7 @@ def test_words_that_name_no_test(text):
 
 
 def test_plain_text_has_no_accents_and_single_blanks():
-    assert plain_text("Ermüdung_PureShear-3pt") == "ermudung pure shear 3 pt"
+    assert normalize_text("Ermüdung_PureShear-3pt") == "ermudung pure shear 3 pt"
 
 
 @pytest.mark.parametrize(("name", "above", "header"), [

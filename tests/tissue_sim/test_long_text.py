@@ -27,6 +27,12 @@ OF_THOUSANDS = "\n".join(["Time [s];Displacement [mm];Load [N]", *(
     f"{0.5 * i:.1f};{250 * i:,.3f};{1e5 * i**2 + 0.5:,.2f}" for i in range(16))]) + "\n"
 
 
+#: Every cell is quoted.
+QUOTED = [",".join(f'"{cell}"' for cell in row.split(",")) for row in ROWS]
+#: Every number has a unit.
+WITH_UNITS = [" s,".join(row.split(",", 1)).replace(",", " mm,").replace(" s mm,", " s,") + " N" for row in ROWS]
+
+
 def foreign(rows, sign=",", header="Time [s],Displacement [mm],Load [N]"):
     return "\n".join([header, *rows]).replace(",", sign) + "\n"
 
@@ -63,6 +69,15 @@ def both(reader, text, folder, beginning=8):
       for decimal, separator in ((".", ","), (",", "."), (",", " "), (",", "\u00a0"), (".", "'"), (".", "\u2019"))),
     foreign([row.replace(",", "D+00,") + "D-01" for row in ROWS_OF_DECIMALS]),
     foreign([row.replace(",", ",\u2212") for row in ROWS]),
+    foreign(QUOTED), foreign(QUOTED, ";"), foreign(QUOTED, "\t"), foreign(QUOTED).replace("\n", "\r\n"),
+    foreign(QUOTED)[:-1],
+    foreign([row.replace(",", ',"', 1).replace(",", '",', 2).replace('",', ",", 1) for row in ROWS]),
+    foreign([row.replace('"', '" ') for row in QUOTED]).replace('" ,', '",').replace('" \n', '"\n'),
+    "\n".join([foreign([]).strip(), *(row.replace(".", "D").replace('","', "M").replace("D", ",").replace("M", '","')
+                                     for row in QUOTED)]) + "\n",
+    foreign(WITH_UNITS, header="Time,Displacement,Load"), foreign(WITH_UNITS, "; ", header="Time,Displacement,Load"),
+    foreign([row.replace(" mm", "\u00b5m").replace("N", "(N)") for row in WITH_UNITS], header="Time,Displacement,Load"),
+    foreign([f'"{row}"'.replace(",", '","') for row in WITH_UNITS], header="Time,Displacement,Load"),
 ])
 @pytest.mark.parametrize("reader", ["columns", "places", "table"])
 def test_a_plain_end_gives_the_same_recording(reader, text, tmp_path):
@@ -119,13 +134,31 @@ def test_what_is_wrong_in_the_end_is_named_with_its_line(row, words, tmp_path):
 @pytest.mark.parametrize("lines", [
     ["", ""], ["Time [s],Displacement [mm],Load [N]"], ["# a remark"], ["5.25,1.3,\"2,5\""],
     ["5,1,1", "5.5,2,2,"], ["5,1,nan"], ["5;1;1"], ["5,1,1_0"], ["5,1,\N{ARABIC-INDIC DIGIT ONE}"],
-    ["5 5,1,1"], ["5,1,1\r5,1,1"], [" , , "],
+    ["5 5,1,1"], ["5,1,1\r5,1,1"], [" , , "], ['"5.25","1.3","2.5"'], ['5"5,1,1'], ['"5,1",1'], ['5.25,"1.3,2.5'],
+    ['"5.25"x,1.3,2.5'], ['"5.25","1.3","2""5"'], ['5.25,"",2.5'], ["5.25,1.3 mm,2.5"], ["5.25 s,1.3 mm,2.5 N"],
 ])
 @pytest.mark.parametrize("reader", ["columns", "places", "table", "native"])
 def test_what_is_not_plain_is_looked_at_cell_by_cell(reader, lines, tmp_path):
     header = {"header": "time [s],displacement [mm],force [N]"} if reader == "native" else {}
     at_once, cell_by_cell = both(reader, foreign([*ROWS[:11], *lines, *ROWS[11:]], **header), tmp_path)
     assert at_once == cell_by_cell
+
+
+@pytest.mark.parametrize("row", [
+    "5.5 s,3 mm,2.5 N", "5.5 s,3 mm,2.5 kN", "5.5,3 mm,2.5 N", "5.5 s,3mm,2.5 N", "5.5 s,3 mm,N", "5.5 s,3 mm",
+    '"5.5 s",3 mm,2.5 N', "5.5,3,2.5", "5.5 s,3 mm,2.5 N,1",
+])
+@pytest.mark.parametrize("reader", ["columns", "places", "table"])
+def test_units_of_cells_in_the_end_agree_with_the_beginning_or_all_cells_are_read(reader, row, tmp_path):
+    lines = [*WITH_UNITS[:11], row, *WITH_UNITS[12:]]
+    at_once, cell_by_cell = both(reader, foreign(lines, header="Time,Displacement,Load"), tmp_path)
+    assert at_once == cell_by_cell
+
+
+def test_other_units_in_the_whole_end_are_not_read_with_the_units_of_the_beginning(tmp_path):
+    lines = [*WITH_UNITS[:7], *(row.replace(" N", " kN") for row in WITH_UNITS[7:])]
+    at_once, cell_by_cell = both("table", foreign(lines, header="Time,Displacement,Load"), tmp_path)
+    assert at_once == cell_by_cell and "another unit than N" in at_once[2]
 
 
 @pytest.mark.slow
@@ -135,11 +168,14 @@ def test_a_blank_in_a_number_between_tabs_is_refused_with_its_line(tmp_path):
     assert at_once == cell_by_cell and at_once[0] == 10 and "'4 0'" in at_once[2]
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=250, deadline=None)
 @given(data=st.data())
 def test_damage_anywhere_changes_neither_recording_nor_sentence(data, tmp_path_factory):
     sign = data.draw(st.sampled_from([",", ";", "\t"]))
-    text = list(foreign(ROWS, sign))
+    rows, header = data.draw(st.sampled_from([
+        (ROWS, "Time [s],Displacement [mm],Load [N]"), (QUOTED, "Time [s],Displacement [mm],Load [N]"),
+        (WITH_UNITS, "Time,Displacement,Load")]))
+    text = list(foreign(rows, sign, header))
     for _ in range(data.draw(st.integers(0, 3))):
         place = data.draw(st.integers(0, len(text) - 1))
         text[place] = data.draw(st.sampled_from(["", "\n", ",", ";", ".", "0", "-", "e9", "x", " ", "\"", "#", "\r\n"]))

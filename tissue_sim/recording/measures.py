@@ -93,7 +93,7 @@ _CHANNEL_OF_ROLE = {"strain": "stretch", "stretch": "stretch", "shear strain": "
                     "nominal stress": "nominal stress"}
 
 
-def measure_of(words: str, role: str) -> str | None:
+def find_measure(words: str, role: str) -> str | None:
     """Return the name of the measure in a header, `ENGINEERING` included; None: no word for a measure.
 
     Args:
@@ -111,7 +111,7 @@ def measure_of(words: str, role: str) -> str | None:
     return ENGINEERING if _ENGINEERING.search(words) else None
 
 
-def other_measures(words: str, role: str) -> tuple[str, ...]:
+def find_other_measures(words: str, role: str) -> tuple[str, ...]:
     """Return other measures that the same words name.
 
     A Lagrangian strain is the Green-Lagrange strain or the engineering strain. A Piola-Kirchhoff stress is the first
@@ -120,7 +120,7 @@ def other_measures(words: str, role: str) -> tuple[str, ...]:
     channel, parts = _CHANNEL_OF_ROLE.get(role), words.split()
     if channel == "stretch" and any(part.startswith("lagrang") for part in parts) and "green" not in parts:
         return (ENGINEERING,)
-    if channel == "nominal stress" and "piola" in parts and measure_of(words, role) is None:
+    if channel == "nominal stress" and "piola" in parts and find_measure(words, role) is None:
         return ("second_piola_kirchhoff",)
     return ()
 

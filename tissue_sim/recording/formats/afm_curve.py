@@ -1,4 +1,4 @@
-"""From a curve of afmformats to a recording: sign, zero, segments, metadata."""
+"""Convert a force curve of afmformats to a recording: sign, zero, segments, metadata."""
 
 from __future__ import annotations
 
@@ -12,49 +12,50 @@ from tissue_sim.errors import InputError
 from tissue_sim.files import first_bytes
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 
-#: Number of afmformats' segment -> ours, by the kind of measurement. A relaxation begins with a rest above the tissue.
-SEGMENTS = {
+#: Modality of afmformats -> names of its segments in order. A relaxation begins with a rest above the tissue.
+SEGMENTS_OF_MODALITY = {
     "force-distance": ("approach", "retract"),
     "creep-compliance": ("approach", "hold", "retract"),
     "stress-relaxation": ("approach", "approach", "hold", "retract"),
 }
-#: Name in afmformats -> name and factor in our metadata.
+#: Number in the metadata of afmformats -> name and factor in the metadata of the recording.
 _NUMBERS = {
     "spring constant": ("spring_constant_N_per_m", 1.0), "sensitivity": ("sensitivity_m_per_V", 1.0),
     "setpoint": ("setpoint_N", 1.0), "speed approach": ("approach_speed_mm_s", 1e3),
     "speed retract": ("retract_speed_mm_s", 1e3), "position x": ("position_x_mm", 1e3),
     "position y": ("position_y_mm", 1e3),
 }
+#: Text in the metadata of afmformats -> name in the metadata of the recording.
 _WORDS = {"imaging mode": "measurement", "format": "file_format", "instrument": "instrument", "software": "software",
           "software version": "software_version", "date": "date", "time": "clock"}
-#: afmformats 0.18 leaves these two of a Chiaro in uN and um/s.
+#: Numbers of a Chiaro file that afmformats 0.18 returns in uN and um/s instead of SI units.
 _MICRO_IN_CHIARO = ("setpoint", "speed approach", "speed retract")
-#: Share of the approach that is taken to be in air.
-BASELINE_SHARE = 0.1
+#: Fraction of the approach that is assumed to be in air.
+BASELINE_FRACTION = 0.1
 
 
-def curve_recording(curve: Any, number: int, stated: Mapping[str, float] | None = None,
+def build_curve_recording(curve: Any, number: int, overrides: Mapping[str, float] | None = None,
                     tip_radius: float | None = None) -> Recording:
-    """The recording of one curve of afmformats.
+    """Return the recording of one curve of afmformats.
 
     Args:
         curve: an ``afmformats.AFMData``.
-        number: of the curve in its file, from 1.
-        stated: spring constant (N/m) and sensitivity (m/V) by their names in afmformats, where the file lacks them.
-        tip_radius: m, of a spherical tip, where the file says it.
+        number: number of the curve in its file, from 1.
+        overrides: name in afmformats -> spring constant (N/m) or sensitivity (m/V), for a file without the value.
+        tip_radius: radius of a spherical tip, m; None: unknown.
 
     Raises:
         InputError: no height or force, too few samples, a value that is not finite, or a stated number that
             contradicts the file's.
     """
-    metadata = _metadata(curve, number, stated or {}, tip_radius)
-    force = _column(curve, "force")
-    height, what = _height(curve, force, metadata.get("spring_constant_N_per_m"))
-    segments = _segments(curve, height)
-    zero, contact = _contact(force, segments == "approach")
+    metadata = _build_metadata(curve, number, overrides or {}, tip_radius)
+    force = _read_column(curve, "force")
+    height, what = _read_height(curve, force, metadata.get("spring_constant_N_per_m"))
+    segments = _label_segments(curve, height)
+    zero, contact = _find_contact(force, segments == "approach")
     channels = {"displacement": height[contact] - height, "force": force - zero}
     if "time" in curve:
-        channels = {"time": _column(curve, "time"), **channels}
+        channels = {"time": _read_column(curve, "time"), **channels}
     metadata |= {"displacement": what, "zeroing": {
         "force_N": float(zero), "height_m": float(height[contact]), "contact_sample": int(contact),
         "rule": "deviation from baseline: force within twice the largest deviation in the first tenth of the approach"}}
@@ -62,7 +63,7 @@ def curve_recording(curve: Any, number: int, stated: Mapping[str, float] | None 
 
 
 def tip_radius(path: Path) -> float | None:
-    """Radius of the sphere, m, that a text file of a Chiaro states and afmformats leaves out; None elsewhere."""
+    """Return the radius of the sphere, m, in a text file of a Chiaro, which afmformats omits; None: not stated."""
     if path.suffix != ".txt":
         return None
     for line in first_bytes(path, 16_384).decode("latin-1").splitlines()[:60]:
@@ -75,7 +76,12 @@ def tip_radius(path: Path) -> float | None:
     return None
 
 
-def _column(curve: Any, name: str) -> np.ndarray:
+def _read_column(curve: Any, name: str) -> np.ndarray:
+    """Return a column of a curve, SI units, shape (n,).
+
+    Raises:
+        InputError: no such column, too few samples, or a value that is not finite.
+    """
     if name not in curve:
         raise InputError(f"has no {name}; it has {', '.join(curve.columns)}")
     values = np.asarray(curve[name], float)
@@ -87,22 +93,25 @@ def _column(curve: Any, name: str) -> np.ndarray:
     return values
 
 
-def _height(curve: Any, force: np.ndarray, spring_constant: float | None) -> tuple[np.ndarray, str]:
-    """Height of the tip (of the piezo without a spring constant) above some level, m, and which of the two it is."""
+def _read_height(curve: Any, force: np.ndarray, spring_constant: float | None) -> tuple[np.ndarray, str]:
+    """Return the height above an arbitrary level, m, shape (n,), and its source in words.
+
+    The height is that of the tip or, without a spring constant, that of the piezo.
+    """
     if "tip position" in curve:
-        return _column(curve, "tip position"), "tip"
-    height = _column(curve, next((name for name in ("height (measured)", "height (piezo)") if name in curve),
+        return _read_column(curve, "tip position"), "tip"
+    height = _read_column(curve, next((name for name in ("height (measured)", "height (piezo)") if name in curve),
                                  "height (measured)"))
     if spring_constant is None:
         return height, "piezo: the file has no spring constant, so the deflection of the cantilever is in it"
     return height + force / spring_constant, "tip"
 
 
-def _segments(curve: Any, height: np.ndarray) -> np.ndarray:
-    """Name of each sample's segment."""
-    numbers, names = np.asarray(curve["segment"], int), SEGMENTS[curve.modality]
+def _label_segments(curve: Any, height: np.ndarray) -> np.ndarray:
+    """Return the name of the segment of each sample, shape (n,)."""
+    numbers, names = np.asarray(curve["segment"], int), SEGMENTS_OF_MODALITY[curve.modality]
     if numbers.max() == numbers.min():
-        # Igor files carry no segments: the tip turns at its deepest point.
+        # Igor files have no segments: the motion reverses at the lowest height.
         numbers = (np.arange(numbers.size) > np.argmin(height)).astype(int)
         names = ("approach", "retract")
     if numbers.max() >= len(names):
@@ -110,28 +119,30 @@ def _segments(curve: Any, height: np.ndarray) -> np.ndarray:
     return np.array(names)[numbers]
 
 
-def _contact(force: np.ndarray, approach: np.ndarray) -> tuple[float, int]:
-    """Force in air, N, and the sample of contact."""
+def _find_contact(force: np.ndarray, approach: np.ndarray) -> tuple[float, int]:
+    """Return the force in air, N, and the index of the sample at contact."""
     samples = np.flatnonzero(approach)
     if not samples.size:
-        raise InputError("has no approach, from which the contact would be known")
-    baseline = force[samples[:max(MIN_POINTS, round(BASELINE_SHARE * samples.size))]]
+        raise InputError("has no approach, which is required to find the contact")
+    baseline = force[samples[:max(MIN_POINTS, round(BASELINE_FRACTION * samples.size))]]
     zero = baseline.mean()
     inside = force[samples] - zero <= 2.0 * abs(baseline - zero).max()
     return zero, samples[np.flatnonzero(inside)[-1]]
 
 
-def _metadata(curve: Any, number: int, stated: Mapping[str, float], tip_radius: float | None) -> dict[str, Any]:
+def _build_metadata(curve: Any, number: int, overrides: Mapping[str, float], tip_radius: float | None
+                    ) -> dict[str, Any]:
+    """Return the metadata of a recording; see `build_curve_recording`."""
     found: dict[str, Any] = {"format": "afm", "curve": number}
     known = dict(curve.metadata.items())
-    for key, value in stated.items():
+    for key, value in overrides.items():
         if known.setdefault(key, value) != value:
-            raise InputError(f"the file's own {key} is {known[key]:g}, not {value:g}; leave it out")
+            raise InputError(f"{key} must be {known[key]:g} as in the file; got {value:g}. Omit the {key}.")
     chiaro = "Chiaro" in str(known.get("format", ""))
     for key, (name, factor) in _NUMBERS.items():
         if key in known:
             value = float(known[key]) * factor * (1e-6 if chiaro and key in _MICRO_IN_CHIARO else 1.0)
-            # Without the dust of the change of unit: 20 um/s must not become 0.019999999999999997 mm/s.
+            # Rounded, because 20 um/s must not become 0.019999999999999997 mm/s.
             found[name] = float(f"{value:.12g}")
     found |= {name: str(known[key]).strip() for key, name in _WORDS.items() if key in known}
     if tip_radius is not None:

@@ -7,15 +7,20 @@ from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from tissue_sim.recording.formats.header import find_header, find_numbers, matches, places_of
-from tissue_sim.recording.formats.number_text import any_number, is_number
-from tissue_sim.recording.formats.size_words import size_class
+from tissue_sim.recording.formats.header import (
+    find_first_numbers,
+    find_header,
+    find_matching_cells,
+    find_repeated_names,
+)
+from tissue_sim.recording.formats.number_text import is_number, parse_any_number
+from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Row, Table
 from tissue_sim.units import known_unit, loose_header
 
 #: A word: two letters or more.
 _WORD = re.compile(r"[^\W\d_]{2}")
-#: A cell as short as a unit.
+#: A cell that may be a unit by its length.
 _SHORT = re.compile(r"^\S{1,8}$")
 
 
@@ -24,9 +29,9 @@ class BlockSettings:
     """Settings of the search for blocks.
 
     Attributes:
-        examined_rows: rows that decide whether a column has numbers.
-        largest_gap: largest step of the first column across a row of text within one table, in steps of the rows
-            before.
+        examined_rows: number of rows that determine whether a column has numbers.
+        largest_gap: largest step of the first column across a row of text within one table, relative to the previous
+            step. A larger value joins more rows to one table.
     """
 
     examined_rows: int = 50
@@ -60,7 +65,7 @@ class Block:
         return None if self.units is None or place >= len(self.units.cells) else known_unit(self.units.cells[place])
 
 
-def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequence[int] = (),
+def find_named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequence[int] = (),
                  file: Path) -> tuple[Table, list[Block]]:
     """Return the first table with a row that has all names, and its blocks.
 
@@ -78,70 +83,77 @@ def named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequenc
     """
     table, header, below = find_header(tables, names, file=file)
     # A row of names has no number in the first column: this test excludes most rows fast.
-    place = matches(header.cells, names[0])[0]
-    headers = [header, *(row for row in below if not _numbers(row, (place,))
-                         and all(matches(row.cells, name) for name in names))]
+    place = find_matching_cells(header.cells, names[0])[0]
+    headers = [header, *(row for row in below if not _count_numbers(row, (place,))
+                         and all(find_matching_cells(row.cells, name) for name in names))]
     blocks: list[Block] = []
     for number, head in enumerate(headers):
         end = headers[number + 1].line if number + 1 < len(headers) else None
         rows = [row for row in below if row.line > head.line and (end is None or row.line < end)]
-        for places in zip(*places_of(head, names, file=file), strict=True):
+        for places in zip(*find_repeated_names(head, names, file=file), strict=True):
             wanted = (*places, *also)
-            units, data = _below_header(rows, wanted)
+            units, data = _split_below_header(rows, wanted)
             blocks.append(Block(head, units, tuple(data), wanted, below=number > 0))
     return table, blocks
 
 
-def placed_blocks(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, list[Block]]:
+def find_numbered_blocks(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, list[Block]]:
     """Return the first table with a row of numbers in the given columns, and its blocks.
 
     A row without any number ends a block.
 
+    Args:
+        tables: tables that are searched.
+        places: positions of the columns, from 0.
+        file: path for messages.
+
     Raises:
         InputError: no row has numbers in all columns.
     """
-    table, header, rows = find_numbers(tables, places, file=file)
-    runs = [run for run in _runs(rows, places) if any(_numbers(row, places) == len(places) for row in run)]
+    table, header, rows = find_first_numbers(tables, places, file=file)
+    runs = [run for run in _numeric_runs(rows, places)
+            if any(_count_numbers(row, places) == len(places) for row in run)]
     return table, [Block(header if i == 0 else run[0], None, tuple(run), tuple(places), below=i > 0)
                    for i, run in enumerate(runs)]
 
 
-def unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple[str, ...]:
+def find_unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple[str, ...]:
     """Return the names of the columns of numbers that no recording of a table reads.
 
     A column without a name has its number, from 1. A column that repeats one value and is named after a size states
     the size, and is omitted.
 
     Args:
-        blocks: blocks of the table. used: positions of the columns that are read, from 0.
+        blocks: blocks of the table.
+        used: positions of the columns that are read, from 0.
     """
     header, rows = blocks[0].header, blocks[0].rows
     found = []
     for place, name in enumerate(header.cells):
         cells = [row.cells[place] for row in rows[:_SETTINGS.examined_rows]
                  if place < len(row.cells) and row.cells[place]]
-        is_size = size_class(loose_header(name)[0]) is not None and len(set(cells)) == 1
+        is_size = classify_size_name(loose_header(name)[0]) is not None and len(set(cells)) == 1
         if place not in used and cells and 2 * sum(map(is_number, cells)) > len(cells) and not is_size:
             found.append(str(place + 1) if not name or is_number(name) else name)
     return tuple(found)
 
 
-def _below_header(rows: list[Row], places: Sequence[int]) -> tuple[Row | None, list[Row]]:
+def _split_below_header(rows: list[Row], places: Sequence[int]) -> tuple[Row | None, list[Row]]:
     """Return the row of units (None without one), and the rows of numbers."""
-    first = next((i for i, row in enumerate(rows) if _numbers(row, places)), len(rows))
+    first = next((i for i, row in enumerate(rows) if _count_numbers(row, places)), len(rows))
     units = next((row for row in rows[:first] if is_unit_row(row, places)), None)
     # Words alone in the first row are a damaged cell, as in any other row; a second row of names is not.
-    return units, _until_text(rows[first:] if first < len(rows) else rows, places)
+    return units, _rows_until_text(rows[first:] if first < len(rows) else rows, places)
 
 
-def _until_text(rows: list[Row], places: Sequence[int]) -> list[Row]:
+def _rows_until_text(rows: list[Row], places: Sequence[int]) -> list[Row]:
     """Return the rows above the first row of text that ends the table.
 
     A row of text with more rows of the same table below is kept; the reader of its cells reports an error.
     """
     labelled = bool(rows) and begins_with_word(rows[0])
     for i, row in enumerate(rows):
-        if i and is_text_row(row, places, labelled=labelled) and not _continues(rows, i, places):
+        if i and is_text_row(row, places, labelled=labelled) and not _table_continues(rows, i, places):
             return rows[:i]
     return rows
 
@@ -150,10 +162,11 @@ def is_text_row(row: Row, places: Sequence[int], *, labelled: bool = False) -> b
     """Return whether a row is text, and not a row of numbers with a damaged cell.
 
     Args:
-        row: below the first row of numbers. places: from 0, of the columns of numbers.
-        labelled: whether rows of numbers begin with a word in this table.
+        row: row below the first row of numbers.
+        places: positions of the columns of numbers, from 0.
+        labelled: whether the rows of numbers of this table begin with a word.
     """
-    numbers = _numbers(row, places)
+    numbers = _count_numbers(row, places)
     if numbers == len(places):
         return False
     if numbers == 0 or (not labelled and begins_with_word(row)):
@@ -168,23 +181,23 @@ def begins_with_word(row: Row) -> bool:
     return _WORD.search(first) is not None and not is_number(first)
 
 
-def _continues(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
+def _table_continues(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
     """Return whether rows of the same table follow the row of text with index `text`.
 
     Rows of numbers below a second row of names belong to another table, unless their first column continues evenly.
     """
     named = False
     for row in rows[text:]:
-        if _numbers(row, places) == len(places):
-            return not named or _follows(rows[max(text - 2, 0):text], row, places[0])
+        if _count_numbers(row, places) == len(places):
+            return not named or _continues_evenly(rows[max(text - 2, 0):text], row, places[0])
         words = sum(place < len(row.cells) and _WORD.search(row.cells[place]) is not None for place in places)
         named = named or (words >= min(2, len(places)) and not is_unit_row(row, places))
     return False
 
 
-def _follows(before: Sequence[Row], row: Row, place: int) -> bool:
+def _continues_evenly(before: Sequence[Row], row: Row, place: int) -> bool:
     """Return whether a number at `place` continues the rows, within `BlockSettings.largest_gap` of their steps."""
-    values = [any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
+    values = [parse_any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
     if len(values) < 3:
         return False
     step, gap = values[-2] - values[-3], values[-1] - values[-2]
@@ -204,15 +217,17 @@ def is_mostly_units(row: Row, places: Sequence[int]) -> bool:
     return known >= max(2, 0.5 * len(cells)) and all(_SHORT.match(cell) and not is_number(cell) for cell in cells)
 
 
-def _runs(rows: Iterable[Row], places: Sequence[int]) -> list[list[Row]]:
+def _numeric_runs(rows: Iterable[Row], places: Sequence[int]) -> list[list[Row]]:
+    """Return the runs of rows with numbers in the given columns, separated by rows of text."""
     runs: list[list[Row]] = [[]]
     for row in rows:
-        if _numbers(row, places) and not is_text_row(row, places):
+        if _count_numbers(row, places) and not is_text_row(row, places):
             runs[-1].append(row)
         elif runs[-1]:
             runs.append([])
     return [run for run in runs if run]
 
 
-def _numbers(row: Row, places: Sequence[int]) -> int:
+def _count_numbers(row: Row, places: Sequence[int]) -> int:
+    """Return how many of the given columns have a number in a row."""
     return sum(place < len(row.cells) and is_number(row.cells[place]) for place in places)

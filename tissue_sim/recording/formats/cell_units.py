@@ -1,19 +1,17 @@
-"""Numbers with a unit in their cell, ``12.3 N``: the numbers, and a row of units above them."""
+"""Split cells with a number and a unit, ``12.3 N``, into numbers and a row of units above them."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
 
-from tissue_sim.recording.formats.number_text import ExactNumber, is_number
+from tissue_sim.recording.formats.long_text import PlainEnd
+from tissue_sim.recording.formats.number_text import ExactNumber, is_number, split_quantity
 from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.recording import MIN_POINTS
-from tissue_sim.units import known_unit
 
-#: A digit, and a letter that is not that of an exponent.
+#: A digit and a following letter, except the letter of an exponent.
 _LETTER_AFTER_DIGIT = re.compile(r"\d[ \u00a0\u202f]?(?![eEdD][-+\d])[^\W\d_]|\d\s?[%\u00b0]")
-_QUANTITY = re.compile(r"(?P<number>[-+\u2212]?[\d.,](?:[\d.,'\u2019\u00a0\u202f\u2009 ]*[\d.,])?(?:[eEdD][-+]?\d+)?)"
-                       r"\s*(?P<unit>[\[(]?(?:[^\W\d_]\S*|%|\u00b0C)[\])]?)")
 
 
 class CellUnits(Row):
@@ -22,23 +20,14 @@ class CellUnits(Row):
     __slots__ = ()
 
 
-def split_quantity(cell: str) -> tuple[str, str] | None:
-    """The number and the name of the unit in a cell, ``("12.3", "N")``; None: not a number with a known unit."""
-    match = _QUANTITY.fullmatch(cell)
-    unit = None if match is None else known_unit(match["unit"])
-    if match is None or unit is None or not is_number(match["number"]):
-        return None
-    return match["number"], unit
-
-
 def without_cell_units(rows: list[Row], text: str | None = None) -> list[Row]:
-    """The rows with plain numbers in columns whose cells have one unit, and a row of these units above the numbers.
+    """Remove the units from the cells of columns with one common unit, and insert a row of units above the numbers.
 
-    Columns with different units in their cells, or with a number without a unit, stay as they are.
+    A column with different units, or with a number without a unit, is unchanged.
 
     Args:
-        rows: of a table.
-        text: of all rows; one without a letter behind a digit is not searched. None: that of the cells.
+        rows: rows of a table.
+        text: text of all rows; a text without a letter after a digit has no units. None: the text of the cells.
     """
     parts = (text,) if text is not None else (cell for row in rows for cell in row.cells
                                               if not isinstance(cell, ExactNumber))
@@ -47,27 +36,38 @@ def without_cell_units(rows: list[Row], text: str | None = None) -> list[Row]:
     found: list[Row] = []
     run: list[Row] = []
     for row in (*rows, Row(0, ())):
-        if _is_of_quantities(row, begun=bool(run)):
+        if _has_quantities(row, begun=bool(run)):
             run.append(row)
             continue
-        found += _plain(run)
+        found += _remove_common_units(run)
         run = []
         found.append(row)
     return found[:-1]
 
 
-def _is_of_quantities(row: Row, *, begun: bool) -> bool:
-    """Return whether most cells are numbers, and at least one has a unit; `begun` rows may have lost their units."""
+def has_equal_units(rows: Sequence[Row], end: PlainEnd) -> bool:
+    """Return whether the cells of a plain end have the units of the last numbers in rows without cell units.
+
+    Args:
+        rows: rows above the end; see `without_cell_units`.
+        end: lines below the rows.
+    """
+    last = next((row for row in reversed(rows) if isinstance(row, CellUnits)), None)
+    return (last.cells if last is not None else ("",) * end.cells) == end.units
+
+
+def _has_quantities(row: Row, *, begun: bool) -> bool:
+    """Return whether most cells are numbers, and at least one has a unit; in a `begun` table, no unit is needed."""
     filled = [cell for cell in row.cells if cell]
     united = sum(split_quantity(cell) is not None for cell in filled)
     numbers = united + sum(map(is_number, filled))
     return numbers >= 2 and 2 * numbers >= len(filled) and (united > 0 or begun)
 
 
-def _plain(run: Sequence[Row]) -> Iterable[Row]:
+def _remove_common_units(run: Sequence[Row]) -> Iterable[Row]:
     """Return the rows of one table with plain numbers below a row of units; unchanged without a common unit."""
     width = max((len(row.cells) for row in run), default=0)
-    units = [_unit_of(run, place) for place in range(width)]
+    units = [_find_common_unit(run, place) for place in range(width)]
     if len(run) < MIN_POINTS or not any(units):
         return run
     plain = []
@@ -77,7 +77,7 @@ def _plain(run: Sequence[Row]) -> Iterable[Row]:
     return [CellUnits(run[0].line, tuple(units)), *plain]
 
 
-def _unit_of(run: Sequence[Row], place: int) -> str:
+def _find_common_unit(run: Sequence[Row], place: int) -> str:
     """Return the common unit of all numbers of a column; empty without a common unit."""
     units = set()
     for row in run:

@@ -14,20 +14,21 @@ import numpy as np
 
 from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.recording.formats.blocks import Block, named_blocks, placed_blocks, unread_columns
+from tissue_sim.recording.formats.blocks import Block, find_named_blocks, find_numbered_blocks, find_unread_columns
+from tissue_sim.recording.formats.cell_units import has_equal_units
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks
-from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, text_tables
+from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, split_text_tables
 from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number
 from tissue_sim.recording.formats.table import (
     Column,
     Row,
     Table,
-    cells_of,
-    conversion,
-    narrow,
+    column_cells,
     read_recording_table,
+    select_cells,
+    si_conversion,
 )
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.measures import check_measure, convert_measures
@@ -36,9 +37,9 @@ from tissue_sim.units import loose_header, split_header
 
 #: Keys of an entry of ``columns``.
 _KEYS = ("name", "column", "unit", "sign", "scale", "offset", "measure")
-#: Largest column number that is accepted.
-_MOST_COLUMNS = 1_000_000
-#: The last column of a spreadsheet is XFD.
+#: Largest valid column number.
+_MAX_COLUMN_NUMBER = 1_000_000
+#: Letters of a column of a spreadsheet, up to XFD.
 _LETTERS = re.compile(r"[A-Za-z]{1,3}")
 Sheets = str | int | Sequence[str | int]
 Curves = int | Sequence[int]
@@ -79,35 +80,35 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
                 metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
     """Read recordings from chosen columns of a delimited text, a spreadsheet or a container of arrays.
 
-    Columns by name: the header is the first row that contains every named column. A column matches by its whole header
-    (``"Load (N)"``) or by the part before the unit (``"Load"``), whatever the case. A header that comes again, below or
-    in the same row, begins another recording; one below it whose time continues is the same one. Columns by place only:
-    the table begins with the first row that has a number in each of them.
+    Columns by name: the header is the first row with all names. A name is the complete header (``"Load (N)"``) or the
+    part before the unit (``"Load"``), in any case. A repeated header, in the same or a later row, begins another
+    recording. Exception: if the time continues below a later header, the recording continues. Columns by number: the
+    table begins at the first row with a number in each of the columns.
 
-    Delimiter of a text: comma, semicolon or tab, whichever has such a row, unless it is stated. Rows of text below the
-    numbers end a table. Decimal mark and thousands separator are found from all values of the columns together, see
+    The delimiter of a text is the first of comma, semicolon and tab that gives such a row. Rows of text below the
+    numbers end a table. Decimal mark and thousands separator are found from all values, see
     `tissue_sim.recording.formats.decimal_mark.find_marks`.
 
     Args:
         path: the file: text in any usual encoding, xlsx, xls, ods, mat, tdms, h5.
-        columns: channel -> header, or a mapping with ``name`` or ``column`` (a number from 1, or a letter) and, where
-            wanted, ``unit`` (in place of the one in the header's brackets or below it), ``sign`` (1 or -1), ``scale``
-            (units in one of the file, SI where the unit is that of a signal) and ``offset`` (units, added last):
-            the value is (sign * scale * cell + offset) units. An offset ``"start"`` counts from the first sample.
-            ``measure`` of a stretch or nominal stress, a name in `tissue_sim.recording.measures.MEASURES`:
-            the value is of that measure and is converted for an incompressible specimen.
+        columns: channel -> header, or a mapping with ``name`` or ``column`` (a number from 1, or a letter) and
+            optional keys. The value is (sign * scale * cell + offset) units with ``sign`` (1 or -1), ``scale`` (units
+            in a number of 1 of the file; SI units for a signal), ``offset`` (units) and ``unit``, which replaces the
+            unit in the header or below the header. The offset ``"start"`` subtracts the first value. ``measure`` is a
+            name in `tissue_sim.recording.measures.MEASURES`, from which a stretch or nominal stress is converted for
+            an incompressible specimen.
         skip_lines: number of lines (rows) at the top of the file that are ignored.
-        delimiter: one character; a blank stands for any number of blanks. None: found. Text only.
-        sheet: name or number (from 1) of a spreadsheet's sheet, or of a container's table, or a list of them, which
-            are replicates. None: the only one that holds anything.
-        curve: number from 1 of the recording that is wanted, or a list of numbers. None: all.
-        decimal: decimal mark of the numbers, ``"."`` or ``","``; the other one separates thousands. None: found.
-        metadata: goes into the recordings, with the names of the columns of numbers that are not read
-            (``unread_columns``), where there are any.
+        delimiter: one character, for a text only; a blank matches any number of blanks. None: found.
+        sheet: name or number (from 1) of a sheet of a spreadsheet or a table of a container, or a list of replicates.
+            None: the only sheet with content.
+        curve: number (from 1) of the recording to read, or a list of numbers. None: all.
+        decimal: decimal mark of the numbers, ``"."`` or ``","``; the other mark separates thousands. None: found.
+        metadata: metadata of the recordings. The names of columns of numbers that are not read are added under
+            ``unread_columns``.
 
     Raises:
-        InputError: a bad map (by field), a column that the file lacks, a bad cell (by file and line), values that fit
-            two decimal marks, or a spreadsheet without the extra ``formats``.
+        InputError: an invalid map (with field), a missing column, an invalid cell (with file and line), an ambiguous
+            decimal mark, or a spreadsheet without the extra ``formats``.
     """
     found = read_marked_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve,
                                decimal=decimal, metadata=metadata)
@@ -128,28 +129,30 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
         check_decimal(decimal)
     wanted = check_columns(columns)
     if isinstance(skip_lines, bool) or not isinstance(skip_lines, int) or skip_lines < 0:
-        raise InputError(f"{skip_lines!r} is not a number of lines; give 0 or more", field="skip_lines")
-    chosen = _curves(curve, path)
+        raise InputError(f"must be a whole number from 0; got {skip_lines!r}. Give a number of lines.",
+                         field="skip_lines")
+    chosen = _check_curve_numbers(curve, path)
     found: list[MarkedRecording] = []
     if is_container(path) or is_workbook(path):
         if delimiter is not None:
-            raise InputError("only text has a delimiter; leave it out", file=path, field="delimiter")
-        for each in _sheets(path, sheet):
+            raise InputError("must be omitted, because only a text has a delimiter", file=path, field="delimiter")
+        for each in _select_sheets(path, sheet):
             with each.located():
-                found += _recordings([each.table(skip_lines)], wanted, path, metadata, decimal, alone=True)
+                found += _read_recordings([each.table(skip_lines)], wanted, path, metadata, decimal, alone=True)
     else:
         if sheet is not None:
-            raise InputError("this file is no spreadsheet (xlsx, xls, ods), so it has no sheets; leave it out",
+            raise InputError("must be omitted, because only a spreadsheet (xlsx, xls, ods) or container has sheets",
                              file=path, field="sheet")
         names = [entry["name"] for entry in wanted.values() if "name" in entry]
         expected = "a table with the columns " + ", ".join(map(repr, names)) if names else "a table of numbers"
         text, _ = decode_text(read_bytes(path, expected), path, expected)
         delimiters = ((DELIMITERS if names else DELIMITERS_OF_NUMBERS) if delimiter is None
                       else (check_delimiter(delimiter),))
-        found += _of_text(text, skip_lines, delimiters, wanted, path, metadata, decimal)
+        found += _read_text_tables(text, skip_lines, delimiters, wanted, path, metadata, decimal)
     for number in chosen:
         if number > len(found):
-            raise InputError(f"there is no curve {number}; the file has {len(found)}", file=path, field="curve")
+            raise InputError(f"must be from 1 to {len(found)}, the number of curves in the file; got {number}.",
+                             file=path, field="curve")
     return tuple(found[number - 1] for number in chosen) if chosen else tuple(found)
 
 
@@ -160,69 +163,77 @@ def check_decimal(decimal: Any, field: str = "decimal") -> str:
         InputError: neither point nor comma; with the field.
     """
     if decimal not in DECIMAL_MARKS:
-        raise InputError(f'must be "." or ","; got {decimal!r}. The other one then separates thousands', field=field)
+        raise InputError(f'must be "." or ","; got {decimal!r}. The other mark separates thousands.', field=field)
     return decimal
 
 
-def _curves(curve: Any, path: Path) -> list[int]:
+def _check_curve_numbers(curve: Any, path: Path) -> list[int]:
+    """Return the numbers of the curves to read; an empty list means all curves.
+
+    Raises:
+        InputError: not a whole number from 1.
+    """
     numbers = list(curve) if isinstance(curve, list | tuple) else [] if curve is None else [curve]
     for each in numbers:
         if isinstance(each, bool) or not isinstance(each, int) or each < 1:
-            raise InputError(f"{each!r} is not the number of a curve; give a whole number from 1", file=path,
+            raise InputError(f"must be a whole number from 1; got {each!r}. Give the number of a curve.", file=path,
                              field="curve")
     return numbers
 
 
-def _of_text(text: str, skip_lines: int, delimiters: Sequence[str], wanted: Mapping[str, Mapping[str, Any]],
+def _read_text_tables(text: str, skip_lines: int, delimiters: Sequence[str], wanted: Mapping[str, Mapping[str, Any]],
              path: Path, metadata: Mapping[str, Any] | None, decimal: str | None) -> list[MarkedRecording]:
+    """Read the recordings of a text; see `read_blocks` for the arguments."""
     beginning, end = split_long(text, skip_lines)
     if end is not None:
         with suppress(InputError, NotPlainError):
-            tables = text_tables(beginning, file=path, skip_lines=skip_lines, delimiters=delimiters)
-            return _recordings(tables, wanted, path, metadata, decimal, end=end)
-    return _recordings(text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters), wanted, path,
-                       metadata, decimal)
+            tables = split_text_tables(beginning, file=path, skip_lines=skip_lines, delimiters=delimiters)
+            return _read_recordings(tables, wanted, path, metadata, decimal, end=end)
+    tables = split_text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters)
+    return _read_recordings(tables, wanted, path, metadata, decimal)
 
 
-def _sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
+def _select_sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
+    """Read the requested sheets of a spreadsheet or tables of a container."""
     if is_container(path):
         return read_container(path, sheet)
     return read_sheets(path, sheet) if isinstance(sheet, Sequence) and not isinstance(sheet, str) else [
         read_sheet(path, sheet)]
 
 
-def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
+def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
                 decimal: str | None, *, alone: bool = False, end: PlainEnd | None = None) -> list[MarkedRecording]:
     """Return the recordings of the first table with the columns; a table with a plain end has one recording."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
     table: Table
     blocks: list[Block]
-    table, blocks = (named_blocks(tables, names, also=places, file=path) if names
-                     else placed_blocks(tables, places, file=path))
-    # The plain end continues the last row; rows above belong to another block.
-    if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line):
+    table, blocks = (find_named_blocks(tables, names, also=places, file=path) if names
+                     else find_numbered_blocks(tables, places, file=path))
+    # A plain end continues the only block of the table.
+    if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line
+                            or not has_equal_units(table.rows, end)):
         raise NotPlainError
-    # A summary has the names of its table, too.
+    # A short block is a summary with the same header.
     blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks
     chosen: list[list[Column]] = []
     for block in blocks:
         order = iter(block.places[:len(names)]), iter(block.places[len(names):])
-        chosen.append(_choose(wanted, {channel: next(order["column" in entry]) for channel, entry in wanted.items()},
-                              block, bool(names), path))
-    marks = _marks(blocks, chosen, table.delimiter, decimal)
-    unread = unread_columns(blocks, {column.index for columns in chosen for column in columns})
+        positions = {channel: next(order["column" in entry]) for channel, entry in wanted.items()}
+        chosen.append(_choose_columns(wanted, positions, block, bool(names), path))
+    marks = _find_common_marks(blocks, chosen, table.delimiter, decimal)
+    unread = find_unread_columns(blocks, {column.index for columns in chosen for column in columns})
     metadata = {**(metadata or {}), "unread_columns": list(unread)} if unread else metadata
     found: list[MarkedRecording] = []
     for block, columns in zip(blocks, chosen, strict=True):
         header, rows = block.header, list(block.rows)
         if alone or len(blocks) > 1:
-            rows, columns = _narrow(rows, columns)
+            rows, columns = _select_chosen_columns(rows, columns)
             header = Row(header.line, tuple(column.header for column in columns))
         recording = read_recording_table(header, rows, columns, file=path, delimiter=table.delimiter or ";",
                                          metadata=metadata, end=end, marks=marks)
-        if block.below and found and _goes_on(found[-1].recording, recording):
-            found[-1] = replace(found[-1], recording=_joined(found[-1].recording, recording))
+        if block.below and found and _continues_recording(found[-1].recording, recording):
+            found[-1] = replace(found[-1], recording=_join_recordings(found[-1].recording, recording))
         else:
             found.append(MarkedRecording(recording, marks, block.header.line, table.name))
     from_start = [channel for channel, entry in wanted.items() if entry.get("offset") == "start"]
@@ -236,10 +247,10 @@ def _recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, met
         return [replace(each, recording=convert_measures(each.recording, measures)) for each in found]
 
 
-def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimiter: str | None,
+def _find_common_marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimiter: str | None,
            decimal: str | None) -> NumberMarks:
-    """Return the common decimal mark of all blocks; columns that are read decide before other columns."""
-    used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in cells_of(block.rows, columns)]
+    """Return the common marks of the numbers of all blocks; columns that are read have precedence."""
+    used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in column_cells(block.rows, columns)]
     places = {column.index for columns in chosen for column in columns}
 
     def others() -> Iterator[list[str]]:
@@ -253,19 +264,20 @@ def _marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimite
     return find_marks(used, others(), delimiter=delimiter, stated=decimal)
 
 
-def _goes_on(first: Recording, second: Recording) -> bool:
+def _continues_recording(first: Recording, second: Recording) -> bool:
     """Return whether the second recording is a later part of the same test, with a continuing clock."""
     return ("time" in first and "time" in second and first.labels.keys() == second.labels.keys()
             and second.time[0] >= first.time[-1] > first.time[0])
 
 
-def _joined(first: Recording, second: Recording) -> Recording:
+def _join_recordings(first: Recording, second: Recording) -> Recording:
+    """Return the samples of both recordings as one recording."""
     return Recording({name: np.concatenate([first.channel(name), second.channel(name)]) for name in first.channels},
                      {name: np.concatenate([first.labels[name], second.labels[name]]) for name in first.labels},
                      first.metadata)
 
 
-def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: Block, named: bool,
+def _choose_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: Block, named: bool,
             path: Path) -> list[Column]:
     """Return the column of each channel under the header (without names: the first row of numbers)."""
     chosen: list[Column] = []
@@ -274,18 +286,18 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
     for channel, entry in wanted.items():
         field, index = f"columns.{channel}", places[channel]
         if index >= len(header.cells):
-            raise InputError(f"there is no column {entry['column']}; the table has {len(header.cells)}", file=path,
-                             line=header.line, field=field)
+            raise InputError(f"there is no column {entry['column']}; the table has {len(header.cells)} columns",
+                             file=path, line=header.line, field=field)
         cell = header.cells[index] if named and header.cells[index] else str(index + 1)
         if index in [column.index for column in chosen]:
-            raise InputError(f"column {cell!r} is named for two channels; give each its own", file=path,
-                             line=header.line, field=field)
+            raise InputError(f"column {cell!r} is named for two channels; name another column for each channel",
+                             file=path, line=header.line, field=field)
         if channel in LABELS:
             chosen.append(Column(channel, index, cell))
             continue
         unit = entry.get("unit", loose_header(cell)[1] or block.unit(index) or split_header(cell)[1])
         try:
-            factor, offset = conversion(channel, unit, entry.get("scale"))
+            factor, offset = si_conversion(channel, unit, entry.get("scale"))
         except InputError as error:
             key, value = ("name", f'"{entry["name"]}"') if "name" in entry else ("column", entry["column"])
             faults.append(InputError(
@@ -303,9 +315,9 @@ def _choose(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], 
     return chosen
 
 
-def _narrow(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
+def _select_chosen_columns(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
     """Select the chosen columns, and the rows with content in them; a sheet may have other content around a table."""
-    return (narrow(rows, [column.index for column in chosen]),
+    return (select_cells(rows, [column.index for column in chosen]),
             [Column(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])
 
@@ -314,11 +326,10 @@ def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
     """Return the delimiter if it is valid.
 
     Raises:
-        InputError: not one character, or one that numbers and quoted cells are made of; with the field.
+        InputError: not one character, or a character of numbers or quoted cells; with the field.
     """
     if not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter.isalnum() or delimiter in "\"'.+-\r\n":
-        raise InputError(f'{delimiter!r} is not a delimiter; give one character such as " ", "|" or ";"',
-                         field=field)
+        raise InputError(f'must be one character such as " ", "|" or ";"; got {delimiter!r}', field=field)
     return delimiter
 
 
@@ -337,31 +348,33 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
             raise InputError(f"unknown channel{nearest(str(channel), (*CHANNELS, *LABELS))}", field=field)
         entry = {"name": entry} if isinstance(entry, str) else entry
         if not isinstance(entry, Mapping):
-            raise InputError(f"{entry!r} is not a column name or a map with name or column, unit and sign", field=field)
+            raise InputError(f"must be a column name or a map with name or column, unit and sign; got {entry!r}",
+                             field=field)
         for key, value in entry.items():
             if key not in _KEYS:
                 raise InputError(f"unknown key{nearest(str(key), _KEYS)}", field=f"{field}.{key}")
             if key == "sign" and (isinstance(value, bool) or value not in (1, -1)):
-                raise InputError(f"{value!r} is not a sign; give 1 or -1", field=f"{field}.sign")
+                raise InputError(f"must be 1 or -1; got {value!r}", field=f"{field}.sign")
             if key in ("name", "unit") and not isinstance(value, str):
-                raise InputError(f"{value!r} is not text in quotation marks", field=f"{field}.{key}")
+                raise InputError(f"must be text in quotation marks; got {value!r}", field=f"{field}.{key}")
             number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
             if key == "scale" and not (number and value > 0):
-                raise InputError(f"{value!r} is no positive number; the direction is said by sign",
+                raise InputError(f"must be a positive number; got {value!r}. State the direction with sign.",
                                  field=f"{field}.scale")
             if key == "offset" and not number and value != "start":
-                raise InputError(f'{value!r} is no number; or give "start", which counts from the first sample',
-                                 field=f"{field}.offset")
+                raise InputError(f'must be a finite number or "start"; got {value!r}. "start" subtracts the first '
+                                 "value.", field=f"{field}.offset")
         if "column" in entry:
             if "name" in entry:
-                raise InputError("give either the name of the column or its place, not both", field=f"{field}.column")
+                raise InputError("give either the name or the number of the column", field=f"{field}.column")
             entry = {**entry, "column": column_number(entry["column"], f"{field}.column")}
         elif not entry.get("name", "").strip():
             raise InputError("the name of the column is missing", field=f"{field}.name")
         if "measure" in entry:
             check_measure(entry["measure"], channel, columns, field)
         if channel in LABELS and set(entry) & {"unit", "sign", "scale", "offset"}:
-            raise InputError("a label has neither unit nor sign; give its name only", field=field)
+            raise InputError("a label has no unit, sign, scale or offset; give only the name of the column",
+                             field=field)
         checked[channel] = dict(entry)
     return checked
 
@@ -377,7 +390,6 @@ def column_number(column: Any, field: str = "column") -> int:
         for letter in column.upper():
             number = 26 * number + ord(letter) - ord("A") + 1
         column = number
-    if isinstance(column, bool) or not isinstance(column, int) or not 1 <= column <= _MOST_COLUMNS:
-        raise InputError(f'{column!r} is not the place of a column; give a number from 1 or a letter such as "C"',
-                         field=field)
+    if isinstance(column, bool) or not isinstance(column, int) or not 1 <= column <= _MAX_COLUMN_NUMBER:
+        raise InputError(f'must be a number from 1 or a letter such as "C"; got {column!r}', field=field)
     return column

@@ -13,26 +13,30 @@ from tissue_sim.recording.recording import Recording
 
 def shared_values(first: Sequence[Recording], second: Sequence[Recording], channel: str
                   ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Values of a channel in two readings, without the samples that either of them leaves out.
+    """Return the values of a channel in two readings of a table, without outliers and saturated samples.
 
-    Outliers and saturated samples of either reading count in no comparison: one lost value of 9999 would decide it.
+    A sample that is invalid in one reading is omitted in both, because one lost value of 9999 would determine the
+    result of the comparison.
 
     Args:
-        first, second: readings of the same table with other columns, in the same order. channel: that both have.
+        first: recordings of the first reading.
+        second: recordings of the second reading, with other columns, in the same order.
+        channel: name of a channel in both readings.
 
     Returns:
-        Of each recording the values of both readings, of equal shape (k,); empty if the readings differ in their
-        number of samples, or if one of them has too many outliers.
+        For each recording, the values of both readings, each of shape (k,). The list is empty if the readings have
+        different numbers of samples, or if one of them has too many outliers.
     """
     if [len(each) for each in first] != [len(each) for each in second]:
         return []
     try:
-        masks = [_kept(one) & _kept(other) for one, other in zip(first, second, strict=True)]
+        masks = [_valid_samples(one) & _valid_samples(other) for one, other in zip(first, second, strict=True)]
     except InputError:
         return []
     return [(one.channel(channel)[mask], other.channel(channel)[mask])
             for one, other, mask in zip(first, second, masks, strict=True)]
 
 
-def _kept(recording: Recording) -> np.ndarray:
+def _valid_samples(recording: Recording) -> np.ndarray:
+    """Return whether each sample is neither an outlier nor saturated, shape (n,)."""
     return ~np.isin(np.arange(1, len(recording) + 1), clean(recording)[1].samples)

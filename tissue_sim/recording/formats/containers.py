@@ -24,7 +24,8 @@ from tissue_sim.recording.formats.table import Row
 from tissue_sim.recording.formats.workbook import Sheet
 from tissue_sim.recording.recording import MIN_POINTS
 
-EXPECTED = "arrays of MATLAB, LabVIEW or HDF5 (.mat, .tdms, .h5)"
+#: Expected content of the file, for messages.
+_EXPECTED = "arrays of MATLAB, LabVIEW or HDF5 (.mat, .tdms, .h5)"
 #: First bytes of an HDF5 file.
 _HDF5 = b"\x89HDF"
 #: First bytes of a MATLAB file.
@@ -58,29 +59,29 @@ def is_container(path: Path) -> bool:
 
 
 def read_container(path: Path, table: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
-    """Read the tables of a container, each as a sheet that is named after its path (``run.force``).
+    """Read the tables of a container as sheets; the name of a sheet is the path of the table (``run.force``).
 
     Args:
         path: the file.
-        table: name, or number from 1, or a list of them. None: all.
+        table: name, number (from 1), or a list of names and numbers; None: all tables.
 
     Raises:
-        InputError: a file that cannot be read, no such table or none at all, or the extra ``formats`` is not
+        InputError: a file that cannot be read, no such table, no table in the file, or the extra ``formats`` is not
             installed.
     """
-    data = read_bytes(path, EXPECTED)
+    data = read_bytes(path, _EXPECTED)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            tree = _read(data, path)
-            sheets = [Sheet(path, name, rows) for name, rows in _tables(tree, "")]
+            tree = _read_tree(data, path)
+            sheets = [Sheet(path, name, rows) for name, rows in _find_tables(tree, "")]
     except InputError:
         raise
-    except Exception as error:  # whatever a damaged file makes of the three libraries, memory that it asks for included
+    except Exception as error:  # a damaged file may cause any error of the three libraries, including MemoryError
         reason = " ".join(str(error).split())[:200] or type(error).__name__
-        raise InputError(f"cannot be read as {EXPECTED}: {reason}", file=path) from None
+        raise InputError(f"cannot be read as {_EXPECTED}: {reason}", file=path) from None
     if not sheets:
-        raise InputError(f"holds no vectors of numbers, expected {EXPECTED}", file=path)
+        raise InputError(f"holds no vectors of numbers, expected {_EXPECTED}", file=path)
     wanted = table if isinstance(table, list | tuple) else () if table is None else (table,)
     names = [sheet.name for sheet in sheets]
     chosen = []
@@ -92,27 +93,32 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
     return tuple(chosen) if wanted else tuple(sheets)
 
 
-def _read(data: bytes, path: Path) -> Mapping[str, Any]:
+def _read_tree(data: bytes, path: Path) -> Mapping[str, Any]:
+    """Return the groups of a container as nested maps: name -> group or array.
+
+    Raises:
+        ValueError: not a container.
+    """
     if data[:4] == _TDMS:
         nptdms = require("nptdms", path)
         nptdms.log.log_manager.set_level(logging.CRITICAL)
-        return _tdms(nptdms.TdmsFile.read(io.BytesIO(data)))
+        return _read_tdms_file(nptdms.TdmsFile.read(io.BytesIO(data)))
     if data[:4] == _HDF5:
         with require("h5py", path).File(io.BytesIO(data), "r") as file:
-            return _hdf5(file)
-    # The oldest MATLAB files begin with nothing of their own.
+            return _read_hdf5_group(file)
+    # The oldest MATLAB files have no common first bytes.
     if data[:4] != _MATLAB and path.suffix.lower() != ".mat":
-        raise ValueError("it begins as none of them does")
-    # It trusts the lengths in a file, and dies of some: `tissue_sim.bounded` is ready for that.
+        raise ValueError("the first bytes are those of another kind of file")
+    # A wrong length in a file may crash loadmat: `tissue_sim.bounded` reads the file in a separate process.
     return require("scipy.io", path).loadmat(io.BytesIO(data), simplify_cells=True)
 
 
-def _hdf5(group: Any) -> dict[str, Any]:
-    """Groups as maps, datasets as arrays; a unit in the attributes goes into the name."""
+def _read_hdf5_group(group: Any) -> dict[str, Any]:
+    """Return groups as maps and datasets as arrays; a unit in the attributes is added to the name."""
     tree: dict[str, Any] = {}
     for name, item in group.items():
         if hasattr(item, "items"):
-            tree[name] = _hdf5(item)
+            tree[name] = _read_hdf5_group(item)
             continue
         unit = item.attrs.get("units", item.attrs.get("unit"))
         unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
@@ -127,7 +133,8 @@ def _hdf5(group: Any) -> dict[str, Any]:
     return tree
 
 
-def _tdms(file: Any) -> dict[str, Any]:
+def _read_tdms_file(file: Any) -> dict[str, Any]:
+    """Return group -> channel with unit -> array; a time is added from the sampling interval."""
     tree: dict[str, Any] = {}
     for group in file.groups():
         channels: dict[str, Any] = {}
@@ -141,19 +148,19 @@ def _tdms(file: Any) -> dict[str, Any]:
     return tree
 
 
-def _tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[Row, ...]]]:
-    """(name, rows) of every table at and below a place."""
+def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[Row, ...]]]:
+    """Yield (name, rows) of each table in a tree, depth first; `place` is the path of the tree."""
     vectors: dict[int, dict[str, np.ndarray]] = {}
     for name, value in tree.items():
         if str(name).startswith(("__", "#")):
             continue
         below = f"{place}.{name}" if place else str(name)
         if isinstance(value, Mapping):
-            yield from _tables(value, below)
+            yield from _find_tables(value, below)
             continue
         if isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
-            yield from _tables({str(i): each for i, each in enumerate(value, start=1) if isinstance(each, Mapping)},
-                               below)
+            members = {str(i): each for i, each in enumerate(value, start=1) if isinstance(each, Mapping)}
+            yield from _find_tables(members, below)
             continue
         array = np.asarray(value)
         if array.dtype.kind not in "fiub":
@@ -161,13 +168,14 @@ def _tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[Ro
         if array.ndim == 1 and array.size >= MIN_POINTS:
             vectors.setdefault(array.size, {})[str(name)] = array
         elif array.ndim == 2 and max(array.shape) >= MIN_POINTS and min(array.shape) <= _SETTINGS.most_columns:
-            yield below, _rows([], array if array.shape[0] >= array.shape[1] else array.T)
+            yield below, _format_rows([], array if array.shape[0] >= array.shape[1] else array.T)
     for size, columns in vectors.items():
         suffix = "" if len(vectors) == 1 else f" ({size})"
-        yield (place or "arrays") + suffix, _rows(list(columns), np.column_stack(list(columns.values())))
+        yield (place or "arrays") + suffix, _format_rows(list(columns), np.column_stack(list(columns.values())))
 
 
-def _rows(names: list[str], values: np.ndarray) -> tuple[Row, ...]:
+def _format_rows(names: list[str], values: np.ndarray) -> tuple[Row, ...]:
+    """Return a matrix, shape (rows, columns), as rows of text below a header; an empty list means no header."""
     header = [Row(1, tuple(names))] if names else []
     return (*header, *(Row(line, tuple(ExactNumber(repr(each)) for each in numbers))
                        for line, numbers in enumerate(values.tolist(), start=2)))

@@ -1,4 +1,4 @@
-"""Decimal mark and thousands separator of a table, decided from all its values together."""
+"""Find the decimal mark and the thousands separator of a table from all its values."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from itertools import islice
 import numpy as np
 
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, parse_number, thousands_separator
+from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, find_thousands_separator, parse_number
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,14 @@ class DecimalMarkSettings:
 
 #: Settings that the functions of this module use.
 _SETTINGS = DecimalMarkSettings()
-#: Decimal mark -> words of the messages.
+#: Decimal mark -> name in messages.
 DECIMAL_WORDS = {".": "a decimal point", ",": "a decimal comma"}
+#: Thousands separator -> name in messages.
 _SEPARATORS = {" ": "a blank", "'": "an apostrophe", ",": "a comma", ".": "a point"}
-#: Mark -> uses of it that cannot separate thousands.
+#: Mark -> pattern of the mark at a position where a thousands separator is impossible.
 _NO_GROUP = {mark: re.compile(rf"{re.escape(mark)}(?!\d{{3}}(?!\d))|(?<![\d.,])0{re.escape(mark)}")
              for mark in DECIMAL_MARKS}
-#: A number with a decimal mark, and a unit of length behind it.
+#: A number with a decimal mark, followed by a unit of length.
 _QUANTITY = re.compile(r"(?<![\d.,])\d+(?P<mark>[.,])(?!\d{3}\b)\d+\s*[\[(]?(mm|cm|m|µm|um|in)\b")
 
 
@@ -64,12 +65,13 @@ class NumberMarks:
 
     Attributes:
         decimal: decimal mark, ``"."`` or ``","``.
-        thousands: thousands separators that occur (blanks and apostrophes in their plain spelling).
-        evidence: sentences that support this reading. against: sentences that contradict it.
-        is_certain: whether single cells allow no other reading; a table without marks is not certain.
-        is_open: whether the other reading fits as well.
+        thousands: thousands separators that occur (blanks and apostrophes as ASCII characters).
+        evidence: sentences that support the decimal mark.
+        against: sentences that contradict the decimal mark.
+        is_certain: whether single cells exclude the other decimal mark; false for a table without marks.
+        is_open: whether both decimal marks are possible.
         is_stated: whether the user stated the decimal mark.
-        example: first cell that the other decimal mark changes; empty if there is none.
+        example: first cell with another value for the other decimal mark; empty without such a cell.
     """
 
     decimal: str = "."
@@ -84,20 +86,20 @@ class NumberMarks:
     @property
     def other(self) -> str:
         """The other decimal mark."""
-        return _other(self.decimal)
+        return _other_mark(self.decimal)
 
     @property
     def question(self) -> str:
-        """The open question, in one sentence."""
-        return (f"{self.example!r} is {_shown(self.example, '.')} with a decimal point and "
-                f"{_shown(self.example, ',')} with a decimal comma, and the values fit both")
+        """The question to the user if both decimal marks are possible, in one sentence."""
+        return (f"{self.example!r} is {_format_number(self.example, '.')} with a decimal point and "
+                f"{_format_number(self.example, ',')} with a decimal comma, and the values fit both")
 
     def assumptions(self) -> tuple[Assumption, ...]:
-        """Decimal mark and thousands separator with their evidence; empty where no number has a mark."""
+        """Return decimal mark and thousands separator with their evidence; empty if no number has a mark."""
         if not self.example and not self.thousands and not self.evidence:
             return ()
-        reading = f"{self.example!r} is {_shown(self.example, self.decimal)}"
-        other = f"{DECIMAL_WORDS[self.other]}: {self.example!r} is {_shown(self.example, self.other)}"
+        reading = f"{self.example!r} is {_format_number(self.example, self.decimal)}"
+        other = f"{DECIMAL_WORDS[self.other]}: {self.example!r} is {_format_number(self.example, self.other)}"
         alternatives = (Alternative(other, None, f'--decimal "{self.other}"'),) if self.is_open else ()
         value = f"{DECIMAL_WORDS[self.decimal]}: {reading}" if self.is_open else DECIMAL_WORDS[self.decimal]
         found = [Assumption("decimal mark", value, self.evidence, self.against, alternatives,
@@ -125,22 +127,24 @@ def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = 
     """Find the decimal mark of a table.
 
     Args:
-        used: cells of the columns that are read, one sequence a column. others: cells of the other columns of numbers,
-            which decide only where the used ones do not.
-        delimiter: of a text. A point is the decimal mark in cells between commas unless the values show otherwise.
-        stated: decimal mark by the user; None: it is found.
+        used: cells of each column that is read.
+        others: cells of each other column of numbers; examined only if the used columns do not determine the mark.
+        delimiter: delimiter of a text. In cells between commas, a point is the decimal mark unless the values
+            contradict.
+        stated: decimal mark as the user states; None: the mark is found.
     """
     columns = [list(cells) for cells in used]
     if stated is not None:
-        return _with_separators(NumberMarks(stated, evidence=("stated",), is_stated=True,
+        return _add_separators(NumberMarks(stated, evidence=("stated",), is_stated=True,
                                             example=_first_example(columns)), columns)
-    votes = [vote for cells in columns if (vote := _vote(cells)) is not None]
+    votes = [vote for cells in columns if (vote := _vote_of_column(cells)) is not None]
     if not votes:
-        return _with_separators(NumberMarks(), columns)
+        return _add_separators(NumberMarks(), columns)
     example = next((vote.example for vote in votes if vote.example), "")
     deciding = [vote for vote in votes if vote.decimal is not None]
     if not deciding:
-        deciding = [vote for cells in others if (vote := _vote(list(cells))) is not None and vote.decimal is not None]
+        deciding = [vote for cells in others
+                    if (vote := _vote_of_column(list(cells))) is not None and vote.decimal is not None]
     chosen = {vote.decimal for vote in deciding}
     if len(chosen) == 1:
         decimal = deciding[0].decimal or "."
@@ -148,27 +152,30 @@ def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = 
         found = NumberMarks(decimal, "", reasons, is_certain=any(vote.is_certain for vote in deciding),
                             example=example)
     elif chosen:
-        found = _contradiction(deciding, example)
+        found = _resolve_contradiction(deciding, example)
     else:
         mark = next(each for each in DECIMAL_MARKS if each in example)
         sure = delimiter == "," and mark == "."
         reasons = ("the cells are separated by commas",) if sure else ()
         found = NumberMarks(mark, "", reasons, is_open=not sure, example=example)
-    return _with_separators(found, columns)
+    return _add_separators(found, columns)
 
 
-def marks_with_text(marks: NumberMarks, text: str) -> NumberMarks:
-    """Decide open marks by quantities with units in the text outside of the table, if these have a single mark."""
+def resolve_marks_by_text(marks: NumberMarks, text: str) -> NumberMarks:
+    """Resolve ambiguous marks by quantities with units in the text outside of the table, if these have one mark."""
     found = {match["mark"]: match[0] for match in _QUANTITY.finditer(text)}
     if len(found) != 1:
         return marks
     (mark, quantity), = found.items()
-    return replace(marks, decimal=mark, is_open=False, thousands="".join({*marks.example} & {_other(mark)}), evidence=(
-        f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
+    return replace(marks, decimal=mark, is_open=False, thousands="".join({*marks.example} & {_other_mark(mark)}),
+                   evidence=(f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
 
 
-def _contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
-    """Columns that show different decimal marks: a question, unless both are certain and a cell will be refused."""
+def _resolve_contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
+    """Return the marks of columns with contradictory votes: a question, unless both marks are certain.
+
+    If both marks are certain, reading the cells raises an error with the line of the cell.
+    """
     best = max(votes, key=lambda vote: vote.is_certain)
     against = tuple(dict.fromkeys(vote.reason for vote in votes if vote.decimal != best.decimal))[:2]
     certain = all(any(vote.decimal == mark and vote.is_certain for vote in votes) for mark in DECIMAL_MARKS)
@@ -177,14 +184,14 @@ def _contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
                        example=doubted)
 
 
-def _with_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
+def _add_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
     """Add the thousands separators that occur in the columns to the marks."""
     seen: dict[str, str] = {}
     for cells in columns:
         text = "\n".join(cells)
         if marks.other in text or not text.isascii() or " " in text or "'" in text:
             for cell in cells:
-                if separator := thousands_separator(cell, marks.decimal):
+                if separator := find_thousands_separator(cell, marks.decimal):
                     seen.setdefault(separator, cell)
                     if not marks.is_certain and not marks.example:
                         break
@@ -194,10 +201,11 @@ def _with_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> Nu
 
 
 def _first_example(columns: Iterable[Sequence[str]]) -> str:
-    return next((cell for cells in columns for cell in cells if _differs(cell)), "")
+    """Return the first cell whose number depends on the decimal mark; empty without such a cell."""
+    return next((cell for cells in columns for cell in cells if _depends_on_mark(cell)), "")
 
 
-def _differs(cell: str) -> bool:
+def _depends_on_mark(cell: str) -> bool:
     """Return whether the two decimal marks give two numbers."""
     if isinstance(cell, ExactNumber) or not ("." in cell or "," in cell):
         return False
@@ -205,7 +213,7 @@ def _differs(cell: str) -> bool:
     return not (math.isnan(point) or math.isnan(comma)) and point != comma
 
 
-def _vote(cells: Sequence[str]) -> _Vote | None:
+def _vote_of_column(cells: Sequence[str]) -> _Vote | None:
     """Return the evidence of the values of one column; None: no value has a point or comma."""
     text = "\n".join(cell for cell in cells if not isinstance(cell, ExactNumber))
     marks = [mark for mark in DECIMAL_MARKS if mark in text]
@@ -214,25 +222,27 @@ def _vote(cells: Sequence[str]) -> _Vote | None:
     if len(marks) == 1:
         mark, = marks
         uses = text.count(mark)
-        odd = sum(1 for _ in islice(_NO_GROUP[mark].finditer(text), 1 + int(_most_damaged(uses))))
-        if odd > _most_damaged(uses):
+        odd = sum(1 for _ in islice(_NO_GROUP[mark].finditer(text), 1 + int(_count_tolerated_cells(uses))))
+        if odd > _count_tolerated_cells(uses):
             found = _NO_GROUP[mark].search(text)
             cell = "" if found is None else _cell_at(text, found.start())
             zero = cell.lstrip("+-").startswith(f"0{mark}")
-            why = "a zero before its mark" if zero else "no group of three digits behind its mark"
+            why = "a zero before its mark" if zero else "no group of three digits after its mark"
             return _Vote(mark, f"{cell!r} has {why}", True)
-    return _detailed_vote(cells)
+    return _vote_of_values(cells)
 
 
-def _most_damaged(count: int) -> float:
+def _count_tolerated_cells(count: int) -> float:
+    """Return how many of `count` cells may be damaged."""
     return max(1.0, _SETTINGS.damaged_fraction * count) if count > _SETTINGS.fewest_marked else 0.0
 
 
-def _cell_at(text: str, place: int) -> str:
-    return text[text.rfind("\n", 0, place) + 1:].partition("\n")[0]
+def _cell_at(text: str, position: int) -> str:
+    """Return the line of a text that contains a position."""
+    return text[text.rfind("\n", 0, position) + 1:].partition("\n")[0]
 
 
-def _detailed_vote(cells: Sequence[str]) -> _Vote | None:
+def _vote_of_values(cells: Sequence[str]) -> _Vote | None:
     """Return the evidence of the values of one column, from each value and from the jumps between values."""
     cells = [cell for cell in cells if cell]
     readings = {mark: np.array([parse_number(cell, mark) for cell in cells]) for mark in DECIMAL_MARKS}
@@ -244,56 +254,62 @@ def _detailed_vote(cells: Sequence[str]) -> _Vote | None:
     example = cells[int(np.argmax(differing))] if differing.any() else ""
     if not number.any():
         return None
-    smoother = _smoother(readings, known["."] & known[","]) if example else None
-    if smoother is not None and refused[smoother].sum() <= _most_damaged(int(number.sum())):
-        other = _other(smoother)
-        jumps = f"{_where_it_jumps(cells, readings, smoother)} with {DECIMAL_WORDS[other]}"
+    smoother = _find_smoother_mark(readings, known["."] & known[","]) if example else None
+    if smoother is not None and refused[smoother].sum() <= _count_tolerated_cells(int(number.sum())):
+        other = _other_mark(smoother)
+        jumps = f"{_describe_jump(cells, readings, smoother)} with {DECIMAL_WORDS[other]}"
         return _Vote(smoother, jumps, bool(refused[other].any()) and not refused[smoother].any(), example)
     fewest = min(DECIMAL_MARKS, key=lambda mark: int(refused[mark].sum()))
-    if refused[_other(fewest)].any():
-        if example and not refused[fewest].any() and _is_damage(cells, refused[_other(fewest)], int(number.sum())):
+    if refused[_other_mark(fewest)].any():
+        if example and not refused[fewest].any() and _may_be_damaged(cells, refused[_other_mark(fewest)],
+                                                                     int(number.sum())):
             return _Vote(None, example=example)
-        return _Vote(fewest, _only_reading(cells, refused[_other(fewest)], fewest), True, example)
-    return _by_digits(cells, marked, readings, example) if example else None
+        return _Vote(fewest, _describe_only_mark(cells, refused[_other_mark(fewest)], fewest), True, example)
+    return _vote_by_digits(cells, marked, readings, example) if example else None
 
 
-def _other(mark: str) -> str:
+def _other_mark(mark: str) -> str:
+    """Return the other decimal mark."""
     return "," if mark == "." else "."
 
 
-def _is_damage(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
-    """Return whether the few refused cells may be damaged, and prove nothing: none of them begins with a zero."""
+def _may_be_damaged(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
+    """Return whether the refused cells are few and may be damaged; a cell that begins with a zero is intact."""
     odd = [cell for cell, is_odd in zip(cells, refused.tolist(), strict=True) if is_odd]
     return len(odd) <= _SETTINGS.damaged_fraction * count + 1 and count > _SETTINGS.most_short and not any(
         cell.lstrip("+-").startswith("0") for cell in odd)
 
 
-def _only_reading(cells: Sequence[str], refused: np.ndarray, mark: str) -> str:
+def _describe_only_mark(cells: Sequence[str], refused: np.ndarray, mark: str) -> str:
+    """Return the sentence about the first cell that is a number with only one decimal mark."""
     return f"{cells[int(np.argmax(refused))]!r} is a number only with {DECIMAL_WORDS[mark]}"
 
 
-def _by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.ndarray], example: str) -> _Vote:
-    """All marks have exactly three digits behind them: values below 1000 without a mark support thousands."""
+def _vote_by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.ndarray], example: str) -> _Vote:
+    """Return the evidence of the numbers of digits, if exactly three digits follow each mark.
+
+    Values below 1000 without a mark support a thousands separator.
+    """
     mark = next(each for each in DECIMAL_MARKS if each in example)
     count = int(marked.sum())
     unmarked = [cell for cell, has_mark in zip(cells, marked, strict=True)
                 if not has_mark and not isinstance(cell, ExactNumber)]
     plain = np.abs([parse_number(cell) for cell in unmarked])
     large = next((cell for cell, value in zip(unmarked, plain, strict=True) if value >= 1000.0), None)
-    if large is not None and (len(large.lstrip("+-")) > 4 or (readings[_other(mark)][marked] < 10_000.0).any()):
+    if large is not None and (len(large.lstrip("+-")) > 4 or (readings[_other_mark(mark)][marked] < 10_000.0).any()):
         return _Vote(mark, f"{large!r} has no thousands separator", False, example)
     plain = plain[np.isfinite(plain)]
     zeros = int((plain == 0.0).sum())
     evidence = (count * _SETTINGS.three_decimals + (_SETTINGS.no_mark if plain.size > zeros else 0.0)
                 + (_SETTINGS.zero_without_mark if zeros else 0.0))
     if plain.size and count >= _SETTINGS.fewest_marked and evidence > _SETTINGS.digits_decide:
-        return _Vote(_other(mark), f"all {count} values from 1000 have exactly three digits behind each "
+        return _Vote(_other_mark(mark), f"all {count} values from 1000 have exactly three digits after each "
                      f"mark, and {plain.size} smaller {'value has' if plain.size == 1 else 'values have'} no mark",
                      False, example)
     return _Vote(None, example=example)
 
 
-def _smoother(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
+def _find_smoother_mark(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
     """Return the decimal mark with smooth values if the other mark gives a jump; None: no mark is smoother."""
     rough = {mark: _roughness(values[known]) for mark, values in readings.items()}
     smooth, other = sorted(rough, key=lambda mark: rough[mark])
@@ -303,19 +319,20 @@ def _smoother(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
 
 
 def _roughness(values: np.ndarray) -> float:
-    """Sum of the absolute second differences over the range."""
+    """Return the sum of the absolute second differences over the range; 0 for constant values."""
     extent = float(np.ptp(values)) if values.size > 2 else 0.0
     return float(np.abs(np.diff(values, 2)).sum() / extent) if extent > 0 else 0.0
 
 
-def _where_it_jumps(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
+def _describe_jump(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
     """Return the largest jump of the other interpretation, in the spelling of the cells."""
-    rough = readings[_other(smoother)]
+    rough = readings[_other_mark(smoother)]
     steps = np.abs(np.diff(rough))
-    place = int(np.nanargmax(steps)) if np.isfinite(steps).any() else 0
-    return (f"the column jumps from {cells[place]!r} to {cells[place + 1]!r} where its neighbours change evenly, if "
+    jump = int(np.nanargmax(steps)) if np.isfinite(steps).any() else 0
+    return (f"the column jumps from {cells[jump]!r} to {cells[jump + 1]!r}, while the neighbours change evenly, if "
             "read")
 
 
-def _shown(cell: str, decimal: str) -> str:
+def _format_number(cell: str, decimal: str) -> str:
+    """Return the number in a cell with up to twelve digits."""
     return f"{parse_number(cell, decimal):.12g}"

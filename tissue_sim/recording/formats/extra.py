@@ -1,4 +1,4 @@
-"""Packages that only some formats need: the extra ``formats``."""
+"""Import the optional packages of some formats: the extra ``formats``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def require(package: str, file: Path) -> ModuleType:
     """Import an optional package.
 
     Raises:
-        InputError: it is not installed; names the extra to install.
+        InputError: the package is not installed; the message names the extra to install.
     """
     try:
         with uncounted():

@@ -54,7 +54,7 @@ class ColumnGuess:
         by_name: whether the header is unique in its table.
         reason: evidence in one sentence.
         role: quantity that the header names, such as ``strain``, which is read as a stretch.
-        rank: rank of `tissue_sim.recording.formats.vocabulary.role_of`; the column with the lowest rank is read.
+        rank: rank of `tissue_sim.recording.formats.vocabulary.find_role`; the column with the lowest rank is read.
         other_unit: unit in the row of units that contradicts the unit in the header; None: no contradiction.
         strain_unit: unit of a strain that the gauge length converts to a displacement; None: no such column.
     """

@@ -14,13 +14,15 @@ from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.units import loose_header, split_header
 
+#: A letter.
 _LETTER = re.compile(r"[^\W\d_]")
+#: Delimiters in the order of preference.
 DELIMITERS = (",", ";", "\t")
-#: Without names a comma may be a decimal comma, so it is tried last.
+#: Delimiters for columns without names: the comma is the last one, because it may be a decimal comma.
 DELIMITERS_OF_NUMBERS = ("\t", ";", ",")
 
 
-def text_tables(text: str, *, file: Path, skip_lines: int = 0,
+def split_text_tables(text: str, *, file: Path, skip_lines: int = 0,
                 delimiters: Sequence[str] = DELIMITERS) -> Iterator[Table]:
     """Yield the table of a text for each delimiter; skipped lines count in the line numbers."""
     content = list(io.StringIO(text, newline=None))
@@ -45,20 +47,20 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
                 continue
             # numpy.savetxt writes its header as a comment.
             row = Row(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
-            found = [matches(row.cells, name) for name in names]
+            found = [find_matching_cells(row.cells, name) for name in names]
             if all(found):
-                places_of(row, names, file=file)
-                return table, Row(row.line, without_empty_end(row.cells)), _data(table.rows[i + 1:])
-            # The row that comes closest is the one to talk about: most matches, then a header right above numbers.
-            above_numbers = (i + 1 < len(table.rows) and _looks_like_data(table.rows[i + 1])
-                             and not _looks_like_data(row))
+                find_repeated_names(row, names, file=file)
+                return table, Row(row.line, strip_empty_end(row.cells)), _without_comments(table.rows[i + 1:])
+            # The error is about the most similar row: most matches, then a header directly above numbers.
+            above_numbers = (i + 1 < len(table.rows) and _is_data(table.rows[i + 1])
+                             and not _is_data(row))
             score = (sum(map(bool, found)), above_numbers, len(row.cells) if above_numbers else 0)
             if closest is None or score > closest[0]:
                 closest = (score, row)
-    raise _missing(closest, names, file, delimiters)
+    raise _missing_column_error(closest, names, file, delimiters)
 
 
-def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, Row, list[Row]]:
+def find_first_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, Row, list[Row]]:
     """Return the first table with numbers in all `places` (from 0), the first such row, and all rows from it.
 
     Raises:
@@ -67,19 +69,19 @@ def find_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) 
     for table in tables:
         for i, row in enumerate(table.rows):
             if all(place < len(row.cells) and is_number(row.cells[place]) for place in places):
-                return table, Row(row.line, without_empty_end(row.cells)), _data(table.rows[i:])
+                return table, Row(row.line, strip_empty_end(row.cells)), _without_comments(table.rows[i:])
     wanted = ", ".join(str(place + 1) for place in places)
     raise InputError(f"no row has a number in each of the columns {wanted}; check the numbers of the columns",
                      file=file)
 
 
-def places_of(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
+def find_repeated_names(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
     """Return the positions of each name in a row with all names: one for each of the replicates side by side.
 
     Raises:
         InputError: a name occurs more often than another one.
     """
-    found = [matches(row.cells, name) for name in names]
+    found = [find_matching_cells(row.cells, name) for name in names]
     for name, places in zip(names, found, strict=True):
         if len(places) != min(map(len, found)):
             raise InputError(f"column {name!r} appears twice; remove or rename one, or give its number as column",
@@ -87,9 +89,9 @@ def places_of(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
     return found
 
 
-def matches(cells: Sequence[str], name: str) -> list[int]:
-    """Places of the cells that are `name`, or else of those that are `name` without their unit."""
-    def plain(text):
+def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
+    """Return the positions of the cells that are `name`; without such a cell, those that are `name` and a unit."""
+    def plain(text: str) -> str:
         return " ".join(text.casefold().split())
 
     wanted = plain(name)
@@ -98,26 +100,29 @@ def matches(cells: Sequence[str], name: str) -> list[int]:
                      if cell and wanted in (plain(split_header(cell)[0]), plain(loose_header(cell)[0]))]
 
 
-def without_empty_end(cells: tuple[str, ...]) -> tuple[str, ...]:
+def strip_empty_end(cells: tuple[str, ...]) -> tuple[str, ...]:
     """Return the cells up to the last one with content."""
     while cells and not cells[-1]:
         cells = cells[:-1]
     return cells
 
 
-def _data(rows: Sequence[Row]) -> list[Row]:
+def _without_comments(rows: Sequence[Row]) -> list[Row]:
+    """Return the rows whose first cell does not begin with ``#``."""
     return [row for row in rows if not row.cells[0].startswith("#")]
 
 
-def _looks_like_data(row: Row) -> bool:
+def _is_data(row: Row) -> bool:
+    """Return whether all cells with content are numbers."""
     return all(is_number(cell) for cell in row.cells if cell)
 
 
-def _missing(closest, names, file, delimiters) -> InputError:
+def _missing_column_error(closest, names, file, delimiters) -> InputError:
+    """Return the error for a table without the named columns; it names the most similar row and header."""
     if closest is None:
-        return InputError(f"no lines are left, expected a header with {names[0]!r}; skip fewer lines", file=file)
+        return InputError(f"no lines remain, expected a header with {names[0]!r}; skip fewer lines", file=file)
     (found, above_numbers, _), row = closest
-    missing, *others = (name for name in names if not matches(row.cells, name))
+    missing, *others = (name for name in names if not find_matching_cells(row.cells, name))
     also = f" (nor {', '.join(map(repr, others))})" if others else ""
     cells = [cell for cell in row.cells if cell and not is_number(cell)]
     if found or (above_numbers and len(row.cells) > 1):
@@ -129,8 +134,8 @@ def _missing(closest, names, file, delimiters) -> InputError:
             hint = nearest(missing, cells) if cells else ": this row has numbers only; add a line with names above it"
         return InputError(f"no column {missing!r}{also}{hint}", file=file, line=row.line)
     if None in delimiters:
-        return InputError(f"no row with the column {missing!r}, expected a header row above the numbers; where there "
-                          'is none, give columns by their place: { column = "C", unit = "mm" }', file=file)
+        return InputError(f"no row with the column {missing!r}, expected a header row above the numbers; without a "
+                          'header, give columns by number: { column = "C", unit = "mm" }', file=file)
     cut = "commas, semicolons or tabs (or state the delimiter)" if len(delimiters) > 1 else repr(delimiters[0])
-    return InputError(f"no row with the column {missing!r}, expected a header line and cells separated by {cut}; where "
-                      'there is no header, give columns by their place: { column = 3, unit = "mm" }', file=file)
+    return InputError(f"no row with the column {missing!r}, expected a header line and cells separated by {cut}; "
+                      'without a header, give columns by number: { column = 3, unit = "mm" }', file=file)

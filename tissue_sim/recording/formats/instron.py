@@ -1,8 +1,8 @@
-"""Compression tests exported from an Instron 5900 as in the tissue phantom database of Dawood et al. (2026).
+"""Read compression tests of an Instron 5900 in the format of the tissue phantom database (Dawood et al. 2026).
 
-Lines such as ``Cylinder Diameter: 50mm;``, then a header with Time, Compression, Load and derived columns. Compression
-and load are positive in compression. The derived strains and stresses are left: the header swaps their signs and, in
-the data set's README, their unit.
+Lines such as ``Cylinder Diameter: 50mm;`` precede a header with Time, Compression, Load and derived columns.
+Compression and load are positive in compression. The derived strains and stresses are not read, because their signs in
+the header and their unit in the README of the data set are wrong.
 """
 
 from __future__ import annotations
@@ -13,47 +13,51 @@ from typing import Any
 
 from tissue_sim.files import read_text
 from tissue_sim.recording.formats.columns import read_columns
-from tissue_sim.recording.formats.header import find_header, text_tables
+from tissue_sim.recording.formats.header import find_header, split_text_tables
 from tissue_sim.recording.formats.long_text import split_long
-from tissue_sim.recording.formats.number_text import any_number, is_number
+from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header, to_si
 
+#: Channel -> header.
 COLUMNS = {"time": "Time", "displacement": "Compression", "force": "Load"}
+#: "key: value".
 _PAIR = re.compile(r"^(?P<key>[^:]+):(?P<value>.*?)[;,\s]*$")
+#: A length with its unit.
 _LENGTH = re.compile(r"^(?P<number>\d+(\.\d*)?)\s*(?P<unit>mm|cm|m)$")
 
 
 def read_instron(path: str | Path) -> Recording:
-    """Time, displacement and force; diameter, height, speed, machine and load cell go into the metadata.
+    """Read time, displacement and force; the metadata have diameter, height, speed, machine and load cell.
 
     Raises:
-        InputError: no header with Time, Compression and Load, or a bad cell; with file and line.
+        InputError: no header with Time, Compression and Load, or an invalid cell; with file and line.
     """
     path = Path(path)
     text = read_text(path, "an Instron export with the columns Time, Compression and Load")
-    _, header, _ = find_header(text_tables(split_long(text)[0], file=path), list(COLUMNS.values()), file=path)
+    _, header, _ = find_header(split_text_tables(split_long(text)[0], file=path), list(COLUMNS.values()), file=path)
     lines = [line.strip() for line in text.splitlines()[:header.line - 1] if line.strip(" ;,\t")]
-    return read_columns(path, COLUMNS, skip_lines=header.line - 1, metadata=_metadata(lines))
+    return read_columns(path, COLUMNS, skip_lines=header.line - 1, metadata=_parse_metadata(lines))
 
 
-def _metadata(lines: list[str]) -> dict:
+def _parse_metadata(lines: list[str]) -> dict:
+    """Return the metadata in the lines above the header."""
     pairs = {match["key"].strip().casefold(): match["value"].strip() for match in map(_PAIR.match, lines) if match}
     metadata: dict[str, Any] = {"format": "instron"}
     if lines and not _PAIR.match(lines[0]):
         metadata["title"] = lines[0].strip(" ;,")
     specimen = {}
-    for key, name, share in (("cylinder diameter", "radius_mm", 0.5), ("cylinder height", "height_mm", 1.0)):
+    for key, name, factor in (("cylinder diameter", "radius_mm", 0.5), ("cylinder height", "height_mm", 1.0)):
         match = _LENGTH.match(pairs.get(key, ""))
         if match:
-            # To whole nanometres: 25 mm must not become 25.000000000000004 mm.
-            specimen[name] = round(float(match["number"]) * to_si(match["unit"])[0] * 1e3 * share, 6)
+            # Rounded to whole nanometres: 25 mm must not become 25.000000000000004 mm.
+            specimen[name] = round(float(match["number"]) * to_si(match["unit"])[0] * 1e3 * factor, 6)
     if specimen:
         metadata["specimen"] = {"shape": "cylinder", **specimen}
     for key, value in pairs.items():
         name, unit = split_header(key)
         if name == "speed" and unit == "mm/min" and is_number(value):
-            metadata["speed_mm_s"] = any_number(value) / 60.0
+            metadata["speed_mm_s"] = parse_any_number(value) / 60.0
         elif name in ("machine", "load cell"):
             metadata[name.replace(" ", "_")] = value
     return metadata

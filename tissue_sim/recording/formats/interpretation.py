@@ -12,9 +12,9 @@ from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.comparison import shared_values
 from tissue_sim.recording.formats.gauge_length import is_derived
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.pairing import with_measure
-from tissue_sim.recording.formats.vocabulary import Machine, plain, source_of
-from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of, other_measures
+from tissue_sim.recording.formats.pairing import apply_measure
+from tissue_sim.recording.formats.vocabulary import Machine, find_source, normalize_words
+from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure, find_other_measures
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, loose_header
 
@@ -53,7 +53,7 @@ class ComparisonSettings:
 
 #: Settings that the functions of this module use.
 _SETTINGS = ComparisonSettings()
-#: Channel -> why its sign is turned.
+#: Channel -> reason of an inverted sign.
 _TURNED = {"displacement": "falls under load", "force": "against the motion", "nominal stress": "against the motion",
            "stretch": "positive in compression"}
 
@@ -63,39 +63,42 @@ def flag_name(channel: str) -> str:
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def format_assumption(machine: Machine | None, stated: ColumnHints) -> Assumption:
+def format_assumption(machine: Machine | None, hints: ColumnHints) -> Assumption:
     """Return the assumption about the machine that wrote the file."""
     if machine is None:
         return Assumption("format", "table", ("no mark of a known machine",), flag="--format table",
-                          is_stated=stated.format == "table")
-    return Assumption("format", machine.title, () if stated.format else ("its marks are in the file",),
-                      flag=f"--format {machine.name}", is_stated=stated.format is not None)
+                          is_stated=hints.format == "table")
+    return Assumption("format", machine.title, () if hints.format else ("its marks are in the file",),
+                      flag=f"--format {machine.name}", is_stated=hints.format is not None)
 
 
-def column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-                       others: Sequence[ColumnGuess], stated: ColumnHints) -> Iterator[Assumption]:
+def list_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+                       others: Sequence[ColumnGuess], hints: ColumnHints) -> Iterator[Assumption]:
     """Yield the assumptions about role, unit, sign and measure of each column.
 
     Args:
-        read: reads the table with other columns. columns: that are read. recordings: of them.
-        others: further columns of the same quantities. stated: by the user.
+        read: function that reads the table with given columns.
+        columns: columns that are read.
+        recordings: recordings of the columns.
+        others: further columns with the same quantities.
+        hints: hints of the user.
     """
     for column in columns:
         channel, flag = column.channel, flag_name("strain" if column.role == "strain" else column.channel)
         name = column.header or f"column {column.place}"
-        is_named = bool(stated.columns)
+        is_named = bool(hints.columns)
         yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],),
-                         is_stated=is_named, flag=f"--column {flag}={_quoted(column.header or str(column.place))}")
-        yield _unit(read, column, columns, recordings, others, stated, flag)
+                         is_stated=is_named, flag=f"--column {flag}={_quote(column.header or str(column.place))}")
+        yield _unit_assumption(read, column, columns, recordings, others, hints, flag)
         if channel not in ("time", "temperature"):
-            is_signed = not stated.signs.keys().isdisjoint({channel, column.role})
+            is_signed = not hints.signs.keys().isdisjoint({channel, column.role})
             turned = column.sign < 0
             evidence = () if is_signed else (
                 (_TURNED.get(channel, "negative under load"),) if turned else ("positive under load",))
             yield Assumption(f"sign of {channel}", "turned" if turned else "as in the file", evidence,
                              flag=f"--sign {flag}={column.sign}", is_stated=is_signed)
         if channel in ("stretch", "nominal stress") or column.measure:
-            yield _measure(read, column, columns, recordings, stated, flag)
+            yield _measure_assumption(read, column, columns, recordings, hints, flag)
 
 
 def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) -> Assumption:
@@ -113,13 +116,19 @@ def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) 
                       is_stated=source == "stated")
 
 
-def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tuple[Recording, ...],
+def compare_rival_columns(read: Read, columns: tuple[ColumnGuess, ...], recordings: tuple[Recording, ...],
                   rivals: Sequence[ColumnGuess]
                   ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[Assumption, ...], tuple[str, ...]]:
-    """Compare each column with others of the same quantity.
+    """Compare each column with other columns of the same quantity.
 
-    A column that is measured on the specimen, or corrected, is preferred; one that does not move is not connected, and
-    the other is read. Equally sure columns that differ are a question. Outliers count in none of these comparisons.
+    A column that was measured on the specimen, or corrected, is preferred. A constant column is replaced, because its
+    sensor is not connected. Different columns of equal rank are a question to the user. Outliers are omitted.
+
+    Args:
+        read: function that reads the table with given columns.
+        columns: columns that are read.
+        recordings: recordings of the columns.
+        rivals: other columns of the same quantities.
 
     Returns:
         Columns, recordings, assumptions with the difference, and sentences.
@@ -155,33 +164,35 @@ def settle_rivals(read: Read, columns: tuple[ColumnGuess, ...], recordings: tupl
                 f"{column.channel} than {column.header!r}{means}")
         modulus = ratio if CHANNELS[column.channel] in ("force", "stress") else 1.0 / ratio
         is_question = rival.rank == column.rank and abs(ratio - 1.0) > _SETTINGS.decisive_difference
-        alternatives = (Alternative(rival.header, modulus, _all_columns(swapped)),) if is_question else ()
-        if source_of(plain(column.header)) == "specimen":
+        alternatives = (Alternative(rival.header, modulus, _flags_of_all_columns(swapped)),) if is_question else ()
+        if find_source(normalize_words(column.header)) == "specimen":
             said += "; the height must be the gauge length of this sensor"
         assumptions.append(Assumption(f"source of {column.channel}", column.header, () if is_question else (
             "measured on the specimen, corrected, or the more specific name",), (said,), alternatives,
-            _all_columns(columns) if is_question else ""))
+            _flags_of_all_columns(columns) if is_question else ""))
         if not is_question:
             remarks.append(said)
     return columns, recordings, tuple(assumptions), tuple(remarks)
 
 
-def _all_columns(columns: Sequence[ColumnGuess]) -> str:
+def _flags_of_all_columns(columns: Sequence[ColumnGuess]) -> str:
     """Return flags that name all columns, because a named column is read only with other named columns."""
     return " ".join(f"--column {flag_name(each.role if is_derived(each) else each.channel)}="
-                    f"{_quoted(each.header or str(each.place))}" for each in columns)
+                    f"{_quote(each.header or str(each.place))}" for each in columns)
 
 
-def _quoted(text: str) -> str:
+def _quote(text: str) -> str:
+    """Return a text with quotation marks for the command line if necessary."""
     return f'"{text}"' if not text.isalnum() else text
 
 
-def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-          others: Sequence[ColumnGuess], stated: ColumnHints, flag: str) -> Assumption:
+def _unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+                     others: Sequence[ColumnGuess], hints: ColumnHints, flag: str) -> Assumption:
+    """Return the assumption about the unit of a column, with % or a contradictory unit as an alternative."""
     channel, subject = column.channel, f"unit of {column.channel}"
-    is_stated = not (stated.units.keys() | stated.scales.keys()).isdisjoint({channel, column.role})
-    alternatives = () if is_stated or not _is_ratio(column) else _percent(
-        read, column, columns, recordings, others, flag, is_named=bool(stated.columns))
+    is_stated = not (hints.units.keys() | hints.scales.keys()).isdisjoint({channel, column.role})
+    alternatives = () if is_stated or not _is_ratio(column) else _percent_alternatives(
+        read, column, columns, recordings, others, flag, is_named=bool(hints.columns))
     if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
         return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
                           flag=f"--unit {flag}=-", is_stated=is_stated)
@@ -203,7 +214,7 @@ def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recor
     elif loose_header(column.header)[1] is not None:
         evidence = (f"in the header {column.header!r}",)
     elif _has_cell_units(column):
-        evidence = ("behind each number of the column",)
+        evidence = ("after each number of the column",)
     else:
         evidence = (column.reason.split(";")[-1].strip() if "writes" in column.reason else "in the row of units",)
     return Assumption(subject, value, evidence, alternatives=alternatives,
@@ -211,8 +222,8 @@ def _unit(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recor
 
 
 def _has_cell_units(column: ColumnGuess) -> bool:
-    """Return whether the cells of a column have units behind their numbers."""
-    return "unit behind each number" in column.reason
+    """Return whether the cells of a column have units after their numbers."""
+    return "unit after each number" in column.reason
 
 
 def _is_ratio(column: ColumnGuess) -> bool:
@@ -223,9 +234,13 @@ def _is_ratio(column: ColumnGuess) -> bool:
         column.unit is None or UNITS.get(column.unit) == UNITS["-"])
 
 
-def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-             others: Sequence[ColumnGuess], flag: str, *, is_named: bool) -> tuple[Alternative, ...]:
-    """Large numbers may be in %, unless another measure of strain, or a displacement over the gauge length, agrees."""
+def _percent_alternatives(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
+                          recordings: Sequence[Recording], others: Sequence[ColumnGuess], flag: str, *, is_named: bool
+                          ) -> tuple[Alternative, ...]:
+    """Return the unit % as an alternative for large strains without a unit; empty if % is excluded.
+
+    Another measure of strain, or displacement over gauge length, that agrees with the strains excludes %.
+    """
     values = np.concatenate([own for own, _ in shared_values(recordings, recordings, column.channel)])
     # A derived displacement is the strain times the gauge length, which is its scale in mm.
     length = 1e-3 * (column.scale or 1e3)
@@ -247,22 +262,23 @@ def _percent(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
             return ()
     percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_derived(column) else replace(
         column, unit="%", offset=100.0 if column.offset == 1.0 else column.offset)
-    return (Alternative("%", _ratio_of_strains(read, column, percent, columns, recordings), f"--unit {flag}=%"),)
+    ratio = _modulus_ratio_of_strains(read, column, percent, columns, recordings)
+    return (Alternative("%", ratio, f"--unit {flag}=%"),)
 
 
-def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-             stated: ColumnHints, flag: str) -> Assumption:
+def _measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
+                        recordings: Sequence[Recording], hints: ColumnHints, flag: str) -> Assumption:
     """Return the assumption about the measure of a strain or stress, with measures that other columns suggest."""
-    words = plain(column.header)
-    named = measure_of(words, column.role)
-    is_stated = not stated.measures.keys().isdisjoint({column.channel, column.role, flag})
+    words = normalize_words(column.header)
+    named = find_measure(words, column.role)
+    is_stated = not hints.measures.keys().isdisjoint({column.channel, column.role, flag})
     value = MEASURES[column.measure].title if column.measure else (
         "stretch" if column.role == "stretch" else f"engineering {'stress' if column.role == 'stress' else 'strain'}")
     evidence: tuple[str, ...] = ("words of the header",) if named and not is_stated else () if is_stated else (
         ("by convention, as the header names no measure",) if column.role != "stretch" else ("header",))
     if column.measure:
         evidence = (*evidence, MEASURES[column.measure].formula)
-    others = list(other_measures(words, column.role)) if not is_stated else []
+    others = list(find_other_measures(words, column.role)) if not is_stated else []
     if named is None and not is_stated:
         partner = {each.measure for each in columns
                    if each is not column and each.channel in ("stretch", "nominal stress")}
@@ -273,14 +289,14 @@ def _measure(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], re
     alternatives = []
     for other in dict.fromkeys(others):
         bare = replace(column, measure=None, offset=None)
-        changed = with_measure(bare, other)
-        alternatives.append(Alternative(other, _ratio(read, column, changed, recordings, columns),
+        changed = apply_measure(bare, other)
+        alternatives.append(Alternative(other, _modulus_ratio(read, column, changed, recordings, columns),
                                         f"--measure {flag}={other}"))
     return Assumption(f"measure of {column.channel}", value, evidence, alternatives=tuple(alternatives),
                       flag=f"--measure {flag}={column.measure or ENGINEERING}", is_stated=is_stated)
 
 
-def _ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, columns: Sequence[ColumnGuess],
+def _modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, columns: Sequence[ColumnGuess],
                       recordings: Sequence[Recording]) -> float | None:
     """Return the ratio of the shear moduli with the changed and with the original column of strain.
 
@@ -296,7 +312,7 @@ def _ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, col
     return own / its if its > 0 else None
 
 
-def _ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
+def _modulus_ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
            columns: Sequence[ColumnGuess]) -> float | None:
     """Return the ratio of the shear moduli with the changed and with the original column; None: not readable."""
     try:

@@ -1,4 +1,4 @@
-"""The kind of test that a table shows: by its columns, its words, and the signs of its values."""
+"""Find the kind of test of a table from its columns, its words, and the signs of its values."""
 
 from __future__ import annotations
 
@@ -11,82 +11,88 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
-from tissue_sim.recording.formats.kind_words import Hint, NamedTest, named_tests
+from tissue_sim.recording.formats.kind_words import Hint, NamedTest, find_named_tests
 from tissue_sim.recording.formats.orientation import largest_excursion
 from tissue_sim.recording.formats.vocabulary import Machine
 from tissue_sim.recording.recording import Recording
 
-_BETWEEN_PLATES = ("taken as homogeneous, between plates without friction; with glued plates it is "
-                   "bonded_compression, with friction friction_compression")
+#: Assumption about compression, completes the reason of a guess.
+_BETWEEN_PLATES = ("assumed homogeneous, between plates without friction; with glued plates, the kind is "
+                   "bonded_compression, with friction, friction_compression")
 #: Subject of the assumption about the kind of test.
 KIND_OF_TEST = "kind of test"
 
 
 def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], hints: Sequence[Hint],
                machine: Machine | None, stated: str | None = None) -> KindGuess:
-    """The kind of test that a table shows.
+    """Find the kind of test of a table.
 
-    Words for a test without a kind (`UNKNOWN_TESTS`) are never overruled by other evidence, except that a kind named by
-    two words in the file, as "uniaxial tension", overrules the name of the file.
+    A word for a test without a registered kind (`UNKNOWN_TESTS`) has precedence over all other evidence. Exception: a
+    kind that the file names by two words, such as "uniaxial tension", has precedence over the name of the file.
 
     Args:
-        recordings: of the table, signs as in the file. columns: of the table.
-        hints: texts in which words count, the surest first; the name of the file last.
-        machine: that wrote the file. stated: kind that the user states; overrules everything.
+        recordings: recordings of the table with the signs of the file.
+        columns: columns of the table.
+        hints: texts with words for a test, in the order of decreasing reliability; the name of the file is the last.
+        machine: machine that wrote the file; None: unknown.
+        stated: kind that the user states, which has precedence over all evidence; None: not stated.
     """
-    named = named_tests(hints)
+    named = find_named_tests(hints)
     if stated is not None:
-        return KindGuess(stated, "stated", against=_against(stated, named), is_stated=True)
-    refused = _unknown(named, hints)
+        return KindGuess(stated, "stated", against=_contradicting_words(stated, named), is_stated=True)
+    refused = _find_unknown_test(named, hints)
     if refused is not None:
         return KindGuess(None, f"{refused.word!r} {refused.where}", refused=refused)
-    by_columns, by_words = _by_columns(recordings, columns), _by_words(named, hints)
+    by_columns, by_words = _guess_by_columns(recordings, columns), _guess_by_words(named, hints)
     if by_columns is not None and by_words is not None and by_columns.kind != by_words.kind:
-        return _reconciled(by_columns, by_words, columns)
-    found = by_columns or by_words or _by_sign(recordings, columns, machine)
-    return found or KindGuess(None, "nothing in the file says how the specimen was loaded")
+        return _reconcile_guesses(by_columns, by_words, columns)
+    found = by_columns or by_words or _guess_by_sign(recordings, columns, machine)
+    return found or KindGuess(None, "the file does not state how the specimen was loaded")
 
 
-def _reconciled(by_columns: KindGuess, by_words: KindGuess, columns: Sequence[ColumnGuess]) -> KindGuess:
-    """The kind of two that columns and words name: that of the words if it has such columns and the same direction,
-    else that of the columns; one with another closed form is an alternative."""
+def _reconcile_guesses(by_columns: KindGuess, by_words: KindGuess, columns: Sequence[ColumnGuess]) -> KindGuess:
+    """Select one of two different guesses.
+
+    The kind by words is selected if the kind has these columns and the same direction of loading. Otherwise, the kind
+    by columns is selected, and a kind by words with another closed form is an alternative.
+    """
     channels = {column.channel for column in columns}
-    own, named = KINDS[by_columns.kind or ""], KINDS[by_words.kind or ""]
-    if named.sign == own.sign and any(set(pair) <= channels for pair in named.channels):
+    from_columns, named = KINDS[by_columns.kind or ""], KINDS[by_words.kind or ""]
+    if named.sign == from_columns.sign and any(set(pair) <= channels for pair in named.channels):
         return replace(by_words, reason=f"{by_words.reason}; {by_columns.reason}")
-    other = () if named.closed_form is own.closed_form or by_words.is_weak else (named.name,)
+    other = () if named.closed_form is from_columns.closed_form or by_words.is_weak else (named.name,)
     return replace(by_columns, against=(by_words.reason,), alternatives=other)
 
 
 def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
-    """Refuse tables that would be read as replicates and whose words name different tests.
+    """Check that the words of all tables name the same test, because tables with equal columns are replicates.
 
     Args:
         texts: hints of each table.
 
     Raises:
-        InputError: with the words.
+        InputError: the words name different tests; with the words.
     """
     found: dict[frozenset[str], str] = {}
     for hints in texts:
-        named = named_tests(hints)
+        named = find_named_tests(hints)
         tests = frozenset(each.title for each in named)
         if tests:
             found.setdefault(tests, " and ".join(dict.fromkeys(each.word for each in named)))
     if len(found) > 1:
         words = "; ".join(map(repr, found.values()))
-        raise InputError(f"holds different tests with the same columns ({words} above the numbers); give each test "
-                         "its own file")
+        raise InputError(f"holds different tests with the same columns ({words} above the numbers); write each test "
+                         "to a separate file")
 
 
 def kind_assumption(guess: KindGuess) -> Assumption:
-    """The guess with its evidence and the kinds that also fit."""
+    """Return the assumption about the kind of test: evidence, counter-evidence, and alternative kinds."""
     return Assumption(KIND_OF_TEST, guess.kind or "not known", () if guess.is_stated else (guess.reason,),
                       guess.against, tuple(Alternative(kind, None, f"--kind {kind}") for kind in guess.alternatives),
                       f"--kind {guess.kind}" if guess.kind else "--kind", guess.is_stated)
 
 
-def _against(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
+def _contradicting_words(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
     """Return the evidence in the words of the file against a kind that the user states."""
     found = []
     for each in named:
@@ -97,8 +103,8 @@ def _against(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
 
-def _unknown(named: Sequence[NamedTest], hints: Sequence[Hint]) -> NamedTest | None:
-    """The first word for a test without a kind that decides."""
+def _find_unknown_test(named: Sequence[NamedTest], hints: Sequence[Hint]) -> NamedTest | None:
+    """Return the first word for a test without a registered kind that other words do not overrule; None: no word."""
     of_file = {hint.where for hint in hints if hint.is_file_name}
     known = [each for each in named if each.kind is not None and each.where not in of_file]
     for each in named:
@@ -111,10 +117,11 @@ def _unknown(named: Sequence[NamedTest], hints: Sequence[Hint]) -> NamedTest | N
     return None
 
 
-def _by_columns(recordings: Sequence[Recording], columns: Sequence[ColumnGuess]) -> KindGuess | None:
+def _guess_by_columns(recordings: Sequence[Recording], columns: Sequence[ColumnGuess]) -> KindGuess | None:
+    """Return the kind that a shear strain or the range of a stretch shows; None: no such column."""
     roles = {column.role for column in columns}
     if "shear strain" in roles:
-        return KindGuess("simple_shear", "it has a shear strain")
+        return KindGuess("simple_shear", "the table has a shear strain")
     if "stretch" not in roles:
         return None
     values = np.concatenate([each.channel("stretch") for each in recordings])
@@ -125,8 +132,11 @@ def _by_columns(recordings: Sequence[Recording], columns: Sequence[ColumnGuess])
         KindGuess("lubricated_compression", f"stretches below 1; {_BETWEEN_PLATES}")
 
 
-def _by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGuess | None:
-    """The first text that names one kind decides; headers name a direction, which a title may specify."""
+def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGuess | None:
+    """Return the kind of the first text that names exactly one kind; None: no such text.
+
+    If the headers only name a direction of loading, a title with the same direction determines the kind.
+    """
     levels: list[NamedTest] = []
     for hint in hints:
         here = [each for each in named if each.where == hint.where and each.kind is not None]
@@ -137,10 +147,10 @@ def _by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGuess | 
     first, *others = levels
     of_file = {hint.where for hint in hints if hint.is_file_name}
     title = next((each for each in others if each.where not in of_file), None)
-    if title is not None and first.where == hints[0].where and _sign(title) == _sign(first):
+    if title is not None and first.where == hints[0].where and _loading_sign(title) == _loading_sign(first):
         first = title
     conflicts = [each for each in levels if each.kind != first.kind and not (
-        each.where == hints[0].where and _sign(each) == _sign(first)) and not each.is_short]
+        each.where == hints[0].where and _loading_sign(each) == _loading_sign(first)) and not each.is_short]
     kind = first.kind
     between = f"; {_BETWEEN_PLATES}" if kind == "lubricated_compression" else ""
     return KindGuess(kind, f"{first.word!r} {first.where}{between}", is_weak=first.where in of_file,
@@ -148,20 +158,21 @@ def _by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGuess | 
                      alternatives=tuple(dict.fromkeys(each.kind for each in conflicts if each.kind)))
 
 
-def _sign(named: NamedTest) -> float:
+def _loading_sign(named: NamedTest) -> float:
+    """Return 1 for a kind that stretches the specimen, and -1 for compression."""
     return KINDS[named.kind or ""].sign
 
 
-def _by_sign(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], machine: Machine | None
+def _guess_by_sign(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], machine: Machine | None
              ) -> KindGuess | None:
-    """Compression, where a machine or a strain counts it as negative."""
+    """Return compression if load and displacement, or the strain, are negative; None: no evidence."""
     roles = {column.role for column in columns}
     if recordings and {"displacement", "force"} <= roles and machine is not None and machine.compresses_negative:
         motion, load = (largest_excursion(np.asarray(recordings[0].channel(name)))
                         for name in ("displacement", "force"))
         if motion < 0 and load < 0:
-            return KindGuess("lubricated_compression", f"travel and load are negative, as {machine.title} counts "
-                             f"compression; {_BETWEEN_PLATES}")
+            return KindGuess("lubricated_compression", f"displacement and load are negative, the sign of compression "
+                             f"of {machine.title}; {_BETWEEN_PLATES}")
     if "strain" in roles and recordings and "stretch" in recordings[0] \
             and largest_excursion(recordings[0].channel("stretch")) < 0:
         return KindGuess("lubricated_compression", f"strains are negative; {_BETWEEN_PLATES}")

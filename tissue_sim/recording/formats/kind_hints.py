@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.kind_words import Hint, named_tests
+from tissue_sim.recording.formats.kind_words import Hint, find_named_tests
 from tissue_sim.recording.formats.sources import Numbers, Source
 
 
@@ -15,8 +15,8 @@ class HintSettings:
     """Limits of the search for names of tests.
 
     Attributes:
-        title_rows: rows above a table that are searched.
-        sheet_rows: rows of a sheet without numbers that are searched.
+        title_rows: number of rows above a table that are searched.
+        sheet_rows: number of rows of a sheet without numbers that are searched.
         most_labels: largest number of different labels of a column that names tests.
     """
 
@@ -47,20 +47,20 @@ def file_hints(source: Source, found: Sequence[Numbers]) -> list[Hint]:
 
 
 def header_hint(own: Sequence[str], others: Sequence[str]) -> Hint:
-    """Return the headers of the columns that are read, and harmless headers of other columns.
+    """Return the headers of the columns that are read, and headers of other columns that name no unknown test.
 
     A header of a column that is not read is omitted if it names a test without a kind, such as a bending strain.
     """
     where = "in the headers"
-    harmless = [name for name in others if all(each.unknown is None for each in named_tests([Hint(name, where)]))]
+    harmless = [name for name in others if all(each.unknown is None for each in find_named_tests([Hint(name, where)]))]
     return Hint(" ".join((*own, *harmless)), where)
 
 
 def label_hints(numbers: Numbers) -> list[Hint]:
-    """Words in the columns of labels of a table.
+    """Return the texts in the columns of labels of a table.
 
     Raises:
-        InputError: the rows are of different tests, one of which has no kind.
+        InputError: the rows are of different tests, one of which has no registered kind.
     """
     hints = []
     width = max(len(row.cells) for row in numbers.rows)
@@ -70,10 +70,10 @@ def label_hints(numbers: Numbers) -> list[Hint]:
         if not 1 <= len(labels) <= _SETTINGS.most_labels:
             continue
         where = f"in column {numbers.name(place) or place + 1!r}"
-        named = [named_tests([Hint(label, where)]) for label in labels]
+        named = [find_named_tests([Hint(label, where)]) for label in labels]
         unknown = {each.unknown.name for tests in named for each in tests if each.unknown is not None}
         if unknown and len({tuple((each.kind, each.unknown) for each in tests) for tests in named}) > 1:
-            raise InputError(f"its rows are of different tests ({', '.join(labels)} {where}); give each test its "
-                             "own file", line=numbers.rows[0].line)
+            raise InputError(f"the rows are of different tests ({', '.join(labels)} {where}); write each test to a "
+                             "separate file", line=numbers.rows[0].line)
         hints.append(Hint("\n".join(labels), where))
     return hints

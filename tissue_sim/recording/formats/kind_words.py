@@ -1,4 +1,4 @@
-"""Words in titles, headers and names that say which test a file holds: a registered kind, or one of `UNKNOWN_TESTS`."""
+"""Find words for tests in titles, headers and names: registered kinds, and tests of `UNKNOWN_TESTS`."""
 
 from __future__ import annotations
 
@@ -12,27 +12,29 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS, UnknownTest
 
-#: Kind -> abbreviations that count in the name of a file only.
+#: Kind -> abbreviations that are recognised only in the name of a file.
 _SHORT = {"simple_shear": ("ss",), "uniaxial_tension": ("ut",), "lubricated_compression": ("uc",)}
 #: Number of characters of a line that are searched.
 _LONGEST_LINE = 2000
 #: Entries above a table whose value is the name of a person, a company, a program or a machine.
-_PEOPLE = re.compile(r"^\W*(operator|tester|user|author|customer|company|client|laboratory|lab|prufer|bearbeiter|kunde|"
-                     r"firma|operateur|utilisateur|software|program|file|path|datei|machine|device|instrument|"
-                     r"load frame|load cell|maschine|gerat|appareil)\b")
+_NAME_ENTRIES = re.compile(
+    r"^\W*(operator|tester|user|author|customer|company|client|laboratory|lab|prufer|bearbeiter|kunde|"
+    r"firma|operateur|utilisateur|software|program|file|path|datei|machine|device|instrument|"
+    r"load frame|load cell|maschine|gerat|appareil)\b")
 #: Entries above a table whose value is the name of the test.
-_TEST_ENTRY = re.compile(r"^(?:(?:test|prufung|versuchs?|essai) (?:method|type|kind|mode|name|procedure|standard)|"
-                         r"method|procedure|prufverfahren|prufart|versuchsart|methode|(?:type|nom) d essai)\b"
-                         r"(?P<value>.*)$")
+_TEST_ENTRIES = re.compile(
+    r"^(?:(?:test|prufung|versuchs?|essai) (?:method|type|kind|mode|name|procedure|standard)|"
+    r"method|procedure|prufverfahren|prufart|versuchsart|methode|(?:type|nom) d essai)\b(?P<value>.*)$")
 
 
 @dataclass(frozen=True)
 class Hint:
-    """A text in which the words for a test count.
+    """A text that is searched for words for a test.
 
     Attributes:
-        text: may have several lines. where: for messages, such as ``above the numbers``.
-        is_file_name: whether abbreviations count, too.
+        text: one or several lines.
+        where: location for messages, such as ``above the numbers``.
+        is_file_name: whether the text is the name of a file, in which abbreviations are recognised.
     """
 
     text: str
@@ -45,8 +47,10 @@ class NamedTest:
     """A test that a text names.
 
     Attributes:
-        word: as it stands in the text, without accents. where: see `Hint`.
-        kind: name in `KINDS`; None: the test is `unknown`.
+        word: word in the text, without accents.
+        where: location of the text; see `Hint`.
+        kind: name in `KINDS`; None: the test has no registered kind.
+        unknown: test without a registered kind; None: the test has a kind.
         is_short: whether the word is an abbreviation.
     """
 
@@ -63,7 +67,7 @@ class NamedTest:
 
     @property
     def is_explicit(self) -> bool:
-        """Whether the word has two words or more, as ``uniaxial tension``; one word may name a direction only."""
+        """Whether the text names the test by several words, as ``uniaxial tension``; one may only name a direction."""
         return " " in self.word
 
     def refusal(self) -> InputError:
@@ -78,9 +82,11 @@ class NamedTest:
                           "no such kind of test. --kind overrules the word", field="kind")
 
 
-def plain_text(text: str) -> str:
-    """Lower case without accents, words of letters or digits separated by one blank: ``PureShear_3pt`` is
-    ``pure shear 3 pt``."""
+def normalize_text(text: str) -> str:
+    """Return a text in lower case without accents, with one blank between words and numbers.
+
+    ``PureShear_3pt`` gives ``pure shear 3 pt``. The text is cut at `_LONGEST_LINE` characters.
+    """
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text[:_LONGEST_LINE])
     decomposed = unicodedata.normalize("NFKD", text.casefold())
     letters = "".join(each for each in decomposed if not unicodedata.combining(each))
@@ -88,26 +94,27 @@ def plain_text(text: str) -> str:
     return re.sub(r"(?<=\d)(?=[a-z])|(?<=[a-z])(?=\d)", " ", words).strip()
 
 
-def named_tests(hints: Iterable[Hint]) -> tuple[NamedTest, ...]:
+def find_named_tests(hints: Iterable[Hint]) -> tuple[NamedTest, ...]:
     """Return the tests that texts name, in order; of overlapping words the longest, and registered kinds first."""
-    return tuple(named for hint in hints for line in hint.text.splitlines() if not _PEOPLE.match(plain_text(line))
-                 for named in _in_line(line, hint))
+    return tuple(named for hint in hints for line in hint.text.splitlines()
+                 if not _NAME_ENTRIES.match(normalize_text(line)) for named in _find_in_line(line, hint))
 
 
-def _in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
-    text = plain_text(line)
+def _find_in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
+    """Yield the tests that a line of a text names, in the order of the words."""
+    text = normalize_text(line)
     matches: list[tuple[int, int, bool, NamedTest]] = []
-    for pattern, kind, unknown, is_short in _patterns(_kinds()):
+    for pattern, kind, unknown, is_short in _compile_patterns(_registered_kinds()):
         if is_short and not hint.is_file_name:
             continue
         for match in pattern.finditer(text):
             matches.append((*match.span(), unknown is not None,
                             NamedTest(match[0], hint.where, kind, unknown, is_short)))
-    entry = None if matches else _TEST_ENTRY.match(text)
+    entry = None if matches else _TEST_ENTRIES.match(text)
     if entry is not None:
-        yield from (NamedTest(match[0], hint.where, unknown=unknown) for unknown in _unregistered(_kinds())
+        yield from (NamedTest(match[0], hint.where, unknown=unknown) for unknown in _unregistered(_registered_kinds())
                     for word in unknown.alone if (match := re.search(rf"\b{word}\b", entry["value"])))
-    # The longest first, and of equal ones that of a registered kind; a word inside a longer one is ignored.
+    # Longest match first; of equal lengths, a registered kind first. A match that overlaps a longer one is ignored.
     matches.sort(key=lambda each: (each[0] - each[1], each[2]))
     kept: list[tuple[int, int, bool, NamedTest]] = []
     for each in matches:
@@ -116,8 +123,8 @@ def _in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
     yield from (named for *_, named in sorted(kept, key=lambda each: each[0]))
 
 
-def _kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """(name, title, title words) of all registered kinds; a hashable key of the words."""
+def _registered_kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Return (name, title, title words) of all registered kinds, as a hashable key of `_compile_patterns`."""
     return tuple((name, kind.title, kind.title_words) for name, kind in KINDS.items())
 
 
@@ -128,16 +135,17 @@ def _unregistered(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[
 
 
 @lru_cache(maxsize=8)
-def _patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
+def _compile_patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
               ) -> tuple[tuple[re.Pattern[str], str | None, UnknownTest | None, bool], ...]:
-    """(pattern, kind, unknown test, whether an abbreviation) of all words."""
+    """Return (pattern, kind, test without a kind, whether the word is an abbreviation) of all words."""
     words: list[tuple[str, str | None, UnknownTest | None, bool]] = []
     for name, title, own in kinds:
-        words += [(rf"\b(?:{word})\b", name, None, False) for word in (*own, plain_text(name), plain_text(title))]
+        words += [(rf"\b(?:{word})\b", name, None, False)
+                  for word in (*own, normalize_text(name), normalize_text(title))]
         words += [(rf"\b(?:{word})\b", name, None, True) for word in _SHORT.get(name, ())]
     without_kind = _unregistered(kinds)
     for test in UNKNOWN_TESTS:
-        # A kind that is registered under this name takes the words over.
+        # A registered kind with this name receives the words.
         kind, unknown = (None, test) if test in without_kind else (test.name, None)
         words += [(rf"\b(?:{word})\b", kind, unknown, False) for word in test.words]
         words += [(rf"\b(?:{word})\b", kind, unknown, True) for word in test.short]

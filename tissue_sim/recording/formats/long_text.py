@@ -1,6 +1,7 @@
-"""Read long texts fast: the beginning cell by cell, and an end of numbers alone as one array.
+"""Read long texts fast: the beginning cell by cell, and an end of numbers as one array.
 
-Reading the end as an array takes a tenth of the time and memory.
+The cells of the end may be quoted, and may have units after their numbers. Reading the end as an array takes a tenth of
+the time and memory.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissue_sim.recording.formats.number_text import with_plain_marks
+from tissue_sim.recording.formats.number_text import normalize_number_marks, split_quantity
 
 #: Number of lines of the beginning; a shorter text is read cell by cell completely.
 BEGINNING = 2000
@@ -33,12 +34,18 @@ class LongTextSettings:
 
 #: Settings that the functions of this module use.
 _SETTINGS = LongTextSettings()
+#: Delimiters in the order of preference: next to another delimiter, a comma is a decimal mark.
 _DELIMITERS = "\t;|,"
-_AT_EDGES = tuple(pair for edge in (b"\t", b";", b"|", b",", b"\n") for pair in (b" " + edge, edge + b" "))
-_BLANKS = re.compile(rb" *([\t;|,\n]) *")
-_PLAIN = b"+-.0123456789eEdD\n"
-#: Marks that may separate thousands, in the spelling of `tissue_sim.recording.formats.number_text`.
-_SEPARATORS = b" ',"
+#: Delimiter of a piece, which replaces the delimiter of the text.
+_CELL_END = b"\t"
+#: Blanks around the delimiters of a piece.
+_BLANKS = re.compile(rb" *([\t\n]) *")
+#: Blanks next to a delimiter of a piece, for a fast search.
+_AT_EDGES = tuple(pair for edge in (b"\t", b"\n") for pair in (b" " + edge, edge + b" "))
+#: Characters of a piece that are not marks.
+_PLAIN = b"+-.0123456789eEdD\t\n"
+#: Possible decimal marks and thousands separators, in the spelling of `tissue_sim.recording.formats.number_text`.
+_MARKS = b". ',"
 
 
 class NotPlainError(Exception):
@@ -47,34 +54,42 @@ class NotPlainError(Exception):
 
 @dataclass(frozen=True)
 class PlainEnd:
-    """Lines with an equal number of cells, each a number of digits, signs, marks and exponents.
+    """Lines at the end of a text with an equal number of cells, each a number, with quotation marks or a unit.
 
     Attributes:
         text: the complete text.
-        place: position in the text at which the end begins.
-        delimiter: character between the cells.
-        cells: number of cells in each line.
-        marks: marks in the numbers, of ``.``, ``,``, blank and apostrophe.
+        start: position in the text at which the end begins.
+        delimiter: delimiter of the cells.
+        marks: marks in the numbers: ``.``, ``,``, blank and apostrophe.
+        suffixes: text after each number of a column, such as ``b" N"``; empty without units.
+        units: unit of each column after its numbers; empty without a unit.
     """
 
     text: str = field(repr=False)
-    place: int
+    start: int
     delimiter: str
-    cells: int
     marks: str
+    suffixes: tuple[bytes, ...]
+    units: tuple[str, ...]
 
-    def numbers(self, places: Sequence[int], decimal: str) -> np.ndarray | None:
-        """Return the numbers in the given columns (from 0), shape (lines, columns); None if a cell is not a number.
+    @property
+    def cells(self) -> int:
+        """Number of cells in each line."""
+        return len(self.suffixes)
+
+    def numbers(self, positions: Sequence[int], decimal: str) -> np.ndarray | None:
+        """Return the numbers in the given columns, shape (lines, columns); None if a cell is not a number.
 
         Args:
+            positions: positions of the columns, from 0.
             decimal: decimal mark. All other marks must separate thousands.
         """
         separators = [mark for mark in self.marks if mark != decimal]
         found = []
-        for piece in _pieces(self.text, self.place):
-            content: bytes | None = piece
+        for piece in _pieces(self.text, self.start, self.delimiter):
+            content: bytes | None = _without_suffixes(piece, self.suffixes)
             for separator in separators:
-                content = None if content is None else _without_groups(content, separator, decimal, self.delimiter)
+                content = None if content is None else _without_groups(content, separator, decimal)
             if content is None:
                 return None
             if decimal == ",":
@@ -84,8 +99,8 @@ class PlainEnd:
             try:
                 with warnings.catch_warnings():
                     warnings.simplefilter("error")
-                    found.append(np.loadtxt(content.decode("ascii").splitlines(), delimiter=self.delimiter,
-                                            comments=None, usecols=tuple(places), ndmin=2))
+                    found.append(np.loadtxt(content.decode("ascii").splitlines(), delimiter=_CELL_END.decode(),
+                                            comments=None, usecols=tuple(positions), ndmin=2))
             except (ValueError, UserWarning):
                 return None
         values = np.concatenate(found)
@@ -96,46 +111,97 @@ def split_long(text: str, skipped: int = 0) -> tuple[str, PlainEnd | None]:
     """Divide a text into its beginning and its plain end.
 
     Args:
-        text: with any line ends.
+        text: text with any line ends.
         skipped: number of lines at the top that are ignored.
 
     Returns:
         The beginning and the end; the complete text and None if the text is short, or if its end is not plain.
     """
-    last = place = 0
+    last = start = 0
     for _ in range(skipped + BEGINNING):
-        last, place = place, text.find("\n", place) + 1
-        if not place:
+        last, start = start, text.find("\n", start) + 1
+        if not start:
             return text, None
-    if '"' in text[last:place]:  # a quoted cell may continue in the next line
-        return text, None
-    line = text[place:text.find("\n", place) + 1]
-    # The first delimiter in the list that occurs in a line is used: next to another one, a comma is decimal.
+    line = text[start:text.find("\n", start) + 1]
     delimiter = next((each for each in _DELIMITERS if each in line), None)
-    end = None if delimiter is None else _plain_end(text, place, delimiter)
-    return (text, None) if end is None else (text[:place], end)
+    if delimiter is None:
+        return text, None
+    try:
+        # A quoted cell of the last line of the beginning may continue in the next line.
+        _unquote(_normalize(text[last:start]), delimiter)
+        return text[:start], _plain_end(text, start, delimiter)
+    except NotPlainError:
+        return text, None
 
 
-def _plain_end(text: str, place: int, delimiter: str) -> PlainEnd | None:
-    """Return the end of a text from a position on; None if the end is not plain."""
-    sign, found, cells = delimiter.encode(), set(), 0
-    marks = (b"." + _SEPARATORS).replace(sign, b"")
-    for piece in _pieces(text, place):
-        if piece.translate(None, _PLAIN + sign + marks):
-            return None
-        found |= {chr(mark) for mark in marks if mark in piece}
-        letters = np.frombuffer(piece, dtype=np.uint8)
-        between = np.flatnonzero((letters == sign[0]) | (letters == ord("\n")))
-        ends = np.flatnonzero(letters[between] == ord("\n"))
-        cells = cells or int(ends[0]) + 1
-        # The cell between two adjacent delimiters is empty.
-        if between[0] == 0 or (np.diff(between) == 1).any() or (np.diff(ends, prepend=-1) != cells).any():
-            return None
-    return PlainEnd(text, place, delimiter, cells, "".join(sorted(found))) if cells >= 2 else None
+def _plain_end(text: str, start: int, delimiter: str) -> PlainEnd:
+    """Return the end of a text from a position on.
+
+    Raises:
+        NotPlainError: a cell that is not a number, or lines with different numbers of cells.
+    """
+    found: set[str] = set()
+    suffixes: tuple[bytes, ...] = ()
+    units: tuple[str, ...] = ()
+    for piece in _pieces(text, start, delimiter):
+        if not suffixes:
+            quantities = [_split_suffix(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
+            suffixes, units = (tuple(each[i] for each in quantities) for i in (0, 1))
+            if len(suffixes) < 2:
+                raise NotPlainError
+        numbers = _without_suffixes(piece, suffixes)
+        if numbers.translate(None, _PLAIN + _MARKS):
+            raise NotPlainError
+        found |= {chr(mark) for mark in _MARKS if mark in numbers}
+        # A cell between two adjacent delimiters is empty.
+        if (np.diff(_cell_ends(numbers, len(suffixes)).ravel(), prepend=-1) == 1).any():
+            raise NotPlainError
+    return PlainEnd(text, start, delimiter, "".join(sorted(found)), suffixes, units)
 
 
-def _without_groups(piece: bytes, separator: str, decimal: str, delimiter: str) -> bytes | None:
-    """Remove a thousands separator from lines; None if a separator is not between groups of three digits.
+def _split_suffix(cell: bytes) -> tuple[bytes, str]:
+    """Return the text after the number in a cell, and its unit; both are empty without a known unit."""
+    text = cell.decode("latin-1")
+    pair = split_quantity(text)
+    return (b"", "") if pair is None else (text[len(pair[0]):].encode("latin-1"), pair[1])
+
+
+def _cell_ends(piece: bytes, cells: int) -> np.ndarray:
+    """Return the positions of the delimiters and line ends of a piece, shape (lines, cells).
+
+    Raises:
+        NotPlainError: a line with another number of cells.
+    """
+    letters = np.frombuffer(piece, dtype=np.uint8)
+    ends = np.flatnonzero((letters == _CELL_END[0]) | (letters == ord("\n")))
+    lines = np.flatnonzero(letters[ends] == ord("\n"))
+    if not lines.size or (np.diff(lines, prepend=-1) != cells).any() or lines[-1] != ends.size - 1:
+        raise NotPlainError
+    return ends.reshape(-1, cells)
+
+
+def _without_suffixes(piece: bytes, suffixes: Sequence[bytes]) -> bytes:
+    """Remove the text after the numbers of each column from a piece.
+
+    Raises:
+        NotPlainError: a cell without the text of its column, or a line with another number of cells.
+    """
+    if not any(suffixes):
+        return piece
+    letters = np.frombuffer(piece, dtype=np.uint8)
+    kept = np.ones(letters.size, dtype=bool)
+    ends = _cell_ends(piece, len(suffixes))
+    for column, suffix in enumerate(suffixes):
+        for distance, letter in enumerate(reversed(suffix), start=1):
+            positions = ends[:, column] - distance
+            if positions[0] < 0 or (letters[positions] != letter).any():
+                raise NotPlainError
+            kept[positions] = False
+    return letters[kept].tobytes()
+
+
+def _without_groups(piece: bytes, separator: str, decimal: str) -> bytes | None:
+    """Remove a thousands separator from a piece; None if a separator is not between groups of three digits.
 
     As in `tissue_sim.recording.formats.number_text.parse_number`, a number begins with one to three digits. The
     first digit is not zero, and all further groups have three digits up to the decimal mark or the end of the cell.
@@ -150,29 +216,66 @@ def _without_groups(piece: bytes, separator: str, decimal: str, delimiter: str) 
     before = np.cumprod([is_digit[at - i] for i in range(1, _SETTINGS.group_digits + 2)], axis=0).sum(axis=0)
     start = letters[at - before - 1]
     follows = start == ord(separator)
-    begins = np.isin(start, np.frombuffer(f"\n+-{delimiter}".encode(), dtype=np.uint8))
+    begins = np.isin(start, np.frombuffer(b"\n+-" + _CELL_END, dtype=np.uint8))
     is_first = begins & (before >= 1) & (before <= _SETTINGS.group_digits) & (letters[at - before] != ord("0"))
     after = np.all([is_digit[at + i] for i in range(1, _SETTINGS.group_digits + 1)], axis=0)
-    end = np.isin(letters[at + _SETTINGS.group_digits + 1], np.frombuffer(f"\n{delimiter}{decimal}{separator}".encode(),
-                                                          dtype=np.uint8))
+    end = np.isin(letters[at + _SETTINGS.group_digits + 1], np.frombuffer(
+        b"\n" + _CELL_END + f"{decimal}{separator}".encode(), dtype=np.uint8))
     if not np.all((is_first | (follows & (before == _SETTINGS.group_digits))) & after & end):
         return None
     return piece.replace(separator.encode(), b"")
 
 
-def _pieces(text: str, place: int) -> Iterator[bytes]:
-    """Yield complete lines from a position on, with ``\\n`` at their ends and without blanks around cells.
+def _normalize(text: str) -> bytes:
+    """Convert minus signs, blanks and apostrophes to ASCII, and line ends to line feeds; the result is Latin-1."""
+    if not text.isascii():
+        text = normalize_number_marks(text)
+    return text.encode("latin-1", "replace").replace(b"\r\n", b"\n")
 
-    Blanks, apostrophes and minus signs are converted to ASCII; any other character becomes a question mark.
+
+def _unquote(piece: bytes, delimiter: str) -> bytes:
+    """Replace the delimiters of a piece by tabs, and remove the quotation marks of quoted cells.
+
+    Raises:
+        NotPlainError: a quotation mark inside a cell, a quoted cell that continues in the next line, or a tab that is
+            not a delimiter.
     """
-    while place < len(text):
-        end = text.find("\n", place + _SETTINGS.chunk_characters) + 1 or len(text)
-        content = text[place:end]
-        if not content.isascii():
-            content = with_plain_marks(content)
-        piece = content.encode("ascii", "replace").replace(b"\r\n", b"\n")
+    sign = delimiter.encode()
+    if sign != _CELL_END and _CELL_END in piece:
+        raise NotPlainError
+    if b'"' not in piece:
+        return piece if sign == _CELL_END else piece.replace(sign, _CELL_END)
+    letters = np.frombuffer(piece, dtype=np.uint8).copy()
+    is_quote = letters == ord('"')
+    is_inside = np.cumsum(is_quote) % 2 == 1
+    is_end = letters == ord("\n")
+    is_delimiter = (letters == sign[0]) & ~is_inside
+    is_edge = np.concatenate([[True], is_end | is_delimiter, [True]])
+    opens = np.flatnonzero(is_quote & is_inside)
+    closes = np.flatnonzero(is_quote & ~is_inside)
+    # Position i of the piece is position i + 1 of `is_edge`.
+    if is_inside[-1] or (is_end & is_inside).any() or not is_edge[opens].all() or not is_edge[closes + 2].all():
+        raise NotPlainError
+    if sign == _CELL_END and ((letters == sign[0]) & is_inside).any():
+        raise NotPlainError
+    letters[is_delimiter] = _CELL_END[0]
+    return letters[~is_quote].tobytes()
+
+
+def _pieces(text: str, start: int, delimiter: str) -> Iterator[bytes]:
+    """Yield complete lines from a position on, with tabs between cells and line feeds at their ends.
+
+    Cells have neither quotation marks nor blanks at their ends. Blanks, apostrophes and minus signs are ASCII; any
+    other character outside of Latin-1 is a question mark.
+
+    Raises:
+        NotPlainError: an invalid quotation mark or tab; see `_unquote`.
+    """
+    while start < len(text):
+        end = text.find("\n", start + _SETTINGS.chunk_characters) + 1 or len(text)
+        piece = _unquote(_normalize(text[start:end]), delimiter)
         if b" " in piece and any(pair in piece for pair in _AT_EDGES):
             piece = _BLANKS.sub(rb"\1", piece)
         piece = piece.strip(b" ")
         yield piece.rstrip(b"\n") + b"\n" if end == len(text) else piece
-        place = end
+        start = end

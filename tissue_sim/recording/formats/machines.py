@@ -1,5 +1,7 @@
-"""Files of test machines by the name of the machine's program: one reader, which understands a file from its content,
-and what `tissue_sim.recording.formats.vocabulary` knows of each."""
+"""Read the files of test machines: one reader for all machines in `tissue_sim.recording.formats.vocabulary`.
+
+For each machine in `MACHINES`, the module has a function ``read_<machine>``.
+"""
 
 from __future__ import annotations
 
@@ -18,48 +20,52 @@ from tissue_sim.recording.recording import Recording
 def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
     """Read the recordings in a text, spreadsheet or container of any machine.
 
-    What each column is taken for stands in the metadata of the recordings, under ``understood``: header, unit, sign and
-    the reason.
+    The metadata of the recordings have the interpretation of the columns under ``understood``: header, unit, sign and
+    reason.
 
     Args:
         path: the file.
-        sheet: name or number (from 1) of a spreadsheet's sheet, or a list of them. None: all that hold a recording.
-        curve: number from 1 of the only recording wanted. None: all.
+        sheet: name or number (from 1) of a sheet, or a list of names and numbers. None: all sheets with a recording.
+        curve: number (from 1) of the only recording to read. None: all.
 
     Raises:
-        InputError: nothing that can be a recording; everything that only a person can say, in one sentence.
+        InputError: the file has no recording, or information is missing; the message lists all missing information.
     """
-    return _read(path, None, sheet, curve)
+    return _read_machine_file(path, None, sheet, curve)
 
 
-def _reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
+def _make_reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
+    """Return the function ``read_<machine>`` for a name in `MACHINES`."""
     def read(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
-        return _read(path, machine, sheet, curve)
+        return _read_machine_file(path, machine, sheet, curve)
 
     read.__name__ = read.__qualname__ = f"read_{machine}"
-    read.__doc__ = f"As `read_table`, for files of {MACHINES[machine].title}."
+    read.__doc__ = f"Read the recordings in a file of {MACHINES[machine].title}; see `read_table`."
     return read
 
 
-def _read(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None) -> tuple[Recording, ...]:
+def _read_machine_file(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None
+                       ) -> tuple[Recording, ...]:
+    """Read the recordings in a file; `machine` is a name in `MACHINES` (None: any machine)."""
     path = Path(path)
     understood = understand(path, ColumnHints(format=machine, sheet=sheet, any_test=True))
     missing = [what for reading in understood.readings for what in reading.missing]
     if missing:
-        raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit, or scale, in place of the "
+        raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit or scale instead of the "
                          "format", file=path, line=understood.readings[0].line)
     assumptions = (*understood.assumptions, *(each for reading in understood.readings for each in reading.assumptions))
     if asked := [each.question for each in assumptions if each.is_question and each.subject != KIND_OF_TEST]:
-        raise InputError(f"{asked[0]} Give columns, and decimal, in place of the format", file=path,
+        raise InputError(f"{asked[0]} Give columns and decimal instead of the format", file=path,
                          line=understood.readings[0].line)
     found = [recording.with_metadata(format=understood.format, understood={
         column.channel: {**column.entry(), "reason": column.reason} for column in reading.columns})
         for reading in understood.readings for recording in reading.recordings]
     if curve is not None:
         if isinstance(curve, bool) or not isinstance(curve, int) or not 1 <= curve <= len(found):
-            raise InputError(f"there is no curve {curve!r}; the file has {len(found)}", file=path, field="curve")
+            raise InputError(f"must be from 1 to {len(found)}, the number of curves in the file; got {curve!r}.",
+                             file=path, field="curve")
         found = found[curve - 1:curve]
     return tuple(found)
 
 
-globals().update({f"read_{name}": _reader(name) for name in MACHINES})
+globals().update({f"read_{name}": _make_reader(name) for name in MACHINES})

@@ -1,4 +1,4 @@
-"""Readings of one file whose tables have titles of different materials."""
+"""Split the tables of a file by the materials that their titles name."""
 
 from __future__ import annotations
 
@@ -11,36 +11,40 @@ from tissue_sim.recording.formats.guesses import ColumnHints, Reading
 from tissue_sim.recording.formats.pairing import Group
 from tissue_sim.recording.formats.sizes import size_signature
 from tissue_sim.recording.formats.statements import Statements
-from tissue_sim.recording.formats.titles import block_title, materials_of
+from tissue_sim.recording.formats.titles import find_block_title, name_materials
 
-#: Subject of the question on different titles.
+#: Subject of the assumption about different titles.
 _SUBJECT = "titles of the tables"
 
 
-def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tuple[str, int]],
-                stated: ColumnHints) -> list[Reading]:
-    """One reading for each material that the titles of the tables name, and for each size of the specimen.
+def split_by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tuple[str, int]],
+                hints: ColumnHints) -> list[Reading]:
+    """Split a reading into one reading for each pair of material and specimen size.
 
     Args:
-        reading: of all the tables. groups: the tables, in the order of the file.
+        reading: reading of all tables.
+        groups: tables in the order of the file.
         places: (sheet, line of the header) of each recording.
-        stated: `ColumnHints.one_material` keeps the tables together.
+        hints: hints of the user; `ColumnHints.one_material` disables the split by titles.
+
+    Returns:
+        The readings; several materials are a question to the user.
     """
-    tables = _tables(groups, places)
-    # A repeated header continues a recording, whose sizes may be stated below any of its parts. A statement about one
-    # of several alike tables may contradict a statement about the others.
-    reading = replace(reading, stated=read_only(_all_statements(groups)))
+    tables = _match_tables(groups, places)
+    # A recording may continue below a repeated header, and its size may be stated below any of its parts. Statements
+    # about several equal tables may contradict each other.
+    reading = replace(reading, stated=read_only(_merge_table_statements(groups)))
     if tables is None:
         return [reading]
     titles = [title for _, title in tables]
-    materials = [""] * len(titles) if stated.one_material else materials_of(titles)
+    materials = [""] * len(titles) if hints.one_material else name_materials(titles)
     keys = [(material, size_signature(group.stated, reading.kind.kind))
             for material, (group, _) in zip(materials, tables, strict=True)]
     if len(set(keys)) < 2:
         return [reading]
-    numbers = _numbers(reading, len(places))
+    numbers = _curve_numbers(reading, len(places))
     different = list(dict.fromkeys(materials))
-    question = _question(different, titles, materials, numbers) if len(different) > 1 else ()
+    question = _material_question(different, titles, materials, numbers) if len(different) > 1 else ()
     found = []
     for key in dict.fromkeys(keys):
         chosen = [i for i, each in enumerate(keys) if each == key]
@@ -48,26 +52,27 @@ def by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tupl
         name = materials[chosen[0]] or titles[chosen[0]] or f"table {curves[0]}"
         found.append(replace(
             reading, name=name, recordings=tuple(reading.recordings[i] for i in chosen),
-            stated=read_only(_all_statements([tables[i][0] for i in chosen])),
+            stated=read_only(_merge_table_statements([tables[i][0] for i in chosen])),
             options=read_only({**reading.options, "curve": curves if len(curves) > 1 else curves[0]}),
             assumptions=(*reading.assumptions, *question)))
     return found
 
 
-def with_different_titles(readings: Sequence[Reading], tables: Sequence[Sequence[Group]], stated: ColumnHints
+def add_material_question(readings: Sequence[Reading], tables: Sequence[Sequence[Group]], hints: ColumnHints
                           ) -> tuple[Reading, ...]:
-    """The readings with a question where tables of one kind of test differ in columns or units, and their titles name
-    different materials.
+    """Add a question if tables of one kind of test have different columns or units and titles of different materials.
 
     Args:
-        readings: of all tables. tables: those with equal columns and units together.
+        readings: readings of all tables.
+        tables: groups of tables with equal columns and units.
+        hints: hints of the user; with `ColumnHints.one_material`, no question is added.
     """
     alike = {(reading.kind.kind, *sorted(column.channel for column in reading.columns)) for reading in readings}
-    if len(tables) < 2 or len(alike) > 1 or stated.one_material:
+    if len(tables) < 2 or len(alike) > 1 or hints.one_material:
         return tuple(readings)
-    titles = [block_title(group.numbers, [column.place - 1 for column in group.columns], side_by_side=False)
+    titles = [find_block_title(group.numbers, [column.place - 1 for column in group.columns], side_by_side=False)
               for group, *_ in tables]
-    materials = materials_of(titles)
+    materials = name_materials(titles)
     different = list(dict.fromkeys(materials))
     if len(different) < 2 or any(each.subject == _SUBJECT for reading in readings for each in reading.assumptions):
         return tuple(readings)
@@ -79,8 +84,8 @@ def with_different_titles(readings: Sequence[Reading], tables: Sequence[Sequence
     return tuple(replace(reading, assumptions=(*reading.assumptions, question)) for reading in readings)
 
 
-def _all_statements(groups: Sequence[Group]) -> dict[str, str]:
-    """Key -> value of what the file states about any of the tables."""
+def _merge_table_statements(groups: Sequence[Group]) -> dict[str, str]:
+    """Return the statements (key -> value) about all of the tables."""
     found = Statements(groups[0].stated)
     for group in groups[1:]:
         for key, value in group.stated.items():
@@ -88,9 +93,9 @@ def _all_statements(groups: Sequence[Group]) -> dict[str, str]:
     return found
 
 
-def _question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str], numbers: Sequence[int]
+def _material_question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str], numbers: Sequence[int]
               ) -> tuple[Assumption, ...]:
-    """Return whether tables with different names are of one material."""
+    """Return the assumption that different names are different materials, with the alternative of one material."""
     flags = {each: " ".join(f"--curve {number}" for number, material in zip(numbers, materials, strict=True)
                             if material == each) for each in different}
     listed = ", ".join(f"{titles[materials.index(each)]!r} ({flags[each]})" for each in different)
@@ -100,14 +105,19 @@ def _question(different: Sequence[str], titles: Sequence[str], materials: Sequen
         (Alternative("replicates of one material", None, "--one-material"),)),)
 
 
-def _numbers(reading: Reading, count: int) -> list[int]:
-    """Numbers from 1 of the recordings in the file."""
+def _curve_numbers(reading: Reading, count: int) -> list[int]:
+    """Return the numbers (from 1) of the recordings in the file; `count` is the number of recordings read."""
     curve = reading.options.get("curve")
     return list(range(1, count + 1)) if curve is None else [curve] if isinstance(curve, int) else list(curve)
 
 
-def _tables(groups: Sequence[Group], places: Sequence[tuple[str, int]]) -> list[tuple[Group, str]] | None:
-    """The table of each recording, with its title; None if a recording has no table here."""
+def _match_tables(groups: Sequence[Group], places: Sequence[tuple[str, int]]) -> list[tuple[Group, str]] | None:
+    """Return table and title of each recording; None if a recording has no table in `groups`.
+
+    Args:
+        groups: tables in the order of the file.
+        places: (sheet, line of the header) of each recording.
+    """
     tables: dict[tuple[str, int], list[Group]] = {}
     for group in groups:
         tables.setdefault((group.numbers.table.name, group.line), []).append(group)
@@ -120,6 +130,7 @@ def _tables(groups: Sequence[Group], places: Sequence[tuple[str, int]]) -> list[
         if number >= len(shared):
             return None
         group = shared[number]
-        title = block_title(group.numbers, [column.place - 1 for column in group.columns], side_by_side=len(shared) > 1)
+        title = find_block_title(group.numbers, [column.place - 1 for column in group.columns],
+                                 side_by_side=len(shared) > 1)
         found.append((group, f"{place[0]} {title}".strip() if several_sheets else title))
     return found

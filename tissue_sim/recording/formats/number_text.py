@@ -1,26 +1,33 @@
-"""Numbers as text: decimal points or commas, and thousands separators."""
+"""Parse numbers with decimal points or commas, thousands separators, and exponents."""
 
 from __future__ import annotations
 
 import math
 import re
 
-#: Marks that may be the decimal mark; the other one of the two may separate thousands.
+from tissue_sim.units import known_unit
+
+#: Possible decimal marks. The mark that is not the decimal mark may be a thousands separator.
 DECIMAL_MARKS = (".", ",")
 #: Blanks that separate thousands: plain, no-break, narrow no-break, thin and figure space.
 _BLANKS = "\u0020\u00a0\u202f\u2009\u2007"
 #: Apostrophes that separate thousands, as in Switzerland.
 _APOSTROPHES = "'\u2019\u02bc"
-#: Spellings of one mark, all replaced by the first; a typographic minus becomes a hyphen.
+#: Character -> ASCII character with the same meaning.
 _SPELLINGS = {**dict.fromkeys(_BLANKS[1:], " "), **dict.fromkeys(_APOSTROPHES[1:], "'"), "\u2212": "-",
               "\u00d7": "x", "\u00b7": "*"}
-_TABLE = str.maketrans(_SPELLINGS)
+#: The same table for `str.translate`.
+_SPELLING_TABLE = str.maketrans(_SPELLINGS)
+#: A number and its unit in one cell.
+_QUANTITY = re.compile(r"(?P<number>[-+\u2212]?[\d.,](?:[\d.,'\u2019\u00a0\u202f\u2009 ]*[\d.,])?(?:[eEdD][-+]?\d+)?)"
+                       r"\s*(?P<unit>[\[(]?(?:[^\W\d_]\S*|%|\u00b0C)[\])]?)")
 #: A number with an exponent that `float` does not read: ``1.2D-03`` of Fortran, ``1.2 x 10^-3``.
-_EXPONENT = re.compile(r"(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+))(?: ?(?P<letter>[eEdD]) ?| ?[x*] ?10\^)"
+_EXPONENT_PATTERN = re.compile(r"(?P<number>[+-]?(?:\d+[.,]?\d*|[.,]\d+))(?: ?(?P<letter>[eEdD]) ?| ?[x*] ?10\^)"
                        r"(?P<power>[+-]?\d{1,3})", re.ASCII)
 
 
-def _grouped(decimal: str) -> re.Pattern[str]:
+def _compile_grouped_pattern(decimal: str) -> re.Pattern[str]:
+    """Return the pattern of a number with thousands separators for a decimal mark."""
     separators = re.escape("".join(mark for mark in ",.' " if mark != decimal))
     mark = re.escape(decimal)
     return re.compile(rf"[+-]?[1-9]\d{{0,2}}(?:(?P<separator>[{separators}])\d{{3}})(?:(?P=separator)\d{{3}})*"
@@ -28,37 +35,38 @@ def _grouped(decimal: str) -> re.Pattern[str]:
 
 
 #: Decimal mark -> pattern of a number with thousands separators: groups of exactly three digits, one separator.
-_GROUPED = {mark: _grouped(mark) for mark in DECIMAL_MARKS}
+_GROUPED_PATTERNS = {mark: _compile_grouped_pattern(mark) for mark in DECIMAL_MARKS}
 
 
 class ExactNumber(str):
-    """Text of a number that the file stores as a number, so that its decimal mark is a point."""
+    """Text of a number that the file stores as a number; its decimal mark is a point."""
 
     __slots__ = ()
 
 
-def with_plain_marks(text: str) -> str:
-    """A long text in which each mark of a number has its ASCII spelling."""
-    # Some replacements of the whole text take a tenth of the time of str.translate.
+def normalize_number_marks(text: str) -> str:
+    """Replace minus signs, blanks and apostrophes in a text by ASCII characters."""
+    # For a long text, a few calls of str.replace take a tenth of the time of str.translate.
     for spelling, plain in _SPELLINGS.items():
         text = text.replace(spelling, plain)
     return text
 
 
 def parse_number(cell: str, decimal: str = ".") -> float:
-    """The number in a cell; NaN if the cell holds no number with this decimal mark.
+    """Return the number in a cell; NaN if the cell is not a number with this decimal mark.
 
-    Thousands separators are the other one of the two decimal marks, any blank, or an apostrophe. They must separate
-    groups of exactly three digits, and the first group must not begin with zero. Exponents are those of `float`, of
-    Fortran (``1.2D-03``), and powers of ten (``1.2 x 10^-3``).
+    A thousands separator is the other decimal mark, a blank, or an apostrophe. Thousands separators must separate
+    groups of exactly three digits, and the first group must not begin with zero. Exponents may have the form of
+    `float`, of Fortran (``1.2D-03``), or of a power of ten (``1.2 x 10^-3``).
 
     Args:
-        cell: text without blanks at its ends. decimal: ``"."`` or ``","``.
+        cell: text without blanks at its ends.
+        decimal: decimal mark, ``"."`` or ``","``.
     """
     if isinstance(cell, ExactNumber):
         decimal = "."
-    plain = cell if cell.isascii() else cell.translate(_TABLE)
-    # float() also takes 1_000 and digits of other scripts, which are typing errors in a table.
+    plain = cell if cell.isascii() else cell.translate(_SPELLING_TABLE)
+    # float() also accepts 1_000 and digits of other scripts, which are typing errors in a table.
     if "_" in plain or not plain.isascii():
         return math.nan
     if decimal != "." and "." in plain:
@@ -69,9 +77,11 @@ def parse_number(cell: str, decimal: str = ".") -> float:
         return _parse_unusual(plain, decimal)
 
 
-def thousands_separator(cell: str, decimal: str) -> str:
-    """The thousands separator of a number, in its plain spelling; empty if it has none."""
-    match = None if isinstance(cell, ExactNumber) else _GROUPED[decimal].fullmatch(cell.translate(_TABLE))
+def find_thousands_separator(cell: str, decimal: str) -> str:
+    """Return the thousands separator of a number as an ASCII character; empty without a separator."""
+    if isinstance(cell, ExactNumber):
+        return ""
+    match = _GROUPED_PATTERNS[decimal].fullmatch(cell.translate(_SPELLING_TABLE))
     return match["separator"] if match else ""
 
 
@@ -82,37 +92,48 @@ def is_number(cell: str) -> bool:
     except ValueError:
         if not cell[-1:].isdigit() and cell[-1:] not in DECIMAL_MARKS:
             return False
-        plain = cell.translate(_TABLE)
+        plain = cell.translate(_SPELLING_TABLE)
         return any(pattern.fullmatch(plain) or not math.isnan(parse_number(cell, mark))
-                   for mark, pattern in _GROUPED.items())
+                   for mark, pattern in _GROUPED_PATTERNS.items())
     return True
 
 
-def any_number(cell: str) -> float:
-    """The number in a cell that stands alone: the decimal mark is a point where both readings are possible."""
+def parse_any_number(cell: str) -> float:
+    """Return the number in a single cell; the decimal mark is a point if both decimal marks are possible."""
     value = parse_number(cell, ".")
-    return value if math.isfinite(value) and not thousands_separator(cell, ".") else _first_finite(
+    return value if math.isfinite(value) and not find_thousands_separator(cell, ".") else _first_finite(
         parse_number(cell, ","), value)
 
 
 def _first_finite(first: float, second: float) -> float:
+    """Return the first value, or the second one if the first is not finite."""
     return first if math.isfinite(first) else second
 
 
 def _parse_unusual(plain: str, decimal: str) -> float:
-    """A number that `float` does not read: with thousands separators or another exponent; NaN: none."""
-    match = _EXPONENT.fullmatch(plain)
+    """Return a number with thousands separators or an exponent that `float` rejects; NaN: not a number."""
+    match = _EXPONENT_PATTERN.fullmatch(plain)
     if match is None:
         return _parse_grouped(plain, decimal)
     has_mark = not set(match["number"]).isdisjoint(DECIMAL_MARKS)
-    # Fortran writes a decimal mark; "3D10" is the name of a specimen.
+    # Fortran always writes a decimal mark: "3D10" is the name of a specimen.
     if (has_mark and decimal not in match["number"]) or (not has_mark and match["letter"] in ("d", "D")):
         return math.nan
     return float(f"{match['number'].replace(decimal, '.')}e{match['power']}")
 
 
 def _parse_grouped(plain: str, decimal: str) -> float:
-    match = _GROUPED[decimal].fullmatch(plain)
+    """Return a number with thousands separators; NaN: not such a number."""
+    match = _GROUPED_PATTERNS[decimal].fullmatch(plain)
     if match is None:
         return math.nan
     return float(plain.replace(match["separator"], "").replace(decimal, "."))
+
+
+def split_quantity(cell: str) -> tuple[str, str] | None:
+    """Return the number and the name of the unit in a cell, ``("12.3", "N")``; None: not a number with a known unit."""
+    match = _QUANTITY.fullmatch(cell)
+    unit = None if match is None else known_unit(match["unit"])
+    if match is None or unit is None or not is_number(match["number"]):
+        return None
+    return match["number"], unit

@@ -1,37 +1,36 @@
-"""Find columns of one recording: the motion, the load and the time in a run of numbers."""
+"""Find the columns of each recording in a table: motion, load, and optionally time."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.cell_units import CellUnits, split_quantity
+from tissue_sim.recording.formats.cell_units import CellUnits
 from tissue_sim.recording.formats.columns import column_number
-from tissue_sim.recording.formats.gauge_length import displacement_of_strain, gauge_length, stretch_of_displacement
+from tissue_sim.recording.formats.gauge_length import displacement_to_stretch, find_gauge_length, strain_to_displacement
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.header import matches
+from tissue_sim.recording.formats.header import find_matching_cells
 from tissue_sim.recording.formats.kind_hints import title_hints
-from tissue_sim.recording.formats.kind_words import named_tests
-from tissue_sim.recording.formats.number_text import is_number
-from tissue_sim.recording.formats.sizes import size_signature, sizes_without_unit
+from tissue_sim.recording.formats.kind_words import find_named_tests
+from tissue_sim.recording.formats.sizes import size_signature
 from tissue_sim.recording.formats.sources import Numbers
-from tissue_sim.recording.formats.speed_text import speeds_in
-from tissue_sim.recording.formats.statements import constant_columns
+from tissue_sim.recording.formats.speed_text import find_speeds
+from tissue_sim.recording.formats.statements import find_constant_size_columns
 from tissue_sim.recording.formats.temperature import has_temperature
-from tissue_sim.recording.formats.vocabulary import Machine, plain, role_of, source_of
-from tissue_sim.recording.measures import ENGINEERING, MEASURES, measure_of
+from tissue_sim.recording.formats.vocabulary import Machine, find_role, find_source, normalize_words
+from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure
 from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS, known_unit
 
-#: Role of a column -> channel of a recording. The strain of a test is one less than its stretch.
-_CHANNEL = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
-            "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
-            "temperature": "temperature"}
+#: Role of a column -> channel of a recording. A strain is read as the stretch (strain + 1).
+_CHANNEL_OF_ROLE = {"time": "time", "displacement": "displacement", "force": "force", "stretch": "stretch",
+                    "strain": "stretch", "shear strain": "shear strain", "stress": "nominal stress",
+                    "temperature": "temperature"}
 #: Largest relative difference of a stated speed from the speed in the file.
 _SPEED_TOLERANCE = 0.01
-#: A shear strain keeps the measure that its header names, which has no conversion.
+#: Channel -> channel with the measures that its header may name. The measure of a shear strain is not converted.
 _CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
 
 
@@ -39,11 +38,14 @@ class KnownColumn(NamedTuple):
     """A column whose header determines its role.
 
     Attributes:
-        place: position, from 0. role, rank: see `role_of`. variant: source and measure of the column; two columns
-            of a role with different variants belong to one recording.
+        position: position of the column, from 0.
+        role: role; see `find_role`.
+        rank: rank; see `find_role`.
+        variant: source and measure of the column. Columns with one role and different variants belong to one
+            recording.
     """
 
-    place: int
+    position: int
     role: str
     rank: int
     variant: tuple[str, str] = ("", "")
@@ -51,14 +53,16 @@ class KnownColumn(NamedTuple):
 
 @dataclass(frozen=True)
 class Group:
-    """Columns of one recording in a run of numbers.
+    """Columns of one recording in a table of numbers.
 
     Attributes:
-        numbers: the run. columns: columns that are read. others: headers of further columns with a role.
-        rivals: columns of the same quantity as a column that is read, in the order of their ranks. Strains of other
-            measures are the same quantity.
-        speed: constant speed that replaces a column of the motion, m/s, and its source; None: not needed.
-        stated: key -> value with unit, as the file states them about these numbers.
+        numbers: table of numbers.
+        columns: columns that are read.
+        others: headers of further columns with a role.
+        rivals: columns with the same quantity as a column that is read, sorted by rank. Strains of different measures
+            are the same quantity.
+        speed: constant speed, m/s, that replaces a column of the motion, and its source; None: not needed.
+        stated: statements of the file about these numbers, key -> value with unit.
     """
 
     numbers: Numbers
@@ -75,88 +79,98 @@ class Group:
 
     @property
     def signature(self) -> tuple:
-        """Key of columns, sizes and words for a test, which is equal for tables that are replicates."""
+        """Hashable key of columns, sizes and words for a test; the signatures of replicates are equal."""
         sheet = self.numbers.table.name
         sizes = size_signature(self.stated) if sheet else ()
-        tests = sorted({each.title for each in named_tests(title_hints(self.numbers))}) if sheet else ()
+        tests = sorted({each.title for each in find_named_tests(title_hints(self.numbers))}) if sheet else ()
         return (*sizes, *tests, self.speed,
                 *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
-def find_groups(numbers: Numbers, machine: Machine | None, stated: ColumnHints, statements: Mapping[str, str]
+def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, statements: Mapping[str, str]
                 ) -> list[Group]:
-    """Return the recordings in adjacent columns: a motion, a load, and optionally the time.
+    """Return the columns of each recording in a table with one or several recordings side by side.
 
     Args:
-        statements: key -> value with unit, as the file states them about these numbers.
+        numbers: table of numbers.
+        machine: machine that wrote the file; None: unknown.
+        hints: hints of the user.
+        statements: statements of the file about these numbers, key -> value with unit.
     """
-    if stated.columns:
-        named = [column for channel, name in stated.columns.items()
-                 if (column := _stated_column(numbers, channel, name, stated))]
-        return [_stated_group(numbers, named, stated, statements)] if len(named) == len(stated.columns) else []
+    if hints.columns:
+        named = [column for channel, name in hints.columns.items()
+                 if (column := find_named_column(numbers, channel, name, hints))]
+        return [_group_of_named_columns(numbers, named, hints, statements)] if len(named) == len(hints.columns) else []
     # A constant column "Height" is the size of the specimen, not the position of the crosshead.
-    sizes = {place for place, _ in constant_columns(numbers)}
-    roles = [KnownColumn(place, *known, _variant(numbers, place, known[0])) for place in numbers.columns
-             if place not in sizes and (known := role_of(numbers.bare_name(place), numbers.unit(place), machine))]
+    sizes = {position for position, _ in find_constant_size_columns(numbers)}
+    roles = [KnownColumn(position, *known, _column_variant(numbers, position, known[0]))
+             for position in numbers.columns if position not in sizes
+             and (known := find_role(numbers.bare_name(position), numbers.unit(position), machine))]
     groups: list[Group] = []
     time = None
-    for part in _adjacent(roles):
-        chosen = _best(part)
+    for part in _split_adjacent_recordings(roles):
+        chosen = _select_columns(part)
         speed, gauge = None, None
-        pair: tuple[str, ...] | None = _pair(chosen, stated)
-        if pair is None and (speed := _speed_for(chosen, numbers, stated)):
+        pair: tuple[str, ...] | None = _find_pair(chosen, hints)
+        if pair is None and (speed := _find_constant_speed(chosen, numbers, hints)):
             pair = ("force",)
-        elif derived := _derived_pair(part, chosen, pair):
-            gauge = gauge_length(numbers, statements, stated)
+        elif derived := _find_derived_pair(part, chosen, pair):
+            gauge = find_gauge_length(numbers, statements, hints)
             pair = derived if gauge is not None else pair
         if pair is None:
             continue
         time = chosen.get("time", time)
         wanted = {**({"time": time} if time is not None else {}), **{role: chosen[role] for role in pair},
                   **({"temperature": chosen["temperature"]} if has_temperature(numbers, chosen) else {})}
-        rank = {each.place: each.rank for each in part}
-        columns = tuple(replace(_column(numbers, place, role, machine, stated), rank=rank.get(place, 0))
-                        for role, place in wanted.items())
+        rank = {each.position: each.rank for each in part}
+        columns = tuple(replace(_guess_column(numbers, position, role, machine, hints), rank=rank.get(position, 0))
+                        for role, position in wanted.items())
         if gauge is not None:
-            columns = tuple(_with_gauge_length(column, pair[0], gauge) for column in columns)
-        others = tuple(numbers.name(each.place) for each in part if each.place not in wanted.values())
+            columns = tuple(_convert_by_gauge_length(column, pair[0], gauge) for column in columns)
+        others = tuple(numbers.name(each.position) for each in part if each.position not in wanted.values())
         same = {*pair, *(("displacement",) if gauge is not None and pair[1] == "force" else ())}
-        rivals = tuple(replace(_column(numbers, each.place, each.role, machine, stated), rank=each.rank)
+        rivals = tuple(replace(_guess_column(numbers, each.position, each.role, machine, hints), rank=each.rank)
                        for each in sorted(part, key=lambda each: each.rank)
-                       if each.role in same and each.place not in wanted.values())
+                       if each.role in same and each.position not in wanted.values())
         if gauge is not None:
-            rivals = tuple(_with_gauge_length(column, pair[0], gauge) for column in rivals)
-        elif pair == ("displacement", "force") and (length := gauge_length(numbers, statements, stated)) is not None:
-            # A strain that is not the displacement over the gauge length comes from another sensor.
-            rivals = (*rivals, *(replace(displacement_of_strain(strain, length), rank=rank[chosen["displacement"]])
-                                 for each in part if each.role in ("strain", "shear strain")
-                                 and each.variant[1] not in MEASURES
-                                 and not (strain := _column(numbers, each.place, each.role, machine, stated)).missing))
+            rivals = tuple(_convert_by_gauge_length(column, pair[0], gauge) for column in rivals)
+        elif pair == ("displacement", "force") and (
+                length := find_gauge_length(numbers, statements, hints)) is not None:
+            # A strain that differs from displacement / gauge length was measured by another sensor.
+            strains = [_guess_column(numbers, each.position, each.role, machine, hints) for each in part
+                       if each.role in ("strain", "shear strain") and each.variant[1] not in MEASURES]
+            rivals = (*rivals, *(replace(strain_to_displacement(strain, length), rank=rank[chosen["displacement"]])
+                                 for strain in strains if not strain.missing))
         groups.append(Group(numbers, columns, others, rivals, speed))
     return groups
 
 
-def _stated_group(numbers: Numbers, named: Sequence[ColumnGuess], stated: ColumnHints,
+def _group_of_named_columns(numbers: Numbers, named: Sequence[ColumnGuess], hints: ColumnHints,
                   statements: Mapping[str, str]) -> Group:
-    """The recording of the columns that the user names."""
+    """Return the recording of the columns that the user names."""
     roles = {column.role: column for column in named}
     motion = next((role for role, load in (("strain", "force"), ("shear strain", "force"), ("displacement", "stress"))
                    if {role, load} <= roles.keys()), None)
     mechanical = {"displacement", "force"} <= roles.keys()
-    gauge = gauge_length(numbers, statements, stated) if motion is not None and not mechanical else None
+    gauge = find_gauge_length(numbers, statements, hints) if motion is not None and not mechanical else None
     if gauge is not None and motion is not None and roles[motion].measure is None:
-        named = [_with_gauge_length(column, motion, gauge) for column in named]
-    return Group(numbers, tuple(named), (), (), _speed_for(roles, numbers, stated))
+        named = [_convert_by_gauge_length(column, motion, gauge) for column in named]
+    return Group(numbers, tuple(named), (), (), _find_constant_speed(roles, numbers, hints))
 
 
-def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: tuple[str, ...] | None
+def _find_derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: tuple[str, ...] | None
                   ) -> tuple[str, str] | None:
-    """Roles of a motion and a load that belong together once the gauge length is known: a strain and a force, or a
-    displacement and a stress; None: no such columns.
+    """Return roles of motion and load that match only with a known gauge length; None: no such columns.
 
-    A strain that is measured on the specimen replaces a displacement that is not.
+    The roles are a strain and a force, or a displacement and a stress. A strain that was measured on the specimen
+    replaces a displacement that was measured elsewhere.
+
+    Args:
+        part: columns of the recording.
+        chosen: role -> position of its best column.
+        pair: roles that match without the gauge length; None: no such roles.
     """
-    by_place = {each.place: each for each in part}
+    by_place = {each.position: each for each in part}
     strain = next((by_place[chosen[role]] for role in ("strain", "shear strain") if role in chosen), None)
     if strain is not None and strain.variant[1] not in MEASURES and "force" in chosen and (
             pair is None or (pair == ("displacement", "force") and strain.variant[0] == "specimen"
@@ -165,132 +179,161 @@ def _derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: 
     return ("displacement", "stress") if pair is None and {"displacement", "stress"} <= chosen.keys() else None
 
 
-def _with_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
-    """Convert the column of the motion by the gauge length; other columns are unchanged."""
+def _convert_by_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
+    """Return the column of the motion converted by the gauge length (m, source); another column without a change."""
     if column.role != motion or column.missing:
         return column
-    convert = stretch_of_displacement if motion == "displacement" else displacement_of_strain
+    convert = displacement_to_stretch if motion == "displacement" else strain_to_displacement
     return convert(column, gauge)
 
 
-def _variant(numbers: Numbers, place: int, role: str) -> tuple[str, str]:
-    words = plain(numbers.name(place))
-    return source_of(words), measure_of(words, role) or ""
+def _column_variant(numbers: Numbers, position: int, role: str) -> tuple[str, str]:
+    """Return source and measure that the header of a column names; empty texts for missing words."""
+    words = normalize_words(numbers.name(position))
+    return find_source(words), find_measure(words, role) or ""
 
 
-def _speed_for(roles: Collection[str], numbers: Numbers, stated: ColumnHints) -> tuple[float, str] | None:
-    """The constant speed of a table of time and force without a motion, m/s, and its source; None: not such a table, or
-    no speed is known."""
+def _find_constant_speed(roles: Collection[str], numbers: Numbers, hints: ColumnHints) -> tuple[float, str] | None:
+    """Return constant speed (m/s) and its source for a table of time and force without a motion.
+
+    Returns:
+        None: another table, or an unknown speed.
+
+    Raises:
+        InputError: the speed in the file contradicts the speed that the user states.
+    """
     if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
         return None
-    speeds = speeds_in((*numbers.above, *numbers.below))
-    if stated.speed is not None:
-        if speeds and not any(abs(speed / stated.speed - 1.0) <= _SPEED_TOLERANCE for speed in speeds):
+    speeds = find_speeds((*numbers.above, *numbers.below))
+    if hints.speed is not None:
+        if speeds and not any(abs(speed / hints.speed - 1.0) <= _SPEED_TOLERANCE for speed in speeds):
             lines = "; ".join(speeds.values())
-            raise InputError(f"speed of {1e3 * stated.speed:g} mm/s contradicts the file ({lines}); leave the flag "
-                             "out, or that line (--skip-lines)", field="--speed-mm-s")
-        return stated.speed, "stated"
+            raise InputError(f"speed of {1e3 * hints.speed:g} mm/s contradicts the file ({lines}); omit the flag, "
+                             "or omit the line of the file (--skip-lines)", field="--speed-mm-s")
+        return hints.speed, "stated"
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
-def _adjacent(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
-    """Columns of adjacent recordings: a new one begins where a role is repeated in the same variant and as
-    surely, if the columns before have a motion and a load, and the columns from there on have them too."""
+def _split_adjacent_recordings(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
+    """Split the columns of a table into recordings side by side.
+
+    A recording begins at a column that repeats a role and variant with an equal or a higher rank, if the previous
+    columns have a motion and a load, and the following columns have a motion and a load, too.
+    """
     parts: list[list[KnownColumn]] = [[]]
     for i, known in enumerate(roles):
-        same = [each for each in parts[-1] if _like(each.role) == _like(known.role) and each.rank <= known.rank
-                and each.variant == known.variant]
-        if same and _complete(parts[-1]) and _complete(_until_repeated(roles[i:])):
+        is_repeated = any(_general_role(each.role) == _general_role(known.role) and each.rank <= known.rank
+                          and each.variant == known.variant for each in parts[-1])
+        if is_repeated and _has_motion_and_load(parts[-1]) and _has_motion_and_load(_columns_until_repeated(roles[i:])):
             parts.append([])
         parts[-1].append(known)
     return parts
 
 
-def _until_repeated(roles: Sequence[KnownColumn]) -> list[KnownColumn]:
+def _columns_until_repeated(roles: Sequence[KnownColumn]) -> list[KnownColumn]:
+    """Return the columns before the first column that repeats a role and variant."""
     seen: list[KnownColumn] = []
     for each in roles:
-        if any(_like(other.role) == _like(each.role) and other.variant == each.variant for other in seen):
+        if any(_general_role(other.role) == _general_role(each.role) and other.variant == each.variant
+               for other in seen):
             break
         seen.append(each)
     return seen
 
 
-def _like(role: str) -> str:
+def _general_role(role: str) -> str:
+    """Return the role, or ``strain`` for each measure of deformation."""
     return "strain" if role in ("strain", "stretch", "shear strain") else role
 
 
-def _complete(part: Sequence[KnownColumn]) -> bool:
-    roles = {_like(each.role) for each in part}
+def _has_motion_and_load(part: Sequence[KnownColumn]) -> bool:
+    """Return whether the columns include a motion and a load."""
+    roles = {_general_role(each.role) for each in part}
     return bool(roles & {"displacement", "strain"}) and bool(roles & {"force", "stress"})
 
 
-def _best(part: Sequence[KnownColumn]) -> dict[str, int]:
-    """Role -> place of the column whose name says it most surely, the first of several."""
+def _select_columns(part: Sequence[KnownColumn]) -> dict[str, int]:
+    """Return role -> position of the column with the lowest rank; the first one of columns with equal ranks."""
     best: dict[str, KnownColumn] = {}
     for each in part:
         if each.role not in best or each.rank < best[each.role].rank:
             best[each.role] = each
-    return {role: each.place for role, each in best.items()}
+    return {role: each.position for role, each in best.items()}
 
 
-def _pair(chosen: Mapping[str, int], stated: ColumnHints) -> tuple[str, str] | None:
-    """Roles of the motion and the load that belong together; what the load frame measured before what is derived."""
-    sheared = stated.kind == "simple_shear" or "shear strain" in chosen
+def _find_pair(chosen: Mapping[str, int], hints: ColumnHints) -> tuple[str, str] | None:
+    """Return matching roles of motion and load; None: no such columns.
+
+    Displacement and force, the measured quantities, are preferred unless `ColumnHints.direct` is true.
+    """
+    sheared = hints.kind == "simple_shear" or "shear strain" in chosen
     mechanical = [("displacement", "force")]
     direct = [("shear strain" if sheared else "stretch", "stress"), ("strain", "stress"), ("stretch", "stress")]
-    pairs = [*direct, *mechanical] if stated.direct else [*mechanical, *direct]
+    pairs = [*direct, *mechanical] if hints.direct else [*mechanical, *direct]
     return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 
-def _column(numbers: Numbers, place: int, role: str, machine: Machine | None, stated: ColumnHints, *,
-            is_named: bool = False) -> ColumnGuess:
-    channel = _CHANNEL[role]
-    unit, header = numbers.unit(place), numbers.name(place)
-    reason = f"header {header!r}" if header else f"column {place + 1}"
+def _guess_column(numbers: Numbers, position: int, role: str, machine: Machine | None, hints: ColumnHints, *,
+                  is_named: bool = False) -> ColumnGuess:
+    """Return the interpretation of a column with a given role.
+
+    Args:
+        numbers: table of numbers.
+        position: position of the column, from 0.
+        role: role of the column.
+        machine: machine whose default units are used; None: no default units.
+        hints: hints of the user: units, scales, signs, measures.
+        is_named: whether the user names the column.
+    """
+    channel = _CHANNEL_OF_ROLE[role]
+    unit, header = numbers.unit(position), numbers.name(position)
+    reason = f"header {header!r}" if header else f"column {position + 1}"
     if is_named:
         reason = f"stated ({reason})" if header else "stated"
     said = {name: values.get(role, values.get(channel)) for name, values in
-            (("unit", stated.units), ("scale", stated.scales), ("sign", stated.signs))}
+            (("unit", hints.units), ("scale", hints.scales), ("sign", hints.signs))}
     if said["unit"] is not None:
         unit, reason = str(said["unit"]), f"{reason}; unit as stated"
     elif unit is None and machine is not None and role in machine.units:
         unit, reason = machine.units[role], f"{reason} without unit: {machine.title} writes {machine.units[role]}"
     elif numbers.units is not None:
-        reason += ", unit behind each number" if isinstance(numbers.units, CellUnits) else ", unit in the row below"
+        reason += ", unit after each number" if isinstance(numbers.units, CellUnits) else ", unit in the row below"
     if unit is not None and said["unit"] is None and unit not in UNITS and _is_remark(unit, role):
         # "Strain (true)", "Load (corrected)", "ln(lambda)": the brackets hold no unit.
         unit = "-" if CHANNELS[channel] == "ratio" else None
-    column = ColumnGuess(channel, header, place + 1, unit, role, int(said["sign"] or 1),
+    column = ColumnGuess(channel, header, position + 1, unit, role, int(said["sign"] or 1),
                          None if said["scale"] is None else float(said["scale"]), None, bool(header), reason,
-                         other_unit=None if said["unit"] is not None else _other_unit(numbers, place, unit))
-    return with_measure(column, stated.measures.get(role, stated.measures.get(channel)))
+                         other_unit=None if said["unit"] is not None else _contradicting_unit(numbers, position, unit))
+    return apply_measure(column, hints.measures.get(role, hints.measures.get(channel)))
 
 
-def _other_unit(numbers: Numbers, place: int, unit: str | None) -> str | None:
-    """The unit in the row of units, if it has another size than that of the header; None: no contradiction."""
+def _contradicting_unit(numbers: Numbers, position: int, unit: str | None) -> str | None:
+    """Return the unit in the row of units if its size differs from the unit in the header; None: no contradiction."""
     cells = () if numbers.units is None else numbers.units.cells
-    below = known_unit(cells[place]) if place < len(cells) else None
+    below = known_unit(cells[position]) if position < len(cells) else None
     if below is None or unit not in UNITS or UNITS[below] == UNITS[unit]:
         return None
     return below
 
 
 def _is_remark(text: str, role: str) -> bool:
-    words = plain(text)
-    return bool(measure_of(words, role) or source_of(words)) or words in ("lambda", "λ")
+    """Return whether a text in brackets is a measure, a source or a symbol instead of a unit."""
+    words = normalize_words(text)
+    return bool(find_measure(words, role) or find_source(words)) or words in ("lambda", "λ")
 
 
-def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:
-    """The column with the offset or the conversion that its measure of strain or stress needs.
+def apply_measure(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
+    """Return the column with the conversion of its measure of strain or stress.
 
     Args:
-        column: without either. stated: measure that replaces that of the header.
+        column: column without offset and measure.
+        stated_measure: measure that replaces the measure in the header; None: the measure in the header.
     """
-    measure = stated or measure_of(plain(column.header), column.role)
-    if column.role == "stretch" and measure == ENGINEERING and not stated:
+    measure = stated_measure or find_measure(normalize_words(column.header), column.role)
+    if column.role == "stretch" and measure == ENGINEERING and not stated_measure:
         measure = None
     own = MEASURES.get(measure or "")
-    reason = f"{column.reason}; measure as stated" if stated else column.reason
+    reason = f"{column.reason}; measure as stated" if stated_measure else column.reason
     if own is not None and own.channel in (column.channel, _CHANNEL_OF_MEASURE.get(column.channel)):
         return replace(column, measure=measure, role="strain" if column.channel == "stretch" else column.role,
                        reason=f"{reason}; a {own.title}: {own.formula}")
@@ -300,96 +343,30 @@ def with_measure(column: ColumnGuess, stated: str | None = None) -> ColumnGuess:
     return replace(column, reason=reason)
 
 
-def _stated_column(numbers: Numbers, channel: str, name: str | int, stated: ColumnHints) -> ColumnGuess | None:
+def find_named_column(numbers: Numbers, channel: str, name: str | int, hints: ColumnHints) -> ColumnGuess | None:
     """Return the column that the user names; None: this table has no such column."""
-    place = _place(numbers, name)
-    if place is None or place not in numbers.columns:
+    position = find_column_position(numbers, name)
+    if position is None or position not in numbers.columns:
         return None
     role = {"nominal stress": "stress"}.get(channel, channel)
-    return _column(numbers, place, role, None, stated, is_named=True)
+    return _guess_column(numbers, position, role, None, hints, is_named=True)
 
 
-def _place(numbers: Numbers, name: str | int) -> int | None:
-    """Place from 0 of the column with this header, number or letter; None: there is none."""
-    places = [] if isinstance(name, int) or numbers.header is None else matches(numbers.header.cells, name)
-    if places:
-        return places[0]
+def find_column_position(numbers: Numbers, name: str | int) -> int | None:
+    """Return the position (from 0) of the column with this header, number (from 1) or letter; None: no such column."""
+    if not isinstance(name, int) and numbers.header is not None:
+        positions = find_matching_cells(numbers.header.cells, name)
+        if positions:
+            return positions[0]
     try:
-        place = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
+        position = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
     except InputError:
         return None
-    return place if place < numbers.width else None
+    return position if position < numbers.width else None
 
 
-def no_pair(found: Sequence[Numbers], machine: Machine | None, stated: ColumnHints,
-            statements: Callable[[Numbers], Mapping[str, str]]) -> str:
-    """Return the message for a file without a recording, which lists all missing information.
-
-    Args:
-        statements: table -> key and value with unit, as the file states them about it.
-    """
-    numbers = max(found, key=lambda each: len(each.rows))
-    names = [numbers.name(place) for place in numbers.columns]
-    has = (f"the columns are {', '.join(map(repr, names))}" if any(names)
-           else f"its {len(numbers.columns)} columns of numbers have no names")
-    if stated.columns:
-        missing = [(channel, name) for channel, name in stated.columns.items()
-                   if _stated_column(numbers, channel, name, stated) is None]
-        broken = [f"column {channel} = {name} cannot be read: {said}" for channel, name in missing
-                  if (said := _unreadable(numbers, _place(numbers, name)))]
-        absent = [f"{channel} = {name}" for channel, name in missing if not _unreadable(numbers, _place(numbers, name))]
-        return "; ".join([*broken, *([f"has no column {' and none '.join(absent)}: {has}"] if absent else [])])
-    bare = [numbers.bare_name(place).casefold().replace(" ", "").replace("_", "") for place in numbers.columns]
-    if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
-        return (f"is a biaxial test ({has}), of which there is no kind here; of its rows, those with a free second "
-                "side are uniaxial_tension")
-    sizes = {place for place, _ in constant_columns(numbers)}
-    known = {role for place in numbers.columns if place not in sizes
-             if (role := (role_of(numbers.bare_name(place), numbers.unit(place), machine) or [None])[0])}
-    lacks = [what for what, roles in (("a motion (displacement, stretch, strain)",
-                                       {"displacement", "stretch", "strain", "shear strain"}),
-                                      ("a load (force, stress)", {"force", "stress"})) if not known & roles]
-    if not lacks and not known & {"stretch"}:
-        seen = [text for size, text in sizes_without_unit(statements(numbers)).items()
-                if size in ("height", "length", "gauge length", "thickness", "gap")]
-        which = f"of which the file states {', '.join(map(repr, seen))} without a known unit" if seen else \
-            "which its columns and the text above them do not state"
-        return (f"needs the gauge length, {which}: {has}; state it (--height-mm), for a strain and a force, or a "
-                "displacement and a stress, belong together by it")
-    true = [name for place in numbers.columns
-            if measure_of(plain(name := numbers.name(place)), "stress") in MEASURES]
-    if lacks and true and "stress" in known:
-        return (f"has a true stress in {', '.join(map(repr, true))}, which needs the stretch to become a nominal "
-                f"stress: {has}; add a column of stretch, strain or displacement")
-    if "force" in known and "time" in known and len(lacks) == 1:
-        return (f"shows no column with a motion (displacement, stretch, strain): {has}; name it, with its unit, such "
-                "as --column displacement=2 --unit displacement=mm, or state the constant speed (--speed-mm-s)")
-    wanted = " and ".join(lacks) if lacks else "a motion and a load that belong together"
-    broken = [said for place in range(numbers.width) if place not in numbers.columns
-              and (said := _unreadable(numbers, place))]
-    if lacks and broken:
-        return f"has columns that cannot be read: {'; '.join(broken)}; {has}"
-    return (f"shows no column with {wanted}: {has}; name them, with units, such as --column displacement=2 --unit "
-            "displacement=mm --column force=3 --unit force=N")
-
-
-def _unreadable(numbers: Numbers, place: int | None) -> str:
-    """Which cell of a column is not a number, in words; empty for a column that is not there."""
-    if place is None:
-        return ""
-    row = next((row for row in numbers.rows if place < len(row.cells) and row.cells[place]
-                and not is_number(row.cells[place])), None)
-    name = numbers.name(place)
-    if row is None:
-        return ""
-    pair = split_quantity(row.cells[place])
-    fault = "which is not a number" if pair is None else \
-        f"and other cells have another unit than {pair[1]} or none; give all cells of the column one unit"
-    return f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[place][:40]!r}, {fault}"
-
-
-def alike(groups: Sequence[Group]) -> list[list[Group]]:
-    """Tables with the same columns together, of a spreadsheet those of specimens of one size."""
+def group_equal_tables(groups: Sequence[Group]) -> list[list[Group]]:
+    """Return lists of tables with equal columns; in a spreadsheet, also with equal sizes of the specimen."""
     together: dict[tuple, list[Group]] = {}
     for group in groups:
         together.setdefault(group.signature, []).append(group)

@@ -1,4 +1,4 @@
-"""Sizes of the specimen and speed of the test as a file states them."""
+"""Parse the sizes of the specimen and the speed of the test from the statements of a file."""
 
 from __future__ import annotations
 
@@ -8,37 +8,56 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
 
-from tissue_sim.recording.formats.number_text import any_number
-from tissue_sim.recording.formats.size_words import size_class
-from tissue_sim.recording.formats.vocabulary import plain
+from tissue_sim.recording.formats.number_text import parse_any_number
+from tissue_sim.recording.formats.size_words import classify_size_name
+from tissue_sim.recording.formats.vocabulary import normalize_words
 from tissue_sim.units import UNITS, known_unit, loose_header
 
-#: Relative difference of two statements of one size that is a contradiction.
-CONTRADICTION = 0.005
-#: Largest relative rounding that excuses a contradiction.
-_LARGEST_ROUNDING = 0.02
-_QUANTITY = re.compile(
+
+@dataclass(frozen=True)
+class SizeSettings:
+    """Settings of the comparison of two statements of one size.
+
+    Attributes:
+        contradiction: largest relative difference of two equal sizes. A smaller value reports more contradictions.
+        largest_rounding: largest relative rounding error that a number is assumed to have. A larger value accepts
+            larger differences between numbers with few decimals.
+    """
+
+    contradiction: float = 0.005
+    largest_rounding: float = 0.02
+
+
+#: Settings that the functions of this module use.
+_SETTINGS = SizeSettings()
+#: A number, and optionally a unit.
+_QUANTITY_PATTERN = re.compile(
     r"^(?P<number>[-+]?\d[\d.,'\u2019\u00a0\u202f]*(?:[eEdD][-+]?\d+)?)\s*(?P<unit>[^\d\s]\S*(?:\s*\^?2)?)?$")
-_SQUARE = re.compile(r"^\(?\[?(?P<unit>m|cm|mm|in|um|µm)\s*(\^2|²|2)[\])]?$")
-_IN_KEY = re.compile(r"[\[(/,]?\s*\b(?P<unit>m|cm|mm|in|um|µm)\s*(\^2|²|2)[\])]?\s*(\(line \d+\))?$")
-#: Words of a speed, and of what is not the speed of the test.
-_SPEED = re.compile(r"\b(speed|geschwindigkeit|prüfgeschwindigkeit|vitesse|rate)\b")
-_NOT_SPEED = re.compile(r"\b(probe|tool|cell|wave|step|data|path|pre)\b")
-_SPEEDS = {"mm/min": 1.0 / 60.0, "mm/s": 1.0, "mm/sec": 1.0, "um/s": 1e-3, "µm/s": 1e-3, "in/min": 25.4 / 60.0,
+#: A unit of area as a complete text: ``mm2``, ``[mm^2]``.
+_AREA_UNIT_PATTERN = re.compile(r"^\(?\[?(?P<unit>m|cm|mm|in|um|µm)\s*(\^2|²|2)[\])]?$")
+#: A unit of area at the end of a key: ``Area (mm2)``.
+_AREA_UNIT_IN_KEY = re.compile(r"[\[(/,]?\s*\b(?P<unit>m|cm|mm|in|um|µm)\s*(\^2|²|2)[\])]?\s*(\(line \d+\))?$")
+#: Words for a speed.
+_SPEED_WORDS = re.compile(r"\b(speed|geschwindigkeit|prüfgeschwindigkeit|vitesse|rate)\b")
+#: Words that indicate another speed than the speed of the test.
+_OTHER_SPEED_WORDS = re.compile(r"\b(probe|tool|cell|wave|step|data|path|pre)\b")
+#: Unit of speed -> factor to mm/s.
+_SPEED_FACTORS = {"mm/min": 1.0 / 60.0, "mm/s": 1.0, "mm/sec": 1.0, "um/s": 1e-3, "µm/s": 1e-3, "in/min": 25.4 / 60.0,
            "cm/min": 10.0 / 60.0}
-#: Kind of test -> sizes that are its height, the first one that is stated counts.
-_HEIGHTS = {"uniaxial_tension": ("gauge length", "length", "height"),
+#: Kind of test -> sizes that may be the height of the specimen; the first stated one is used.
+_HEIGHT_NAMES = {"uniaxial_tension": ("gauge length", "length", "height"),
             "simple_shear": ("thickness", "height", "length", "gap")}
-_ANY_HEIGHT = ("height", "thickness", "length", "gauge length", "gap")
-#: Kinds whose specimen is gripped, so that its cross-section may have any shape.
-_GRIPPED = ("uniaxial_tension", "simple_shear")
-#: A size in mm or mm2, its relative rounding, and the keys that state it.
+#: Sizes that may be the height in any other kind of test, in the order of preference.
+_DEFAULT_HEIGHT_NAMES = ("height", "thickness", "length", "gauge length", "gap")
+#: Kinds of test with a gripped specimen. The cross-section of a gripped specimen may have any shape.
+_GRIPPED_KINDS = ("uniaxial_tension", "simple_shear")
+#: Size in mm or mm2, its relative rounding error, and the keys that state the size.
 _Candidate = tuple[float, float, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
 class Size:
-    """A key of ``[[specimen]]`` or ``[[test]]``, its value in the key's unit, and where it comes from."""
+    """A size or speed: key of ``[[specimen]]`` or ``[[test]]``, value in the unit of the key, and source in words."""
 
     key: str
     value: float
@@ -47,44 +66,57 @@ class Size:
 
 @dataclass(frozen=True)
 class _StatedSize:
-    """Size in a file, m or m2, with its relative rounding."""
+    """A stated size: key in the file, value in m or m2, and relative rounding error of the value."""
 
     key: str
     value: float
     rounding: float
 
 
-def find_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, Size]:
-    """``radius_mm`` or ``area_mm2``, ``height_mm`` and ``speed_mm_s``, as far as a file states them.
+def find_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, Size]:
+    """Return the stated values of ``radius_mm`` or ``area_mm2``, ``height_mm`` and ``speed_mm_s``.
 
     Args:
-        stated: key -> value, as of `tissue_sim.recording.formats.statements.table_statements`. kind: of test.
+        statements: key -> value; see `tissue_sim.recording.formats.statements.find_table_statements`.
+        kind: kind of test; None: unknown.
+
+    Returns:
+        Key -> size, for the sizes that the file states.
     """
-    found = {key: several[0] for key, several in stated_sizes(stated, kind).items()}
-    for key, text in stated.items():
-        if _SPEED.search(plain(key)) and not _NOT_SPEED.search(plain(key)):
-            value, unit = _speed(key, text)
-            if value is not None and unit in _SPEEDS and value > 0:
-                found.setdefault("speed_mm_s", Size("speed_mm_s", value * _SPEEDS[unit], f"in the file: {key}: {text}"))
+    found = {key: several[0] for key, several in find_distinct_sizes(statements, kind).items()}
+    for key, text in statements.items():
+        if _SPEED_WORDS.search(normalize_words(key)) and not _OTHER_SPEED_WORDS.search(normalize_words(key)):
+            value, unit = _parse_speed(key, text)
+            if value is not None and unit in _SPEED_FACTORS and value > 0:
+                found.setdefault("speed_mm_s", Size("speed_mm_s", value * _SPEED_FACTORS[unit],
+                                                    f"in the file: {key}: {text}"))
     return found
 
 
-def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple[Size, ...]]:
-    """``radius_mm`` or ``area_mm2``, and ``height_mm`` -> the sizes that a file states for it, more than
-    `CONTRADICTION` apart; the first one counts."""
+def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, tuple[Size, ...]]:
+    """Return all contradictory statements of the radius or cross-section and of the height.
+
+    Args:
+        statements: key -> value; see `tissue_sim.recording.formats.statements.find_table_statements`.
+        kind: kind of test; None: unknown.
+
+    Returns:
+        ``radius_mm`` or ``area_mm2``, and ``height_mm`` -> sizes whose relative difference exceeds
+        `SizeSettings.contradiction`. The first size is used; the others contradict it.
+    """
     known: dict[str, list[_StatedSize]] = {}
-    for key, text in stated.items():
-        name = size_class(key)
-        one = None if name is None else _area(key, text) if name == "area" else _length(key, text)
+    for key, text in statements.items():
+        name = classify_size_name(key)
+        one = None if name is None else _parse_area(key, text) if name == "area" else _parse_length(key, text)
         if name is not None and one is not None:
             known.setdefault(name, []).append(one)
     found: dict[str, tuple[Size, ...]] = {}
-    height = next((name for name in _HEIGHTS.get(kind or "", _ANY_HEIGHT) if name in known), None)
+    height = next((name for name in _HEIGHT_NAMES.get(kind or "", _DEFAULT_HEIGHT_NAMES) if name in known), None)
     if height is not None:
-        found["height_mm"] = _different("height_mm", [(1e3 * each.value, each.rounding, (each.key,))
-                                                      for each in known[height]], stated)
-    flat = kind in _GRIPPED
-    rectangles = _rectangles(known, kind, height)
+        found["height_mm"] = _distinct_sizes("height_mm", [(1e3 * each.value, each.rounding, (each.key,))
+                                                      for each in known[height]], statements)
+    flat = kind in _GRIPPED_KINDS
+    rectangles = _rectangular_areas(known, kind, height)
     radii: list[_Candidate] = [
              (1e3 * factor * each.value, each.rounding, (each.key,))
              for name, factor in (("diameter", 0.5), ("radius", 1.0), ("circumference", 0.5 / math.pi))
@@ -93,97 +125,106 @@ def stated_sizes(stated: Mapping[str, str], kind: str | None) -> dict[str, tuple
              (1e6 * each.value, each.rounding, (each.key,)) for each in known.get("area", ())] + rectangles
     if radii or (areas and not flat):
         radii += [(math.sqrt(area / math.pi), 0.5 * rounding, keys) for area, rounding, keys in areas]
-        found["radius_mm"] = _different("radius_mm", radii, stated)
+        found["radius_mm"] = _distinct_sizes("radius_mm", radii, statements)
     elif areas:
-        found["area_mm2"] = _different("area_mm2", areas, stated)
+        found["area_mm2"] = _distinct_sizes("area_mm2", areas, statements)
     return found
 
 
-def _rectangles(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, height: str | None
+def _rectangular_areas(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, height: str | None
                 ) -> list[_Candidate]:
-    """Width times thickness, mm2; of a sheared or compressed block width times length."""
+    """Return cross-sections of rectangular specimens, mm2: width * thickness, or width * length of a block.
+
+    Args:
+        known: name of a size -> its statements.
+        kind: kind of test; None: unknown.
+        height: name of the size that is the height; None: no stated height.
+    """
     second = {"simple_shear": ("length",), "uniaxial_tension": ("thickness",)}.get(
         kind or "", ("length", "depth", "thickness"))
     other = next((name for name in second if name in known and name != height), None)
     if other is None or "width" not in known or (kind is None and other == "thickness"):
         return []
-    widths, lengths = (_distinct([(1e3 * each.value, each.rounding, (each.key,)) for each in known[name]])
+    widths, lengths = (_without_repetitions([(1e3 * each.value, each.rounding, (each.key,)) for each in known[name]])
                        for name in ("width", other))
-    # As many of both are the rows of a list of specimens; otherwise any two may belong together.
+    # Equal numbers of widths and lengths are the rows of a list of specimens; otherwise, all products are candidates.
     pairs = zip(widths, lengths, strict=True) if len(widths) == len(lengths) else product(widths, lengths)
     return [(width * length, rounding + also, (*keys, *others))
             for (width, rounding, keys), (length, also, others) in pairs]
 
 
-def _different(key: str, candidates: Sequence[_Candidate], stated: Mapping[str, str]
+def _distinct_sizes(key: str, candidates: Sequence[_Candidate], statements: Mapping[str, str]
                ) -> tuple[Size, ...]:
-    """Return the first candidate, and each candidate that contradicts all previous ones."""
-    # To whole nanometres: 25 mm must not become 25.000000000000004 mm.
-    return tuple(Size(key, round(value, 6), "in the file: " + ", ".join(f"{name}: {stated[name]}" for name in keys))
-                 for value, _, keys in _distinct(candidates))
+    """Return the first candidate as a `Size`, and each candidate that contradicts all previous ones."""
+    # Rounded to whole nanometres: 25 mm must not become 25.000000000000004 mm.
+    return tuple(Size(key, round(value, 6), "in the file: " + ", ".join(f"{name}: {statements[name]}" for name in keys))
+                 for value, _, keys in _without_repetitions(candidates))
 
 
-def _distinct(candidates: Sequence[_Candidate]) -> list[_Candidate]:
-    """Return the candidates that differ from all previous ones by more than the rounding."""
+def _without_repetitions(candidates: Sequence[_Candidate]) -> list[_Candidate]:
+    """Return the candidates that differ from all previous candidates by more than the rounding errors."""
     kept: list[_Candidate] = []
     for value, rounding, keys in candidates:
-        if all(abs(value / other - 1.0) > max(CONTRADICTION, rounding + also) for other, also, _ in kept):
+        if all(abs(value / other - 1.0) > max(_SETTINGS.contradiction, rounding + also) for other, also, _ in kept):
             kept.append((value, rounding, keys))
     return kept
 
 
-def sizes_without_unit(stated: Mapping[str, str]) -> dict[str, str]:
-    """Size, such as ``diameter`` -> statement of it whose unit is missing or unknown."""
+def find_sizes_without_unit(statements: Mapping[str, str]) -> dict[str, str]:
+    """Return name of a size, such as ``diameter`` -> its first statement with a missing or unknown unit."""
     found: dict[str, str] = {}
-    for key, text in stated.items():
-        name, pair = size_class(key), quantity_in(text)
+    for key, text in statements.items():
+        name, pair = classify_size_name(key), parse_quantity(text)
         if name is not None and pair is not None and (
-                (_area if name == "area" else _length)(key, text) is None and pair[0] > 0):
+                (_parse_area if name == "area" else _parse_length)(key, text) is None and pair[0] > 0):
             found.setdefault(name, f"{key}: {text}")
     return found
 
 
-def size_signature(stated: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
-    """Return a key that is equal for files, or sheets, with equal sizes of the specimen for a kind of test."""
-    return tuple(sorted((size.key, size.value) for size in find_sizes(stated, kind).values()
+def size_signature(statements: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
+    """Return the stated sizes, sorted by key, without the speed; equal for files or sheets with equal specimens."""
+    return tuple(sorted((size.key, size.value) for size in find_sizes(statements, kind).values()
                         if size.key != "speed_mm_s"))
 
 
-def quantity_in(text: str) -> tuple[float, str | None] | None:
-    """Return number and unit of a text such as ``50mm`` or ``12,5 mm``; None for another text."""
-    match = _QUANTITY.match(text.strip())
-    value = math.nan if match is None else any_number(match["number"].rstrip(",.' "))
+def parse_quantity(text: str) -> tuple[float, str | None] | None:
+    """Return number and unit of a text such as ``50mm`` or ``12,5 mm``; None if the text is not a quantity."""
+    match = _QUANTITY_PATTERN.match(text.strip())
+    value = math.nan if match is None else parse_any_number(match["number"].rstrip(",.' "))
     return None if match is None or math.isnan(value) else (value, match["unit"])
 
 
-def _length(key: str, text: str) -> _StatedSize | None:
-    """m."""
-    pair = quantity_in(text)
+def _parse_length(key: str, text: str) -> _StatedSize | None:
+    """Return a stated length, m; None: not a length with a known unit."""
+    pair = parse_quantity(text)
     unit = None if pair is None or pair[1] is None else known_unit(pair[1])
     if pair is None or unit is None or UNITS[unit][0] != "length" or not 0 < pair[0] < 1e9:
         return None
-    return _StatedSize(key, pair[0] * UNITS[unit][1], _rounding(text, pair[0]))
+    return _StatedSize(key, pair[0] * UNITS[unit][1], _relative_rounding(text, pair[0]))
 
 
-def _area(key: str, text: str) -> _StatedSize | None:
-    """m2."""
+def _parse_area(key: str, text: str) -> _StatedSize | None:
+    """Return a stated area, m2; None: not an area with a known unit."""
     number, _, rest = text.strip().partition(" ")
-    pair = quantity_in(text) or quantity_in(number)
-    match = _SQUARE.match((pair[1] or "") if pair else "") or _SQUARE.match(rest.strip()) or _IN_KEY.search(key)
+    pair = parse_quantity(text) or parse_quantity(number)
+    match = (_AREA_UNIT_PATTERN.match((pair[1] or "") if pair else "") or _AREA_UNIT_PATTERN.match(rest.strip())
+             or _AREA_UNIT_IN_KEY.search(key))
     if pair is None or match is None or not 0 < pair[0] < 1e9:
         return None
-    return _StatedSize(key, pair[0] * UNITS[known_unit(match["unit"]) or "mm"][1] ** 2, _rounding(text, pair[0]))
+    factor = UNITS[known_unit(match["unit"]) or "mm"][1] ** 2
+    return _StatedSize(key, pair[0] * factor, _relative_rounding(text, pair[0]))
 
 
-def _rounding(text: str, value: float) -> float:
-    """Half a unit of the last decimal of a number, relative; 0 for a number without decimals."""
+def _relative_rounding(text: str, value: float) -> float:
+    """Return half a unit of the last decimal over the value; 0 for a number without decimals."""
     match = re.match(r"[-+]?\d+[.,](\d+)", text.strip())
-    return min(0.5 * 10.0 ** -len(match[1]) / value, _LARGEST_ROUNDING) if match else 0.0
+    return min(0.5 * 10.0 ** -len(match[1]) / value, _SETTINGS.largest_rounding) if match else 0.0
 
 
-def _speed(key: str, text: str) -> tuple[float | None, str | None]:
+def _parse_speed(key: str, text: str) -> tuple[float | None, str | None]:
+    """Return number and unit of a stated speed; None for a missing one."""
     words = text.split()
     match = re.search(r"[\[(]([^\])]*)[\])]\s*$", key)
     unit = match[1] if match else words[1] if len(words) > 1 else loose_header(key)[1]
-    pair = quantity_in(words[0]) if words else None
+    pair = parse_quantity(words[0]) if words else None
     return (None if pair is None else pair[0]), unit

@@ -11,18 +11,19 @@ from pathlib import Path
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import begins_with_word, is_mostly_units, is_unit_row
-from tissue_sim.recording.formats.cell_units import without_cell_units
+from tissue_sim.recording.formats.cell_units import has_equal_units, without_cell_units
 from tissue_sim.recording.formats.columns import Sheets, check_delimiter
 from tissue_sim.recording.formats.containers import is_container, read_container
 from tissue_sim.recording.formats.long_text import split_long
 from tissue_sim.recording.formats.number_text import is_number
-from tissue_sim.recording.formats.size_words import size_class
+from tissue_sim.recording.formats.size_words import classify_size_name
 from tissue_sim.recording.formats.table import Row, Table, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.units import known_unit, loose_header, split_header
 
-EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
+#: Expected content of the file, for messages.
+_EXPECTED = "a recording (text, spreadsheet, MATLAB, LabVIEW, HDF5 or AFM)"
 #: Delimiters in the order of preference; a comma is late, because it may be a decimal comma.
 _DELIMITERS = ("\t", ";", ",", "|", " ")
 #: Number of lines that determine the delimiter.
@@ -100,7 +101,9 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
     """Read the tables of a file.
 
     Args:
-        path: the file. delimiter: delimiter of a text; None: found. sheet: name, number, or a list of them; None: all.
+        path: the file.
+        delimiter: delimiter of a text; None: found.
+        sheet: name or number (from 1) of a sheet, or a list of names and numbers; None: all.
         skip_lines: number of lines at the top that are ignored.
 
     Raises:
@@ -110,30 +113,30 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
         kind = "container" if is_container(path) else "workbook"
         sheets = read_container(path, sheet) if kind == "container" else read_sheets(path, sheet)
         return Source(path, kind, tuple(each.table(skip_lines) for each in sheets))
-    text, encoding = decode_text(read_bytes(path, EXPECTED), path, EXPECTED)
+    text, encoding = decode_text(read_bytes(path, _EXPECTED), path, _EXPECTED)
     if delimiter is not None:
         check_delimiter(delimiter)
     beginning, end = split_long(text, skip_lines)
     if end is not None:
         with suppress(InputError):
-            table = _text_table(beginning, delimiter, skip_lines, path)
-            runs = [*_runs(table)]
+            table = _split_text(beginning, delimiter, skip_lines, path)
+            runs = [*_numeric_runs(table)]
             # A single run of numbers in all columns, up to the end of the file, needs no further search.
             if table.delimiter == end.delimiter and [columns for _, columns in runs] == [(*range(end.cells),)] and (
-                    runs[0][0][-1] is table.rows[-1]):
+                    runs[0][0][-1] is table.rows[-1] and has_equal_units(table.rows, end)):
                 return Source(path, "text", (table,), encoding)
-    return Source(path, "text", (_text_table(text, delimiter, skip_lines, path),), encoding)
+    return Source(path, "text", (_split_text(text, delimiter, skip_lines, path),), encoding)
 
 
-def _text_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
+def _split_text(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
     """Return the table of a text; the skipped lines become empty, so that line numbers are preserved."""
     lines = text.splitlines()
     lines[:skip_lines] = [""] * min(skip_lines, len(lines))
     found = _find_delimiter(lines, path) if delimiter is None else delimiter
-    return _table(lines, found, path)
+    return _split_lines(lines, found, path)
 
 
-def _table(lines: list[str], delimiter: str, path: Path) -> Table:
+def _split_lines(lines: list[str], delimiter: str, path: Path) -> Table:
     """Split the lines at the delimiter, and remove units after the numbers."""
     text = "\n".join(lines)
     return Table(without_cell_units(split_rows(text, delimiter, file=path), text), delimiter)
@@ -149,7 +152,7 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
         scores = {}
         for delimiter in _DELIMITERS:
             try:
-                table = _table(sample, delimiter, path)
+                table = _split_lines(sample, delimiter, path)
             except InputError:
                 continue
             scores[delimiter] = sum(max(score, 1) for _, _, score in _scored_runs(table))
@@ -169,32 +172,32 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
 
 def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -> bool:
     """Return whether a delimiter gives at least as many rows of numbers as blanks, with numbers that contain blanks."""
-    table = _table(lines, delimiter, path)
-    runs, of_blanks = [*_runs(table)], [*_runs(blank)]
+    table = _split_lines(lines, delimiter, path)
+    runs, of_blanks = [*_numeric_runs(table)], [*_numeric_runs(blank)]
     grouped = any(" " in cell and is_number(cell) for run, _ in runs for row in run for cell in row.cells)
     return grouped and sum(len(run) for run, _ in runs) >= sum(len(run) for run, _ in of_blanks)
 
 
 def find_numbers(source: Source) -> list[Numbers]:
     """Return all runs of rows of numbers in a file."""
-    return [numbers for table in source.tables for numbers in _numbers_of(table)]
+    return [numbers for table in source.tables for numbers in _find_runs_in_table(table)]
 
 
-def _numbers_of(table: Table) -> Iterator[Numbers]:
+def _find_runs_in_table(table: Table) -> Iterator[Numbers]:
     """Yield the runs of rows of numbers in a table."""
     begin = 0
     place = {id(row): i for i, row in enumerate(table.rows)}
-    runs = [*_runs(table)]
+    runs = [*_numeric_runs(table)]
     for number, (run, columns) in enumerate(runs, start=1):
         first = place[id(run[0])]
         above = [row for row in table.rows[begin:first] if re.search(r"\w", "".join(row.cells))]
         begin = place[id(run[-1])] + 1
-        header, units, rest = _names(above, columns)
+        header, units, rest = _split_names(above, columns)
         below = table.rows[begin:] if number == len(runs) else ()
         yield Numbers(table, tuple(run), columns, header, units, tuple(above[:rest]), tuple(below))
 
 
-def _names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | None, int]:
+def _split_names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | None, int]:
     """Return the rows of names and of units directly above the numbers, and the number of rows above both."""
     header, units, rest = None, None, len(above)
     for number, row in enumerate(reversed(above[-3:]), start=1):
@@ -221,17 +224,17 @@ def _names_columns(above: Sequence[Row], columns: Sequence[int]) -> bool:
 def _states_size(row: Row) -> bool:
     """Return whether a row states a size, such as ``Height 12 mm``, and not names."""
     cells = [cell for cell in row.cells if cell]
-    return len(cells) > 1 and is_number(cells[1]) and size_class(cells[0]) is not None
+    return len(cells) > 1 and is_number(cells[1]) and classify_size_name(cells[0]) is not None
 
 
-def _runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
+def _numeric_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
     """Yield runs of at least `MIN_POINTS` rows with two or more numbers and little else, and their columns."""
     for run, columns, _ in _scored_runs(table):
         yield run, columns
 
 
 def _scored_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...], int]]:
-    """Yield the runs of `_runs` with a score: cells that are numbers minus other cells."""
+    """Yield the runs of `_numeric_runs` with a score: cells that are numbers minus other cells."""
     run: list[Row] = []
     counts: dict[int, int] = {}
     score = 0

@@ -1,4 +1,4 @@
-"""The speed of a test in the text above a table."""
+"""Find the speed of a test in the text above a table."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ _OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|m
                           r"vor(kraft|last|weg|spann)\w*|anfahr\w*|retour)\b", re.IGNORECASE)
 
 
-def speeds_in(rows: Sequence[Row]) -> dict[float, str]:
-    """Speed, m/s -> line, of each different speed that the rows state for the loading."""
+def find_speeds(rows: Sequence[Row]) -> dict[float, str]:
+    """Return speed of loading, m/s -> line, for each speed that the rows state."""
     found: dict[float, str] = {}
     for row in rows:
         line = " ".join(cell for cell in row.cells if cell).replace("⁻¹", "-1").replace("·", " ")

@@ -1,18 +1,18 @@
-"""Tables of dynamic moduli over frequency, amplitude or temperature, as rheometers and DMA machines write them."""
+"""Recognise tables of dynamic moduli over frequency, amplitude or temperature (rheometer, DMA)."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Sequence
 
-#: Headers of dynamic moduli and of their ratio, without the unit, in lower case: G', G'', E', E'', |G*|, tan delta.
+#: Pattern of headers of dynamic moduli and of the loss factor, lower case, without unit: G', G'', E', |G*|, tan delta.
 _MODULUS = re.compile(
     r"\b(storage|loss|complex|dynamic|elastic shear|viscous) modul(us|i)\b|\bspeichermodul\w*|"
     r"\bverlust(modul|faktor)\w*|\bmodule (de |d )?(conservation|stockage|perte|complexe)\b|"
     r"\btan ?\(?(delta|δ)\)?|\bloss factor\b|\bcomplex viscosity\b|"
     r"\bkomplexe\w* (modul|viskosität|schubmodul)\b|^\|?[ge]\*\|?(?!\w)|^[ge] ?['′’´`]{1,2}(?!\w)|^[ge] ?[\"″”](?!\w)|"
     r"^[ge][ _](double )?prime\b|^[ge]p{1,2}(?!\w)")
-#: Headers of the quantity over which the moduli are measured.
+#: Pattern of headers of the quantity over which the moduli are measured.
 _SWEPT = re.compile(r"\b(angular )?frequenc(y|ies)\b|\b(kreis)?frequenz\b|\bfréquence\b|\bomega\b|^ω|^f(req)?(?!\w)|"
                     r"\bamplitude\w*|\boscillation (strain|stress)\b|\bscher(dehnungs)?amplitude\w*|\bstrain amp\w*")
 
@@ -29,7 +29,7 @@ def is_sweep(headers: Sequence[str]) -> bool:
     return moduli >= 2 or (moduli >= 1 and swept >= 1) or swept > amplitudes > 0
 
 
-def sweep_sentence(headers: Sequence[str]) -> str:
+def describe_sweep(headers: Sequence[str]) -> str:
     """Return the reason why a table of a sweep is not imported, in one sentence."""
     named = ", ".join(repr(header) for header in headers if header)
     return (f"moduli over frequency or amplitude are not a recording of a motion (columns {named}); give displacement "

@@ -1,4 +1,4 @@
-"""Delimited text: rows with their line numbers, and columns of numbers in SI."""
+"""Split delimited text into rows with line numbers, and read columns of numbers in SI units."""
 
 from __future__ import annotations
 
@@ -21,30 +21,39 @@ from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, parse_number
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import quantity_of, to_si
 
-_BLANKS = re.compile(r"[ \t]+")
-#: A group of thousands with decimals, and the digits before it.
-_GROUP = re.compile(r"\d{3}(\.\d*)?")
-_LEADING = re.compile(r"[+-]?[1-9]\d{0,2}")
-#: SI units in words of the messages.
-_SI = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
+#: Consecutive blanks and tabs.
+_BLANK_RUN = re.compile(r"[ \t]+")
+#: Three digits and optional decimals: the second part of a number that was split at its thousands separator.
+_THREE_DIGIT_GROUP = re.compile(r"\d{3}(\.\d*)?")
+#: One to three digits: the first part of such a number.
+_LEADING_DIGITS = re.compile(r"[+-]?[1-9]\d{0,2}")
+#: Quantity -> name of its SI unit in messages.
+_SI_UNIT_WORDS = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "stress": "Pa", "ratio": "units",
        "temperature": "K"}
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """Cells of one line, stripped of blanks; `line` is 1-based."""
+    """One line of a file: line number (from 1), and cells without blanks at their ends."""
 
     line: int
     cells: tuple[str, ...]
 
     @property
     def blank(self) -> bool:
+        """Return whether all cells are empty."""
         return not any(self.cells)
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows that are not blank: of a text split at `delimiter`, or of the sheet or group `name`."""
+    """Rows with content.
+
+    Attributes:
+        rows: rows that are not blank.
+        delimiter: delimiter of a text; None: not a text.
+        name: name of the sheet or group; empty for a text.
+    """
 
     rows: Sequence[Row]
     delimiter: str | None = None
@@ -53,7 +62,15 @@ class Table:
 
 @dataclass(frozen=True)
 class Column:
-    """Column of a channel or label, and the conversion of its numbers to SI: value * factor + offset."""
+    """Column of a channel or label; converts its numbers to SI units by value * factor + offset.
+
+    Attributes:
+        channel: name in `CHANNELS` or `LABELS`.
+        index: position of the column, from 0.
+        header: header of the column.
+        factor: SI units in one unit of the column.
+        offset: value of zero, SI units.
+    """
 
     channel: str
     index: int
@@ -63,15 +80,24 @@ class Column:
 
 
 def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
-    """Every line that is not blank, split at `delimiter` with the quoting of RFC 4180; a blank means any number."""
+    """Split the lines with content at a delimiter; cells may be quoted (RFC 4180).
+
+    Args:
+        text: complete text.
+        delimiter: one character; consecutive blanks count as one delimiter.
+        file: file name for messages.
+
+    Raises:
+        InputError: a quoted cell that continues on the next line, or a cell that is too long.
+    """
     line = 0
 
     def lines():
         nonlocal line
         for content in io.StringIO(text, newline=None):
             line += 1
-            # A no-break blank separates thousands.
-            yield _BLANKS.sub(" ", content.strip(" \t\r\n")) + "\n" if delimiter == " " else content
+            # Only blanks and tabs are stripped: a no-break blank is a thousands separator.
+            yield _BLANK_RUN.sub(" ", content.strip(" \t\r\n")) + "\n" if delimiter == " " else content
 
     rows: list[Row] = []
     reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
@@ -82,18 +108,18 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
         except StopIteration:
             return rows
         except csv.Error as error:
-            raise InputError(f"cannot be split into cells ({error}); expected a table with one row a line",
+            raise InputError(f"cannot be split into cells ({error}); expected a table with one row per line",
                              file=file, line=start) from None
         if line > start:
-            raise InputError("a quoted cell runs over the end of the line; close its quotation mark",
+            raise InputError("a quoted cell continues on the next line; close its quotation mark",
                              file=file, line=start)
         row = Row(start, tuple(cell.strip() for cell in cells))
         if not row.blank:
             rows.append(row)
 
 
-def narrow(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
-    """Select the cells in the given columns (from 0) of rows with content."""
+def select_cells(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
+    """Return rows with only the cells at the given positions (from 0), without rows that are then blank."""
     chosen = (Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in places)) for row in rows)
     return [row for row in chosen if not row.blank]
 
@@ -101,35 +127,40 @@ def narrow(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
 def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Column], *, file: Path,
                          delimiter: str = ",", metadata: Mapping[str, Any] | None = None,
                          end: PlainEnd | None = None, marks: NumberMarks | None = None) -> Recording:
-    """The recording in `columns` of the data rows, and of the plain end below them.
+    """Return the recording in the columns of a table.
 
     Args:
-        header: row of names. rows: data rows. columns: that are read. file: for messages.
-        delimiter: between the cells. metadata: of the recording. end: lines below the rows.
-        marks: decimal mark and thousands separator. None: found from the cells of the columns.
+        header: row of names.
+        rows: data rows.
+        columns: columns to read.
+        file: file name for messages.
+        delimiter: delimiter of the cells.
+        metadata: metadata of the recording.
+        end: further lines below the rows, which contain only numbers; None: no such lines.
+        marks: decimal mark and thousands separator; None: found from the cells of the columns.
 
     Raises:
-        InputError: a row of another length than the header, a cell that is not a finite number, a decimal mark that
-            the values do not show, time running backwards, fewer than `MIN_POINTS` rows; with file and line.
-        NotPlainError: of an end: the rows and the end are not of one table of numbers that can be read so.
+        InputError: the length of a row differs from the header, a cell is not a finite number, the decimal mark is
+            ambiguous, the time decreases, or the table has fewer than `MIN_POINTS` rows; with file and line.
+        NotPlainError: `end` cannot be read with the marks of the rows; all lines must be read as rows.
     """
     width = len(header.cells)
     for row in rows:
-        # Loggers end their lines with the delimiter: empty cells behind the last column carry nothing.
+        # Some loggers write a delimiter at the end of each line: additional empty cells are ignored.
         if len(row.cells) < width or any(row.cells[width:]):
-            raise InputError(f"{_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}"
-                             f"{_split_thousands(row, width, delimiter)}", file=file, line=row.line)
+            raise InputError(f"{_format_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}"
+                             f"{_hint_at_split_thousands(row, width, delimiter)}", file=file, line=row.line)
     if len(rows) < MIN_POINTS:
-        raise InputError(f"{_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
+        raise InputError(f"{_format_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
                          f"{MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
     if marks is None:
-        marks = find_marks(cells_of(rows, numeric), delimiter=delimiter)
+        marks = find_marks(column_cells(rows, numeric), delimiter=delimiter)
         if marks.is_open:
             raise InputError(f"{marks.question}; expected numbers with one reading", file=file, line=header.line)
-    values = _numbers(rows, numeric, marks, file)
+    values = _parse_columns(rows, numeric, marks, file)
     if end is not None:
-        values = np.concatenate([values, _below(end, columns, width, delimiter, marks)])
+        values = np.concatenate([values, _numbers_of_plain_end(end, columns, width, delimiter, marks)])
     channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
     if "time" in channels:
         back = np.flatnonzero(np.diff(channels["time"]) < 0)
@@ -138,32 +169,38 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
         if back.size:
             column = next(column for column in numeric if column.channel == "time")
             before, after = (rows[i].cells[column.index] for i in (back[0], back[0] + 1))
-            raise InputError(f"time runs backwards from {before} to {after} in column {column.header!r}, expected "
-                             "times that never fall", file=file, line=rows[back[0] + 1].line)
-    labels = {column.channel: _labels(rows, column, file) for column in columns if column.channel in LABELS}
+            raise InputError(f"time runs backwards from {before} to {after} in column {column.header!r}; expected "
+                             "times that do not decrease", file=file, line=rows[back[0] + 1].line)
+    labels = {column.channel: _parse_labels(rows, column, file) for column in columns if column.channel in LABELS}
     return Recording(channels, labels, metadata or {})
 
 
-def _split_thousands(row: Row, width: int, delimiter: str) -> str:
-    """Return a hint if thousands separators may have split numbers into cells; else an empty text."""
-    groups = [cell for before, cell in pairwise(row.cells) if _GROUP.fullmatch(cell) and _LEADING.fullmatch(before)]
+def _hint_at_split_thousands(row: Row, width: int, delimiter: str) -> str:
+    """Return the remedy if thousands separators may have split numbers into cells; else an empty text."""
+    groups = [cell for before, cell in pairwise(row.cells)
+              if _THREE_DIGIT_GROUP.fullmatch(cell) and _LEADING_DIGITS.fullmatch(before)]
     if delimiter not in (",", " ") or not 0 < len(row.cells) - width <= len(groups):
         return ""
     return ("; a thousands separator that is also the delimiter may have split a number: quote the numbers "
             "or export without thousands separators")
 
 
-def cells_of(rows: Sequence[Row], columns: Iterable[Column]) -> list[list[str]]:
-    """Cells of each column that has numbers, without labels."""
+def column_cells(rows: Sequence[Row], columns: Iterable[Column]) -> list[list[str]]:
+    """Return the cells of each column of numbers; columns of labels are omitted."""
     return [[row.cells[column.index] if column.index < len(row.cells) else "" for row in rows] for column in columns
             if column.channel not in LABELS]
 
 
-def _below(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str, marks: NumberMarks) -> np.ndarray:
-    """The numbers of a plain end, as they stand in the file, shape (rows, columns)."""
+def _numbers_of_plain_end(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str, marks: NumberMarks
+                          ) -> np.ndarray:
+    """Return the numbers of a plain end in the units of the file, shape (rows, columns).
+
+    Raises:
+        NotPlainError: labels, another delimiter or width, or marks that differ from those of the rows.
+    """
     if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cells) != (delimiter, width):
         raise NotPlainError
-    # Marks that the rows above do not explain may separate thousands: then all rows decide together.
+    # An additional mark may be a thousands separator: all rows are then needed to find the marks.
     others, is_sure = set(end.marks) - {marks.decimal}, marks.is_certain or marks.is_stated
     if others - set(marks.thousands) or (not is_sure and not set(end.marks).isdisjoint(DECIMAL_MARKS)):
         raise NotPlainError
@@ -173,12 +210,17 @@ def _below(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str,
     return values
 
 
-def _count(number: int, noun: str) -> str:
+def _format_count(number: int, noun: str) -> str:
+    """Return number and noun, with a plural s if necessary."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _numbers(rows: Sequence[Row], columns: Sequence[Column], marks: NumberMarks, file: Path) -> np.ndarray:
-    """Numbers as they stand in the file, shape (rows, columns)."""
+def _parse_columns(rows: Sequence[Row], columns: Sequence[Column], marks: NumberMarks, file: Path) -> np.ndarray:
+    """Return the numbers of the columns in the units of the file, shape (rows, columns).
+
+    Raises:
+        InputError: a cell that is not a finite number; with file and line.
+    """
     values = np.empty((len(rows), len(columns)))
     for i, row in enumerate(rows):
         for j, column in enumerate(columns):
@@ -193,7 +235,12 @@ def _numbers(rows: Sequence[Row], columns: Sequence[Column], marks: NumberMarks,
     return values
 
 
-def _labels(rows, column, file) -> np.ndarray:
+def _parse_labels(rows: Sequence[Row], column: Column, file: Path) -> np.ndarray:
+    """Return the labels of a column, shape (rows,): text for the segment, else whole numbers.
+
+    Raises:
+        InputError: a cell that is not a whole number; with file and line.
+    """
     cells = [row.cells[column.index] for row in rows]
     if column.channel == "segment":
         return np.array(cells, dtype=str)
@@ -204,16 +251,16 @@ def _labels(rows, column, file) -> np.ndarray:
     return np.array([int(cell) for cell in cells], dtype=np.int64)
 
 
-def conversion(channel: str, unit: str | None, scale: float | None = None) -> tuple[float, float]:
-    """Factor and offset to SI for a channel; a ratio may stand without a unit.
+def si_conversion(channel: str, unit: str | None, scale: float | None = None) -> tuple[float, float]:
+    """Return factor and offset that convert the numbers of a channel to SI units: number * factor + offset.
 
     Args:
-        channel: a name in `CHANNELS`.
-        unit: of the values. scale: that many units in one of the file; SI units where the unit is that of a signal
-            (V, counts) or none is stated.
+        channel: name in `CHANNELS`.
+        unit: unit of the numbers; None: not stated, which is valid for a ratio and for a number with a scale.
+        scale: units in a number of 1 of the file; SI units if the unit is a signal (V, counts) or not stated. None: 1.
 
     Raises:
-        InputError: no unit, an unknown one, or one of another quantity; a signal without a scale.
+        InputError: a missing or unknown unit, a unit of another quantity, or a signal without a scale.
     """
     quantity = CHANNELS[channel]
     if unit is None and quantity == "ratio":
@@ -224,7 +271,7 @@ def conversion(channel: str, unit: str | None, scale: float | None = None) -> tu
         factor, offset = to_si(unit or "-", quantity)
         return scale * factor, offset
     if unit is not None and quantity_of(unit) == "signal":
-        raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI[quantity]} in 1 {unit}")
+        raise InputError(f"{unit} is the signal of a sensor; give scale, the {_SI_UNIT_WORDS[quantity]} in 1 {unit}")
     if unit is None:
         example = {"time": "s", "length": "mm", "force": "N", "torque": "Nm", "stress": "kPa", "temperature": "degC"}
         raise InputError(f"the unit is missing, expected a {quantity} such as [{example[quantity]}]")

@@ -1,4 +1,4 @@
-"""Recordings of chosen columns of the tables of a file."""
+"""Read the recordings of chosen columns of a file."""
 
 from __future__ import annotations
 
@@ -16,17 +16,18 @@ from tissue_sim.recording.formats.guesses import ColumnGuess
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
 
-#: Largest value of any channel, in SI or in the unit of the file; a larger value is a damaged cell.
+#: Largest valid value of any channel, SI units or the unit of the file. A larger value is a damaged cell.
 _LARGEST_VALUE = 1e20
 
 
 @dataclass(frozen=True)
 class TableReader:
-    """Reads the tables of one file with any choice of columns.
+    """Reader of the tables of one file for any choice of columns.
 
     Attributes:
-        path: the file. options: of `read_recordings` without ``columns``.
-        speed: constant speed that replaces a column of the motion, m/s; None: there is a motion.
+        path: the file.
+        options: options of `tissue_sim.read_recordings` without ``columns``.
+        speed: constant speed, m/s, that replaces a column of the motion; None: the file has a motion.
     """
 
     path: Path
@@ -43,7 +44,7 @@ class TableReader:
         for column in columns:
             entries[column.channel] = column.entry()
             if column.missing:
-                # Without a unit the numbers of the file still show the shape of the test.
+                # The kind of test is found from numbers without a unit, too.
                 entries[column.channel]["scale"] = column.scale or 1.0
                 if column.unit not in UNITS:
                     entries[column.channel].pop("unit", None)
@@ -57,18 +58,24 @@ class TableReader:
         return marked
 
     def _with_motion(self, marked: MarkedRecording) -> MarkedRecording:
+        """Add the displacement of a test at constant speed, if a speed is stated."""
         if self.speed is None:
             return marked
         return replace(marked, recording=with_constant_speed(marked.recording, self.speed, self.path))
 
     def recordings(self, columns: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
-        """The recordings; see `read`."""
+        """Read the recordings; see `read`."""
         return tuple(each.recording for each in self.read(columns))
 
-    def readable(self, columns: tuple[ColumnGuess, ...]
+    def read_corrected(self, columns: tuple[ColumnGuess, ...]
                  ) -> tuple[tuple[ColumnGuess, ...], tuple[MarkedRecording, ...], tuple[str, ...]]:
-        """Columns that can be read, their recordings, and remarks: without a clock that runs backwards, and with a
-        stretch that falls below zero read as a strain."""
+        """Read the recordings after the correction of two faults of a file.
+
+        A time that decreases is omitted, and a stretch that is not positive is read as a strain.
+
+        Returns:
+            Corrected columns, recordings, and remarks on the corrections.
+        """
         remarks: tuple[str, ...] = ()
         try:
             marked = self.read(columns)
@@ -77,18 +84,24 @@ class TableReader:
                 raise
             columns = tuple(column for column in columns if column.channel != "time")
             marked = self.read(columns)
-            remarks = (f"the clock is left out: line {error.line}: {error.problem.split(' in column')[0]}",)
+            remarks = (f"the time is omitted: line {error.line}: {error.problem.split(' in column')[0]}",)
         if any(column.role == "stretch" for column in columns) and min(
                 each.recording.channel("stretch").min() for each in marked) <= 0:
-            columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not above zero, as a "
-                                    "stretch is; a strain, which 1 makes a stretch")
+            columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not positive, unlike "
+                                    "a stretch; a strain, which 1 makes a stretch")
                             if column.role == "stretch" else column for column in columns)
             marked = self.read(columns)
         return columns, marked, remarks
 
-    def turned(self, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
+    def with_changed_signs(self, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
                after: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
-        """The recordings after some columns have changed their sign."""
+        """Return the recordings after a change of the signs of some columns.
+
+        Args:
+            recordings: recordings of the columns `before`.
+            before: columns before the change.
+            after: columns after the change.
+        """
         other = [column for was, column in zip(before, after, strict=True) if column.entry() != was.entry()]
         if any(column.offset is not None for column in other) or (other and any(column.measure for column in after)):
             return self.recordings(after)

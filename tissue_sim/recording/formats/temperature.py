@@ -1,4 +1,4 @@
-"""A temperature in a file of measurements, which a test may have and does not need."""
+"""Check whether a table has a column of temperature, which is optional."""
 
 from __future__ import annotations
 
@@ -10,10 +10,11 @@ from tissue_sim.units import quantity_of
 
 
 def has_temperature(numbers: Numbers, places: Mapping[str, int]) -> bool:
-    """Return whether a table has a temperature that can be read in all its rows.
+    """Return whether a table has a temperature in all rows.
 
     Args:
-        places: role of a column -> its place, from 0.
+        numbers: table of numbers.
+        places: role -> position of its column, from 0.
     """
     if "temperature" not in places:
         return False

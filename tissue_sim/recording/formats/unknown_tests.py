@@ -1,8 +1,8 @@
-"""Tests that have no kind in this program, and the words by which files name them: one table.
+"""Table of tests without a registered kind, and of the words that name these tests in files.
 
-The words are regular expressions for text without accents, in lower case, words separated by one blank (see
-`tissue_sim.recording.formats.kind_words.plain_text`). A kind that is registered under a name of this table, or with the
-same words among its `title_words`, takes the words over.
+The words are regular expressions for lower-case text without accents and with single blanks (see
+`tissue_sim.recording.formats.kind_words.normalize_text`). A plug-in that registers a kind with a name or a title word
+of this table also receives the words of the table.
 """
 
 from __future__ import annotations
@@ -15,12 +15,13 @@ class UnknownTest:
     """A test for which no kind is registered.
 
     Attributes:
-        name: name that a kind of this test would have. title: for people.
+        name: name of a kind for this test.
+        title: name in sentences.
         words: regular expressions in English, German and French.
-        difference: why no registered kind may be taken for the test; completes "<title> is ...".
-        short: abbreviations that count in the name of a file only. alone: words that count only as the whole text, such
-            as the name of a sheet, with or without a number, or in an entry for the test method that names no other
-            test.
+        difference: difference from the registered kinds; completes the sentence "<title> is ...".
+        short: abbreviations that are recognised only in the name of a file.
+        alone: words that are recognised only as the complete text, such as the name of a sheet, with or without a
+            number, or in an entry for the test method that names no other test.
     """
 
     name: str
@@ -31,8 +32,10 @@ class UnknownTest:
     alone: tuple[str, ...] = ()
 
 
-_UNEQUAL = "not homogeneous: a modulus from the whole force and displacement would be wrong"
+#: Difference of tests with a deformation that varies in the specimen.
+_NOT_HOMOGENEOUS = "not homogeneous: a modulus from total force and displacement would be wrong"
 
+#: The table; each row completes the sentence "<title> is <difference>".
 UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
     UnknownTest("planar_tension", "planar tension (pure shear)", (
         r"planar ?(tension|tensile|extension|elongation|stretch\w*|zug\w*|test)", r"pure ?shear",
@@ -40,12 +43,12 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"wide strip", r"eben\w* zug\w*", r"planar\w* (zug\w*|dehnung)", r"rein\w* (scher\w*|schub\w*)",
         r"reinscher\w*",
         r"cisaillement pur", r"(traction|tension|extension) plan\w*"),
-        "neither simple shear nor uniaxial tension: the width is held, and a modulus of either would be wrong",
+        "neither simple shear nor uniaxial tension: the width is constrained, and a modulus of either would be wrong",
         short=("ps", "pt"), alone=("planar",)),
     UnknownTest("equibiaxial_tension", "biaxial tension", (
         r"equi ?biax\w*", r"bi ?axial\w*", r"biax\w*", r"(a|ae)qui ?biax\w*", r"gleichbiax\w*", r"zweiachs\w*",
         r"biaxialzug\w*"),
-        "not uniaxial tension: the specimen is loaded along two axes, and its stress would be taken for that of one",
+        "not uniaxial tension: the specimen is loaded along two axes, and a uniaxial stress would be wrong",
         short=("eb", "ebt", "bt")),
     UnknownTest("confined_compression", "confined compression", (
         r"confined( compress\w*)?", r"confining", r"confinement", r"porous (platens?|plates?|filters?)",
@@ -55,21 +58,22 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"(seitlich|radial) (begrenzt|behindert|gehalten|gefuhrt)\w*",
         r"(behindert\w*|verhindert\w*) (quer|seiten)dehnung", r"eingeschrankt\w* (kompress\w*|druck\w*)",
         r"aggregate modulus"),
-        "not compression between plates: the specimen cannot widen, and its force measures the aggregate modulus"),
+        "not compression between plates: the specimen cannot widen, and the force measures the aggregate modulus"),
     UnknownTest("plane_strain_compression", "plane strain compression", (
         r"plane strain( compress\w*)?", r"channel die", r"eben\w* (dehnung\w*|stauch\w*|verzerrung\w*)",
         r"deformation plane"),
-        "not uniaxial: the specimen widens to one side only"),
+        "not uniaxial: the specimen widens in one direction only"),
     UnknownTest("volumetric_compression", "volumetric compression", (
         r"volumetric (compress\w*|test\w*|loading|data)", r"hydrostat\w*( (compress\w*|druck\w*|test\w*))?",
         r"isostat\w*",
         r"volumetrisch\w* (druck\w*|kompress\w*|versuch\w*)", r"compress\w* (volum\w*|isostat\w*|hydrostat\w*)",
         r"kompressionsmodul"),
-        "not compression between plates: it measures the bulk modulus and nothing of the shear modulus"),
+        "not compression between plates: the test measures the bulk modulus and not the shear modulus"),
     UnknownTest("triaxial_compression", "triaxial compression", (r"tri ?axial\w*", r"dreiachs\w*", r"triax"),
                 "not uniaxial: a pressure acts on the sides of the specimen"),
     UnknownTest("torsion", "torsion", (r"torsion\w*", r"twist(ing)? tests?", r"verdreh\w*", r"verdrill\w*"),
-                "not simple shear: the shear strain grows with the radius, and a torque is measured", alone=("twist",)),
+                "not simple shear: the shear strain increases with the radius, and a torque is measured",
+                alone=("twist",)),
     UnknownTest("bending", "bending", (
         r"bending( tests?)?", r"bend tests?", r"flexur\w*", r"flexion", r"\w*bieg(e|ung|ever)\w*",
         r"cantilever (bending|beam|tests?)",
@@ -81,12 +85,12 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         r"(\d+|degrees?|deg|grad|t|drum|roller|arm|wheel) peel",
         r"(ab)?schae?l(versuch|prufung|pruefung|test|kraft|festigkeit|widerstand)\w*",
         r"(de)?pelage"),
-        "not tension: its force measures the adhesion of a front that moves", alone=("peel",)),
+        "not tension: the force measures the adhesion at a moving front", alone=("peel",)),
     UnknownTest("fatigue", "a fatigue test", (
         r"fatigue( tests?)?", r"ermudung\w*", r"ermuedung\w*", r"dauerschwing\w*", r"dauerfestigkeit\w*",
         r"w(o|oe)hler\w*",
         r"\w*schwellversuch\w*", r"endurance tests?"),
-        "not one loading: the material changes from cycle to cycle"),
+        "not a single loading: the material changes from cycle to cycle"),
     UnknownTest("burst", "a burst test", (r"burst(ing)? (tests?|pressure|strength)", r"berst\w*", r"eclatement"),
                 "neither tension nor compression: a pressure loads the specimen in two directions", alone=("burst",)),
     UnknownTest("inflation", "an inflation test", (
@@ -95,17 +99,17 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
     UnknownTest("lap_shear", "a lap shear test", (
         r"((single|double) )?lap ?(shear|joint)\w*", r"zugscher\w*", r"u(e)?berlapp\w*",
         r"(simple |double )?recouvrement"),
-        "simple shear only if the specimen fills the overlap: state --kind simple_shear then"),
+        "simple shear only if the specimen fills the overlap: then state --kind simple_shear"),
     UnknownTest("tear", "a tear test", (
         r"(trouser|crescent|angle|graves) tear\w*", r"tear (tests?|strength|resistance|propagation|energy)",
         r"tearing( tests?)?", r"weiterrei(ss|sz)\w*", r"dechir\w*"),
-        "not tension: its force measures the growth of a crack"),
+        "not tension: the force measures the growth of a crack"),
     UnknownTest("fracture", "a fracture test", (
         r"fracture (tests?|toughness|mechanics|energy)", r"compact tension",
         r"(single|double) edge (notch\w*|crack\w*)",
         r"notch\w* (tension|tensile|specimens?)", r"crack (growth|propagation)\w*", r"bruch(mechan|zah|zaeh)\w*",
         r"gekerbt\w*", r"kerb(zug|versuch|schlag|biege)\w*", r"entaill\w*"),
-        "not tension of a whole specimen: a notch or crack decides the force"),
+        "not tension of an intact specimen: a notch or crack determines the force"),
     UnknownTest("ring_tension", "ring tension", (
         r"ring (tension|tensile|pull|tests?)", r"hoop (tension|tensile|tests?)", r"ringzug\w*",
         r"traction (sur |d )?anneau\w*"),
@@ -122,19 +126,19 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         "not a slow test: inertia is part of the force"),
     UnknownTest("pull_out", "a pull-out test", (
         r"pull ?out\w*", r"suture (retention|pull\w*)", r"auszieh\w*", r"ausrei(ss|sz)\w*", r"arrachement"),
-        "not tension of a specimen: its force measures how an anchor holds"),
+        "not tension of a specimen: the force measures the strength of an anchor"),
     UnknownTest("tack", "a tack test", (r"probe tack( tests?)?", r"tack tests?", r"adhesion tests?", r"debond\w*",
                                         r"hafttest\w*", r"haft(zug|festigkeits?)\w*"),
-                "not tension: its force measures the adhesion of two faces", alone=("tack",)),
+                "not tension: the force measures the adhesion of two faces", alone=("tack",)),
     UnknownTest("aspiration", "an aspiration test", (
         r"aspirat\w*", r"suction (tests?|force)", r"cutometer", r"saug(versuch|napf|test)\w*", r"ventouse"),
                 "neither tension nor compression: suction draws the tissue into an opening"),
     UnknownTest("buckling", "a buckling test", (r"buckl\w*", r"knick(versuch|last|ung)\w*", r"flamb(age|ement)"),
-                "not compression: the specimen bends aside"),
+                "not compression: the specimen bends sideways"),
     UnknownTest("cutting", "a cutting test", (
         r"cutting (tests?|force)", r"schneid(versuch|test|kraft)\w*", r"warner bratzler( shear)?", r"kramer( shear)?",
         r"decoupe"),
-        f"a separation of the material, {_UNEQUAL}", alone=("cutting", "cut")),
+        f"a separation of the material, {_NOT_HOMOGENEOUS}", alone=("cutting", "cut")),
     UnknownTest("extrusion", "an extrusion test", (r"(back|forward) ?extrusion( tests?)?", r"extrusion (tests?|force)",
                                                    r"ruckextrusion\w*"),
                 "not compression: the material flows through a gap", alone=("extrusion",)),
@@ -143,5 +147,5 @@ UNKNOWN_TESTS: tuple[UnknownTest, ...] = (
         "not tension of a specimen"),
     UnknownTest("scratch", "a scratch or friction test", (r"scratch( tests?)?", r"tribo\w*", r"friction tests?",
                                                           r"reib(versuch|test|pruf|pruef)\w*"),
-                "not a loading of a specimen: its force measures friction"),
+                "not a loading of a specimen: the force measures friction"),
 )

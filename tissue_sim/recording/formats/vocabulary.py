@@ -13,7 +13,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tissue_sim.recording.measures import MEASURES, measure_of
+from tissue_sim.recording.measures import MEASURES, find_measure
 from tissue_sim.units import quantity_of
 
 #: Words of columns that are not fitted: derived or commanded quantities, amplitudes, other directions.
@@ -131,67 +131,69 @@ def find_machine(text: str) -> Machine | None:
     return next((machine for machine in MACHINES.values() if re.search(machine.marks, text, re.MULTILINE)), None)
 
 
-def plain(name: str) -> str:
+def normalize_words(name: str) -> str:
     """Return a header in lower case with single blanks between the words."""
     return " ".join(re.sub(r"[^\w%]+|_", " ", name.casefold()).split())
 
 
-def role_of(name: str, unit: str | None, machine: Machine | None = None) -> tuple[str, int] | None:
+def find_role(name: str, unit: str | None, machine: Machine | None = None) -> tuple[str, int] | None:
     """Return the role of a column, and its rank among columns of this role; the column with the lowest rank is read.
 
     The rank is 0 for the preferred name, -1 for a column that is measured on the specimen or corrected, 4 and more for
     a measure of stress or strain other than the nominal one, and 9 if the unit alone determines the role.
 
     Args:
-        name: header without unit. unit: unit of the column; None: not stated. machine: machine of the file.
+        name: header without unit.
+        unit: unit of the column; None: not stated.
+        machine: machine that wrote the file; None: unknown.
 
     Returns:
         A role: ``time``, ``displacement``, ``force``, ``stretch``, ``strain``, ``shear strain``, ``stress`` or
         ``temperature``. None: none of them.
     """
-    words, quantity = plain(name), quantity_of(unit)
+    words, quantity = normalize_words(name), quantity_of(unit)
     role = machine.roles.get(words) if machine else None
     rank = 0
     if role is None:
         if _OTHER.search(words):
             return None
-        hits = [(rank, -_longest(pattern, words), role) for role, patterns in _PATTERNS.items()
+        hits = [(rank, -_longest_match(pattern, words), role) for role, patterns in _PATTERNS.items()
                 for rank, pattern in enumerate(patterns) if pattern.search(words)]
         # The longest words are the most specific: "shear strain" is no strain, "strain (extension)" no extension.
         hits.sort(key=lambda hit: (hit[1], hit[0]))
         if hits and quantity not in (None, "signal"):
-            fitting = [hit for hit in hits if _with_unit(hit[2], quantity)]
+            fitting = [hit for hit in hits if _role_with_unit(hit[2], quantity)]
             hits = fitting[:1]
         rank, _, role = hits[0] if hits else (9, 0, _NAMELESS.get(quantity or "", ""))
     if quantity not in (None, "signal"):
-        role = _with_unit(role, quantity)
+        role = _role_with_unit(role, quantity)
     if role == "strain" and _SHEAR.search(words):
         role = "shear strain"
     if role not in _QUANTITY:
         return None
     if role in ("stress", "strain", "shear strain", "stretch"):
-        rank += _SETTINGS.other_measure * (measure_of(words, role) in MEASURES)
+        rank += _SETTINGS.other_measure * (find_measure(words, role) in MEASURES)
     elif _TRUE.search(words):
         return None
-    source = source_of(words)
+    source = find_source(words)
     if source in ("specimen", "corrected"):
         rank = min(rank - 1, -1) if rank < _SETTINGS.other_measure else rank - 1
     return role, rank + _SETTINGS.by_machine * (source == "machine")
 
 
-def source_of(words: str) -> str:
+def find_source(words: str) -> str:
     """Return the source of a column by its header in lower case: ``specimen``, ``machine``, ``corrected`` or empty."""
     if _CORRECTED.search(words):
         return "corrected"
     return next((name for name, pattern in _SOURCES.items() if pattern.search(words)), "")
 
 
-def _with_unit(role: str, quantity: str | None) -> str:
+def _role_with_unit(role: str, quantity: str | None) -> str:
     """Return the role of a column with a unit of this quantity; empty without a role."""
     role = _BY_UNIT.get((role, quantity or ""), role)
     return role if _QUANTITY.get(role) == quantity else ""
 
 
-def _longest(pattern: re.Pattern[str], words: str) -> int:
+def _longest_match(pattern: re.Pattern[str], words: str) -> int:
     """Return the length of the longest match, characters; 0 without a match."""
     return max((len(match[0]) for match in pattern.finditer(words)), default=0)

@@ -1,4 +1,4 @@
-"""Sheets of spreadsheets (xlsx, xls, ods) as rows of text, so that they are read as any other table."""
+"""Read the sheets of spreadsheets (xlsx, xls, ods) as rows of text."""
 
 from __future__ import annotations
 
@@ -20,111 +20,118 @@ from tissue_sim.recording.formats.cell_units import without_cell_units
 from tissue_sim.recording.formats.number_text import ExactNumber
 from tissue_sim.recording.formats.table import Row, Table
 
-EXPECTED = "a spreadsheet (xlsx, xls, ods)"
-#: How an .xls of Excel 97 to 2003 begins, and an xlsx with a password.
+#: Expected content of the file, for messages.
+EXPECTED_SPREADSHEET = "a spreadsheet (xlsx, xls, ods)"
+#: First bytes of an xls file (Excel 97 to 2003), and of an xlsx file with a password.
 OLE_MAGIC = b"\xd0\xcf\x11\xe0"
-#: Cells of the rectangle of a sheet.
-_MOST_CELLS = 50_000_000
+#: Largest number of cells (rows * columns) of a sheet, for which the memory suffices.
+_MAX_CELLS = 50_000_000
+#: Suffixes of spreadsheets.
 SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """Rows with content of a sheet; `Row.line` is the number of the row in the spreadsheet."""
+    """Rows with content of a sheet; `Row.line` is the row number in the spreadsheet."""
 
     file: Path
     name: str
     rows: tuple[Row, ...]
 
     def table(self, skip_rows: int = 0) -> Table:
-        """The rows below the first `skip_rows`."""
+        """Return the rows below the first `skip_rows` rows, without units after the numbers."""
         return Table(without_cell_units([row for row in self.rows if row.line > skip_rows]), name=self.name)
 
     def located(self) -> AbstractContextManager[None]:
-        """Errors of the work inside name the sheet."""
+        """Return a context manager that adds file and sheet to an `InputError`."""
         return located(file=self.file, part=f"sheet {self.name!r}")
 
 
 def is_workbook(path: Path) -> bool:
-    """Return whether the file is meant as a spreadsheet: by its first bytes or, failing these, by its name."""
+    """Return whether a file is a spreadsheet by its first bytes or by its suffix."""
     with_name = path.suffix.lower() in SUFFIXES
     return first_bytes(path, len(ZIP_MAGIC)) in (ZIP_MAGIC, OLE_MAGIC) or with_name
 
 
 def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None) -> tuple[Sheet, ...]:
-    """Sheets of a spreadsheet that hold anything, with the values that are stored; dates stay text.
+    """Read the sheets with content of a spreadsheet: stored values of formulas, dates as text.
 
     Args:
         path: the file.
-        sheet: name, or number from 1, or a list of them. None: all that hold anything.
+        sheet: name, number (from 1), or a list of names and numbers; None: all sheets.
 
     Raises:
-        InputError: no spreadsheet, no such sheet, or none that holds anything.
+        InputError: not a spreadsheet, no such sheet, or all sheets are empty.
     """
     wanted = sheet if isinstance(sheet, list | tuple) else () if sheet is None else (sheet,)
     for each in wanted:
         if isinstance(each, bool) or not isinstance(each, str | int):
-            raise InputError(f"{each!r} is not a sheet; give its name or its number from 1, or a list of them",
-                             file=path, field="sheet")
-    data = read_bytes(path, EXPECTED)
+            raise InputError(f"must be the name or the number of a sheet, or a list of them; got {each!r}. Numbers "
+                             "begin with 1.", file=path, field="sheet")
+    data = read_bytes(path, EXPECTED_SPREADSHEET)
     try:
-        found = list((_old_sheets if data.startswith(OLE_MAGIC) else _sheets)(data, path, wanted))
+        found = list((_read_xls if data.startswith(OLE_MAGIC) else _read_xlsx_or_ods)(data, path, wanted))
     except InputError:
         raise
-    # A damaged archive may end the parser, too: its panics derive from BaseException.
+    # A damaged archive may cause a panic of the parser (Rust), which derives from BaseException.
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit | MemoryError):
             raise
-        raise InputError(f"cannot be read as {EXPECTED}: {reason_of(error)}; open it in a spreadsheet program and save "
-                         "it again", file=path) from None
+        raise InputError(f"cannot be read as {EXPECTED_SPREADSHEET}: {reason_of(error)}; open the file in a "
+                         "spreadsheet program and save the file again", file=path) from None
     filled = tuple(each for each in found if each.rows)
     if not filled:
-        raise InputError(f"is empty, expected {EXPECTED} with a table", file=path,
+        raise InputError(f"is empty, expected {EXPECTED_SPREADSHEET} with a table", file=path,
                          field=None if sheet is None else "sheet")
     return filled
 
 
 def read_sheet(path: Path, sheet: str | int | None = None) -> Sheet:
-    """Read one sheet; None: the only sheet with content. See `read_sheets` for the arguments.
+    """Read one sheet of a spreadsheet.
+
+    Args:
+        path: the file.
+        sheet: name or number (from 1); None: the only sheet with content.
 
     Raises:
-        InputError: several that hold anything.
+        InputError: several sheets with content; see also `read_sheets`.
     """
     filled = read_sheets(path, sheet)
     if len(filled) > 1:
-        raise InputError(f"{len(filled)} sheets hold something; choose one with sheet = "
+        raise InputError(f"{len(filled)} sheets have content; choose one with sheet = "
                          f"{' or '.join(repr(each.name) for each in filled)}", file=path, field="sheet")
     return filled[0]
 
 
-def _sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+def _read_xlsx_or_ods(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
     """Read the sheets of an xlsx or ods file."""
     _check_extent(data, path)
     with calamine.load_workbook(io.BytesIO(data)) as book:
-        for name in _chosen(path, wanted, book.sheet_names):
-            yield Sheet(path, name, _rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False)))
+        for name in _select_names(path, wanted, book.sheet_names):
+            yield Sheet(path, name, _text_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False)))
 
 
-def _old_sheets(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
+def _read_xls(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
     """Read the sheets of an xls file."""
     try:
         book = xlrd.open_workbook(file_contents=data, logfile=io.StringIO(), ragged_rows=True)
     except xlrd.XLRDError as error:
         if "encrypted" in str(error):
-            raise InputError("has a password; save it without one", file=path) from None
+            raise InputError("has a password; save the file without a password", file=path) from None
         raise
-    for name in _chosen(path, wanted, book.sheet_names()):
+    for name in _select_names(path, wanted, book.sheet_names()):
         sheet = book.sheet_by_name(name)
-        # What a formula makes of a fault has no value.
-        yield Sheet(path, name, _rows([["" if cell.ctype == xlrd.XL_CELL_ERROR else cell.value for cell in sheet.row(i)]
-                                       for i in range(sheet.nrows)]))
+        # A formula with an error, such as #DIV/0!, has no value.
+        yield Sheet(path, name, _text_rows(
+            ["" if cell.ctype == xlrd.XL_CELL_ERROR else cell.value for cell in sheet.row(i)]
+            for i in range(sheet.nrows)))
 
 
 def _check_extent(data: bytes, path: Path) -> None:
-    """Refuse a sheet that reaches so far that its rectangle does not fit the memory: calamine ends the process there.
+    """Check the number of cells of each sheet, because calamine aborts the process if the memory does not suffice.
 
     Raises:
-        InputError: such a sheet.
+        InputError: a sheet with more than `_MAX_CELLS` cells up to its last row and column.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         for name in archive.namelist():
@@ -135,31 +142,40 @@ def _check_extent(data: bytes, path: Path) -> None:
             letters = {match.decode() for match in re.findall(rb'<c [^>]*?\br="([A-Z]{1,9})', content)}
             columns = max(letters, key=lambda each: (len(each), each), default="A")
             width = sum(26**i * (ord(letter) - 64) for i, letter in enumerate(reversed(columns)))
-            if rows * width > _MOST_CELLS:
-                raise InputError(f"a sheet ({Path(name).stem}) reaches to cell {columns}{rows}; clear what stands far "
+            if rows * width > _MAX_CELLS:
+                raise InputError(f"a sheet ({Path(name).stem}) reaches to cell {columns}{rows}; delete the cells far "
                                  "from the table", file=path)
 
 
-def _rows(cells: Iterable[Iterable[Any]]) -> tuple[Row, ...]:
-    numbered = (Row(number, tuple(map(_text, row))) for number, row in enumerate(cells, start=1))
+def _text_rows(cells: Iterable[Iterable[Any]]) -> tuple[Row, ...]:
+    """Convert the cells of a sheet to text, and return the rows with content."""
+    numbered = (Row(number, tuple(map(_cell_text, row))) for number, row in enumerate(cells, start=1))
     return tuple(row for row in numbered if not row.blank)
 
 
-def _chosen(path: Path, wanted: Sequence[str | int], names: list[str]) -> Iterable[str]:
-    return dict.fromkeys(_find(path, each, names) for each in wanted) if wanted else names
+def _select_names(path: Path, wanted: Sequence[str | int], names: list[str]) -> Iterable[str]:
+    """Return the names of the requested sheets without repetitions; all names without a request."""
+    return dict.fromkeys(_find_sheet_name(path, each, names) for each in wanted) if wanted else names
 
 
-def _find(path: Path, sheet: str | int, names: list[str]) -> str:
+def _find_sheet_name(path: Path, sheet: str | int, names: list[str]) -> str:
+    """Return the name of a sheet by name or number (from 1).
+
+    Raises:
+        InputError: no such sheet.
+    """
     if isinstance(sheet, int):
         if not 1 <= sheet <= len(names):
-            raise InputError(f"there is no sheet {sheet}; the file has {len(names)}", file=path, field="sheet")
+            raise InputError(f"must be from 1 to {len(names)}, the number of sheets in the file; got {sheet}.",
+                             file=path, field="sheet")
         return names[sheet - 1]
     if sheet not in names:
         raise InputError(f"there is no sheet {sheet!r}{nearest(sheet, names)}", file=path, field="sheet")
     return sheet
 
 
-def _text(value: Any) -> str:
+def _cell_text(value: Any) -> str:
+    """Return a value as text with single blanks; a number as `ExactNumber`."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return ExactNumber(repr(value))
     return " ".join(str(value).split())

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.recording.formats.columns import Sheets, read_blocks
-from tissue_sim.recording.formats.native import native_recording
-from tissue_sim.recording.formats.table import narrow
+from tissue_sim.recording.formats.native import read_native_rows
+from tissue_sim.recording.formats.table import select_cells
 from tissue_sim.recording.formats.workbook import Sheet, read_sheet, read_sheets
 from tissue_sim.recording.recording import Recording
 
@@ -19,26 +19,26 @@ def read_xlsx(path: str | Path, *, columns: Mapping[str, Any] | None = None, she
 
     Args:
         path: the file.
-        columns: as in `tissue_sim.recording.formats.columns.read_blocks`. None: the sheet's first row is a native
-            header, such as ``time [s]``, ``displacement [mm]``, ``force [N]``, each in a cell.
-        sheet: name or number (from 1), or a list of them. None: the only sheet that holds anything.
+        columns: see `tissue_sim.recording.formats.columns.read_blocks`. None: the first row of the sheet is a native
+            header with one name per cell, such as ``time [s]``, ``displacement [mm]``, ``force [N]``.
+        sheet: name or number (from 1), or a list of names and numbers. None: the only sheet with content.
         skip_lines: number of rows at the top that are ignored; with `columns` only.
 
     Raises:
-        InputError: no spreadsheet, sheet or column of that name, or a bad cell; with file, sheet and row. The extra
-            ``formats`` is not installed.
+        InputError: no such spreadsheet, sheet or column, or an invalid cell; with file, sheet and row.
     """
     if columns is not None:
         found = read_blocks(path, columns, sheet=sheet, skip_lines=skip_lines)
         return found if len(found) > 1 else found[0]
     if isinstance(sheet, Sequence) and not isinstance(sheet, str):
-        return tuple(_native(each) for each in read_sheets(Path(path), sheet))
-    return _native(read_sheet(Path(path), sheet))
+        return tuple(_read_native_sheet(each) for each in read_sheets(Path(path), sheet))
+    return _read_native_sheet(read_sheet(Path(path), sheet))
 
 
-def _native(found: Sheet) -> Recording:
+def _read_native_sheet(found: Sheet) -> Recording:
+    """Read a sheet with the native header."""
     with found.located():
         rows = [row for row in found.rows if not row.cells[0].startswith("#")]
         # Columns without a name are not part of the table.
         named = [i for i, cell in enumerate(rows[0].cells) if cell] if rows else []
-        return native_recording(narrow(rows, named), found.file)
+        return read_native_rows(select_cells(rows, named), found.file)
