@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.campaign.planned import REPLICATES, SAMPLES, read_planned
+from calibration.campaign.planned import PLANNED, read_planned
 from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written, result_files
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
@@ -159,8 +159,8 @@ def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], over
     return results, failures
 
 
-def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = REPLICATES,
-                       samples: int = SAMPLES, workers: Workers | None = None,
+def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = PLANNED.replicates,
+                       samples: int = PLANNED.samples, workers: Workers | None = None,
                        progress: Progress | None = None) -> Design:
     """Predict what the planned experiments of a campaign will determine, without writing files.
 

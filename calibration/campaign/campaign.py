@@ -21,6 +21,7 @@ from calibration.campaign.checks import (
     require_positive,
 )
 from calibration.campaign.experiments import read_experiment, read_rig, read_solver
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
     NamedParameter,
@@ -49,10 +50,6 @@ from tissue_sim.recording.formats.columns import check_decimal, check_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
-#: Default standard deviation of the prior of a contact offset, m; reduced for tests with small displacements.
-DEFAULT_OFFSET_PRIOR = 0.05e-3
-#: Default half width of the bounds of a contact offset in an analytical fit, m; reduced in the same way.
-DEFAULT_OFFSET_BOUND = 0.5e-3
 #: Default number of starts of an inverse fit.
 DEFAULT_STARTS = 3
 #: Maximum number of starts of an inverse fit.
@@ -132,8 +129,8 @@ class FitSettings:
     laws: tuple[str, ...]
     bulk: Bulk = field(default_factory=Bulk)
     offset: str = "none"
-    offset_bound: float = DEFAULT_OFFSET_BOUND
-    offset_prior: float = DEFAULT_OFFSET_PRIOR
+    offset_bound: float = OFFSET_DEFAULTS.contact_bound
+    offset_prior: float = OFFSET_DEFAULTS.contact_prior
     offset_usual: tuple[str, ...] = ()
     zero_bound: float | None = None
     zero_prior: float | None = None
@@ -204,6 +201,7 @@ class Campaign:
 
     @property
     def name(self) -> str:
+        """Name of the campaign: the file name without its ending."""
         return self.path.stem
 
 
@@ -354,8 +352,8 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
                        if isinstance(value, float | int) and value > 0), None)
     return FitSettings(
         laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
-        offset=table.offset, offset_prior=offset_prior or DEFAULT_OFFSET_PRIOR, offset_usual=usual,
-        offset_bound=DEFAULT_OFFSET_BOUND if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
+        offset=table.offset, offset_prior=offset_prior or OFFSET_DEFAULTS.contact_prior, offset_usual=usual,
+        offset_bound=OFFSET_DEFAULTS.contact_bound if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
         starts=table.starts or DEFAULT_STARTS, method=table.method,
         named=_read_only(by_path), start=_read_only(start), fixed=_read_only(fixed), prior=_read_only(prior),

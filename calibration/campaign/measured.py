@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
+from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.loading import check_motion, elastic_samples, require_loading
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.screened import check_left_out, clean_recording, screening_notes, with_control, with_preload
 from calibration.campaign.segmented import SegmentedRecording, notes_with_air, origin_notes, segment_recording
 from calibration.campaign.specimen_check import check_size
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
 
 #: Segments that are not part of the first loading; an elastic law is not fitted to them.
 NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
-#: Largest default standard deviation of a contact offset, as a fraction of the displacement of a test.
-CONTACT_FRACTION = 0.02
-#: Default standard deviation of a contact offset, as a fraction of the strain of a test recorded as strain.
-STRAIN_FRACTION = 0.005
 #: Loading ends when this fraction of the largest displacement is reached.
 LOADED = 0.98
 #: Largest relative difference between replicates of one test in speed and in largest displacement.
@@ -155,10 +152,11 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
 def default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
     """Return the default standard deviation of a contact offset, m.
 
-    The value is `DEFAULT_OFFSET_PRIOR` or a fraction of the displacement of the shortest test, whichever is smaller.
-    For tests recorded as strain the value is a fraction of the strain.
+    The value is `OffsetDefaults.contact_prior` or a fraction of the displacement of the shortest test, whichever is
+    smaller. For tests recorded as strain the value is a fraction of the strain.
     """
-    return min(STRAIN_FRACTION * reach if stressed else min(CONTACT_FRACTION * reach, DEFAULT_OFFSET_PRIOR)
+    usual = OFFSET_DEFAULTS
+    return min(usual.strain_fraction * reach if stressed else min(usual.contact_fraction * reach, usual.contact_prior)
                for reach, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
 
 
@@ -176,7 +174,7 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
     if "offset_prior" in fit.offset_usual:
         fit = replace(fit, offset_prior=contact)
     if "offset_bound" in fit.offset_usual:
-        fit = replace(fit, offset_bound=contact * DEFAULT_OFFSET_BOUND / DEFAULT_OFFSET_PRIOR)
+        fit = replace(fit, offset_bound=contact * OFFSET_DEFAULTS.contact_bound / OFFSET_DEFAULTS.contact_prior)
     return replace(campaign, fit=fit)
 
 

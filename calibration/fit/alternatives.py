@@ -34,25 +34,27 @@ class AlternativeSettings:
             than this share of the smaller one. Below it the choice between them has no consequence.
         lowest_stretch: the further tests are evaluated up to this stretch in compression and its reciprocal in
             tension, or up to the stretches of the data where these are closer to 1.
+        promising_ratio: a start with other signs of the exponents is followed where its sum of squares is below this
+            many times the best one, or this many per sample. A larger value costs more descents.
+        equal_rise: sums of squares that differ by less than this, in units of the variance of the residuals, are
+            numerically equal.
     """
 
     rise: float = 3.841
     difference: float = 0.05
     lowest_stretch: float = 0.7
+    promising_ratio: float = 2.0
+    equal_rise: float = 1e-3
 
 
 SETTINGS = AlternativeSettings()
-#: A start with other signs of the exponents is followed where its sum of squares is below this many times the best one,
-#: or this many per sample.
-PROMISING = 2.0
-#: Sums of squares that differ by less than this, in units of the variance of the residuals, are numerically equal.
-_EQUAL = 1e-3
 
 
 def mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray]:
-    """Starts in the other basins of a law with exponents: every other combination of their signs.
+    """Return starts in the other basins of a law with exponents: every other combination of their signs.
 
     Args:
+        space: parameter space.
         theta: unknowns at a minimum, shape (k,); the free parameters come first.
 
     Returns:
@@ -75,15 +77,16 @@ def mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray
 
 
 def prefer_positive_exponents(space: ParameterSpace, minima: Sequence[tuple[float, np.ndarray]]) -> int:
-    """Index of the minimum to report first, of those that fit equally well: the one with most positive exponents.
+    """Return the index of the minimum to report first: of equally good ones, that with most positive exponents.
 
     The choice is a convention, so that the same data always give the same first parameters.
 
     Args:
+        space: parameter space.
         minima: sum of squares in units of the variance of the residuals, and unknowns, best first.
     """
     exponents = [place for place, each in enumerate(space.varied) if each.is_exponent]
-    equal = [i for i, (error, _) in enumerate(minima) if error - minima[0][0] < _EQUAL]
+    equal = [i for i, (error, _) in enumerate(minima) if error - minima[0][0] < SETTINGS.equal_rise]
     return max(equal, key=lambda i: (int(np.sum(minima[i][1][exponents] > 0)), -i))
 
 
@@ -146,8 +149,11 @@ def without_errors_of(space: ParameterSpace, spread: Uncertainty, theta: np.ndar
 
 def _largest_difference(law: Law, one: Mapping[str, float], other: Mapping[str, float],
                         stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
-    """Largest relative difference of the nominal stresses of two materials over several tests, the test in words, its
-    stretch or shear strain, and both stresses there, Pa."""
+    """Return the largest relative difference of the nominal stresses of two materials over several tests.
+
+    Returns:
+        The difference, the test in words, its stretch or shear strain, and both stresses there, Pa.
+    """
     low = max(stretches[0], SETTINGS.lowest_stretch)
     high = min(stretches[1], 1.0 / SETTINGS.lowest_stretch)
     tests = [(f"simple shear to {high - 1.0 / high:.3g}", "simple_shear", high - 1.0 / high)]

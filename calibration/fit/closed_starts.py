@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
@@ -15,14 +16,26 @@ from tissue_sim.laws import find_law
 #: Grid of exponents and other dimensionless parameters. The grid includes 0, the limit of a power law: in simple shear
 #: the stress is even in the exponent, so that descents approach 0 slowly.
 EXPONENTS = (-20.0, -10.0, -5.0, -2.0, -0.5, 0.0, 1.0, 2.0, 4.0, 8.0, 15.0, 25.0)
-#: Largest number of elastic starts.
-MAX_STARTS = 12
+
+
+@dataclass(frozen=True)
+class ClosedStartSettings:
+    """Numbers of starting values of fits with closed forms.
+
+    Attributes:
+        max_starts: largest number of elastic starts. A larger value finds more minima and costs more descents.
+        times_per_decade: relaxation times per decade of the grid for Prony terms.
+        relaxing_starts: number of sets of exponents that are refined for a law with Prony terms.
+    """
+
+    max_starts: int = 12
+    times_per_decade: int = 3
+    relaxing_starts: int = 3
+
+
+_SETTINGS = ClosedStartSettings()
 #: Contact offsets of additional starts, as fractions of the bound.
 _TRIAL_OFFSETS = (-0.5, -0.1, -0.01, 0.01, 0.1, 0.5)
-#: Relaxation times per decade of the grid for Prony terms.
-TIMES_PER_DECADE = 3
-#: Number of sets of exponents that are refined for a law with Prony terms.
-RELAXING_STARTS = 3
 
 
 def closed_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
@@ -99,7 +112,7 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
         candidates += sorted(((e.error, i, trial) for i, (e, trial) in enumerate(evaluations) if e is not None),
                              key=lambda item: item[:2])[:1]
     candidates.sort(key=lambda item: item[0])
-    return [trial for *_, trial in candidates[:MAX_STARTS]]
+    return [trial for *_, trial in candidates[:_SETTINGS.max_starts]]
 
 
 class _Relaxing:
@@ -169,7 +182,7 @@ def _relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.n
     model = _Relaxing(problem)
     terms = variables.g.size
     shortest, longest = problem.time_range
-    count = int(np.clip(TIMES_PER_DECADE * np.log10(longest / shortest), terms + 1, 16))
+    count = int(np.clip(_SETTINGS.times_per_decade * np.log10(longest / shortest), terms + 1, 16))
     grid = np.geomspace(shortest, longest, count)
     candidates = []
     for exponents in _grids(int((~model.moduli).sum())):
@@ -179,7 +192,7 @@ def _relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.n
             candidates.append(solved)
     candidates.sort(key=lambda item: item[0])
     found = []
-    for _, values, ratios in candidates[:RELAXING_STARTS]:
+    for _, values, ratios in candidates[:_SETTINGS.relaxing_starts]:
         for r, log_tau in (_clusters(grid, ratios, terms), _equal_bins(grid, ratios, terms)):
             order, factor = np.argsort(log_tau), 1.0 + r.sum()
             unknowns = np.empty(len(problem.space.free))

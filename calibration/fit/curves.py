@@ -18,10 +18,21 @@ from calibration.statistics.bands import KNOWN_VARIANCE, Scatter, prediction_ban
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
-#: Number of points of a curve.
-POINTS = 101
-#: Number of recordings from which the observed scatter replaces the scatter of contact and zero.
-MIN_RECORDINGS = 3
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """Settings of the curves of an estimate.
+
+    Attributes:
+        points: number of points of a curve; a path-dependent curve has four times as many.
+        min_recordings: number of recordings from which the observed scatter replaces the scatter of contact and zero.
+    """
+
+    points: int = 101
+    min_recordings: int = 3
+
+
+_SETTINGS = CurveSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,7 +96,8 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
             gaps = [curve.force - force for curve, (force, *_) in zip(test.measured, seen, strict=True)]
             known, count = all(curve.name in fitted for curve in test.measured), len(test.measured)
             # With enough recordings their observed scatter is used, which includes more than contact and zero.
-            used = scatter if not known or count < MIN_RECORDINGS or (scatter and scatter.freedom is None) else None
+            is_observed = known and count >= _SETTINGS.min_recordings and not (scatter and scatter.freedom is None)
+            used = None if is_observed else scatter
             deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
                 if known else None
             force, error, bands = _along(problem.solves, predictor, test, path, mesh_error, used, deviations)
@@ -133,13 +145,13 @@ def _path(test: ForwardTest) -> MeasuredCurve:
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.is_path_dependent:
-        even = np.linspace(first.clock[0], first.clock[-1], 4 * POINTS)
+        even = np.linspace(first.clock[0], first.clock[-1], 4 * _SETTINGS.points)
         time, displacement = even, np.interp(even, first.clock, first.displacement)
         segment = np.full(displacement.size, "")
     else:
         # A gripped specimen may be loaded in both directions.
         start = min(0.0, float(reached.min())) if first.test.kind.gripped else 0.0
-        displacement = np.linspace(start, max(0.0, float(reached.max())), POINTS)
+        displacement = np.linspace(start, max(0.0, float(reached.max())), _SETTINGS.points)
         if first.time is not None:
             order = np.argsort(first.displacement, kind="stable")
             time = np.interp(displacement, first.displacement[order], first.clock[order])

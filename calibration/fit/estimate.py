@@ -16,14 +16,26 @@ from calibration.forward.forms import mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.statistics.jitter import Jitter, estimate_jitter
 
-#: Expected relative change of the parameters by a further mesh correction at which the iteration ends.
-PARAMETER_TOLERANCE = 5e-4
-#: Safety factor of the expected change, which is the last change times the relative mesh difference.
-SAFETY = 5.0
-#: Relative change of the jitter at which the iteration ends.
-JITTER_TOLERANCE = 0.05
-#: Maximum number of mesh corrections.
-MAX_REFRESHES = 8
+
+@dataclass(frozen=True)
+class MeshIterationSettings:
+    """Settings of the fixed-point iteration of parameters, mesh correction and jitter.
+
+    Attributes:
+        parameter_tolerance: expected relative change of the parameters by a further mesh correction at which the
+            iteration ends. A smaller value needs more simulations on the accurate mesh.
+        safety: safety factor of the expected change, which is the last change times the relative mesh difference.
+        jitter_tolerance: relative change of the jitter at which the iteration ends.
+        max_refreshes: maximum number of mesh corrections.
+    """
+
+    parameter_tolerance: float = 5e-4
+    safety: float = 5.0
+    jitter_tolerance: float = 0.05
+    max_refreshes: int = 8
+
+
+_SETTINGS = MeshIterationSettings()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -90,11 +102,11 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         # The correction is nearly proportional to the parameters, so the next change is about this one times the
         # relative difference of the meshes.
         largest = max((difference for difference in differences if np.isfinite(difference)), default=0.0)
-        if moved.max(initial=0.0) * min(1.0, SAFETY * largest) < PARAMETER_TOLERANCE and _is_close(jitter,
-                                                                                                  problem.jitter):
+        expected = moved.max(initial=0.0) * min(1.0, _SETTINGS.safety * largest)
+        if expected < _SETTINGS.parameter_tolerance and _is_close(jitter, problem.jitter):
             break
-        if refreshes == MAX_REFRESHES:
-            warnings.append(f"the parameters still changed after {MAX_REFRESHES} mesh corrections")
+        if refreshes == _SETTINGS.max_refreshes:
+            warnings.append(f"the parameters still changed after {_SETTINGS.max_refreshes} mesh corrections")
             break
     return Estimate(start, theta, descent.error, descent.converged, descent.failure, tuple(history), *spent(),
                     problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
@@ -132,6 +144,6 @@ def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None
 
 
 def _is_close(one: Jitter, other: Jitter) -> bool:
-    """Return whether two jitters agree within `JITTER_TOLERANCE`."""
-    return all(abs(a - b) <= JITTER_TOLERANCE * max(a, b) for a, b in ((one.contact, other.contact),
+    """Return whether two jitters agree within `MeshIterationSettings.jitter_tolerance`."""
+    return all(abs(a - b) <= _SETTINGS.jitter_tolerance * max(a, b) for a, b in ((one.contact, other.contact),
                                                                      (one.zero, other.zero)))

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
-from calibration.fit.alternatives import PROMISING, mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
+from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, settle
@@ -21,21 +22,31 @@ from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.run_context import RunContext
 from calibration.fit.starts import starts
-from calibration.fit.trust_region import MIN_GAIN_OF_A_START, Descent, Listener, descend, distinct
+from calibration.fit.trust_region import DESCENT, Descent, Listener, descend, distinct
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import build_test, mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.statistics.jitter import Jitter
-from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
+from calibration.statistics.statistics import NOISE_RATIOS, r_squared
 from calibration.statistics.uncertainty import Uncertainty
 
-#: Relative difference of parameters below which two minima are identical.
-_SAME = 1e-2
-#: Nuisance, in standard deviations, above which a warning is given.
-SUSPECT = 4.0
-#: Degrees of freedom below which an estimated scatter of 0 gives a warning.
-FEW = 6
+
+@dataclass(frozen=True)
+class InverseWarningSettings:
+    """Limits above which an inverse fit warns.
+
+    Attributes:
+        suspect_nuisance: nuisance, in standard deviations, above which a warning is given. A smaller value warns about
+            recordings that are right.
+        few_degrees_of_freedom: degrees of freedom below which an estimated scatter of 0 gives a warning.
+    """
+
+    suspect_nuisance: float = 4.0
+    few_degrees_of_freedom: int = 6
+
+
+INVERSE_WARNINGS = InverseWarningSettings()
 
 
 class Generalised(Estimator):
@@ -83,7 +94,8 @@ class Generalised(Estimator):
         for law in laws:
             best = min(descents[law], key=lambda end: end.error)
             if np.isfinite(best.error):
-                keys += [(law, len(descents[law]) + number, theta, PROMISING * max(best.error, problems[law].samples))
+                limit = ALTERNATIVES.promising_ratio * max(best.error, problems[law].samples)
+                keys += [(law, len(descents[law]) + number, theta, limit)
                          for number, theta in enumerate(mirrored_starts(problems[law].space, best.theta), 1)]
         if keys:
             ends = context.run_descents(run_mirrored, [law for law, *_ in keys],
@@ -161,7 +173,7 @@ class Generalised(Estimator):
 
 def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
     """Run a descent from one start on the fast mesh."""
-    return descend(problem, theta, start=number, enough=MIN_GAIN_OF_A_START, listen=listen)
+    return descend(problem, theta, start=number, enough=DESCENT.min_gain_of_start, listen=listen)
 
 
 def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
@@ -211,7 +223,7 @@ def _warnings(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> 
         warnings.append(f"samples after the loading in {', '.join(names)} are not fitted ({later} samples), because an "
                         'elastic material has no relaxation and no hysteresis; name "viscoelastic.terms[0].g" and '
                         '".tau_s", or "softening.loss", in fit.start to use them')
-    few = jitter.freedom is not None and 0 < jitter.freedom < FEW
+    few = jitter.freedom is not None and 0 < jitter.freedom < INVERSE_WARNINGS.few_degrees_of_freedom
     if few and not (jitter.contact and jitter.zero):
         kind = "contact" if not jitter.contact else "zero"
         warnings.append(f"the estimated scatter of the {kind} from few recordings is 0, which may be chance: state "
@@ -222,17 +234,17 @@ def _warnings(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> 
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
                         f"contact {assumed.sizes[0]}, zero {assumed.sizes[1]}; state contact_jitter_mm and "
                         f"zero_jitter_N{of_strain}")
-    if spread.ratio > MODEL_ERROR_RATIO:
+    if spread.ratio > NOISE_RATIOS.model_error:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model is incomplete, and the standard "
                         "errors are rough estimates")
-    sizes = np.abs(evaluation.nuisances)
+    sizes, limit = np.abs(evaluation.nuisances), INVERSE_WARNINGS.suspect_nuisance
     if stuck := [curve.name for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)
-                 if sizes[columns].max(initial=0.0) > SUSPECT]:
-        warnings.append(f"contact or zero of {', '.join(stuck)} is more than {SUSPECT:g} times the stated or estimated "
+                 if sizes[columns].max(initial=0.0) > limit]:
+        warnings.append(f"contact or zero of {', '.join(stuck)} is more than {limit:g} times the stated or estimated "
                         "scatter away: check the contact of these recordings, or the model")
-    if sizes[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
-        warnings.append(f"the fitted mesh error is more than {SUSPECT:g} times its standard deviation: it compensates "
-                        "an error of the model")
+    if sizes[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > limit:
+        warnings.append(f"the fitted mesh error is more than {limit:g} times its standard deviation: it "
+                        "compensates an error of the model")
     return warnings
 
 
@@ -260,7 +272,7 @@ def _minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
     """Return the distinct minima of all starts on the fast mesh."""
     total = float(np.sum((problem.data - problem.data.mean())**2))
     kept = distinct([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
-                    lambda one, other: np.abs(one - other) <= _SAME * problem.sizes(one))
+                    lambda one, other: np.abs(one - other) <= DESCENT.same_minimum * problem.sizes(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
                     rise=(descent.error - kept[0][0].error) / _scale(kept[0][0].error, problem))

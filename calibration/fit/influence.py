@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,18 +15,32 @@ from calibration.fit.trust_region import descend
 from calibration.statistics.uncertainty import inverse_root
 from tissue_sim.recording.recording import MIN_POINTS
 
-#: Smallest number of recordings among which an outlier can be identified.
-MIN_RECORDINGS = 3
-#: Significance level of the test for outlying recordings, over all recordings and parameters.
-LEVEL = 0.05
-#: Smallest relative deviation of an outlying recording.
-MIN_DEVIATION = 0.05
+
+@dataclass(frozen=True)
+class InfluenceSettings:
+    """Settings of the test for outlying recordings and of the fits in windows.
+
+    Attributes:
+        min_recordings: smallest number of recordings among which an outlier can be identified.
+        level: significance level of the test for outlying recordings, over all recordings and parameters.
+        min_deviation: smallest relative deviation of an outlying recording. A smaller value also names recordings
+            without consequence for the parameters.
+        window_gain: predicted decrease of the sum of squares at which the descent in a window ends; windows differ by
+            little.
+        window_solves: maximum number of evaluations in a window; more are needed only if the window does not determine
+            the parameters.
+    """
+
+    min_recordings: int = 3
+    level: float = 0.05
+    min_deviation: float = 0.05
+    window_gain: float = 1e-4
+    window_solves: int = 30
+
+
+_SETTINGS = InfluenceSettings()
 #: Fractions of the largest displacement for which the parameters are estimated again.
 WINDOWS = (0.4, 0.6, 0.8)
-#: Predicted decrease of the sum of squares at which the descent in a window ends; windows differ by little.
-_GAIN = 1e-4
-#: Maximum number of evaluations in a window; more are needed only if the window does not determine the parameters.
-_MAX_SOLVES = 30
 
 
 def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fit:
@@ -64,7 +79,7 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
     if not free:
         return found
     for rows, curve, (number, _) in zip(problem.rows, problem.measured, problem.places, strict=True):
-        if len(problem.tests[number].measured) < MIN_RECORDINGS:
+        if len(problem.tests[number].measured) < _SETTINGS.min_recordings:
             continue
         rest, gap = np.delete(design, np.r_[rows], axis=0), np.delete(residual, np.r_[rows])
         root, _ = inverse_root(rest.T @ rest)
@@ -93,11 +108,11 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
         for parameter, value in parameters.items():
             if _moved(fit.parameters[parameter], value):
                 asked.setdefault((name.rpartition("/")[0], parameter), []).append(name)
-    asked = {place: names for place, names in asked.items() if len(names) >= MIN_RECORDINGS}
+    asked = {place: names for place, names in asked.items() if len(names) >= _SETTINGS.min_recordings}
     questions, odd = sum(map(len, asked.values())), []
     for (_, parameter), names in asked.items():
         count = len(names)
-        quantile = -special.stdtrit(count - 2, 0.5 * LEVEL / questions)
+        quantile = -special.stdtrit(count - 2, 0.5 * _SETTINGS.level / questions)
         without = np.array([influence[name][parameter] for name in names])
         value = fit.parameters[parameter]
         # Deviations are relative to the largest parameter of the same unit, since a small modulus contributes little.
@@ -106,7 +121,8 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
         for i, name in enumerate(names):
             others = np.delete(own, i)
             deviation, scatter = own[i] - others.mean(), others.std(ddof=1) * np.sqrt(1.0 + 1.0 / others.size)
-            if abs(deviation) > quantile * scatter and abs(deviation) > MIN_DEVIATION * size and name not in odd:
+            limit = max(quantile * scatter, _SETTINGS.min_deviation * size)
+            if abs(deviation) > limit and name not in odd:
                 odd.append(name)
     return odd
 
@@ -137,7 +153,8 @@ def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
         narrow = problem.within(fraction)
         if min(curve.force.size for curve in narrow.measured) < MIN_POINTS or narrow.samples <= theta.size:
             continue
-        descent = descend(narrow, theta, corrected=True, enough=_GAIN, max_solves=_MAX_SOLVES)
+        descent = descend(narrow, theta, corrected=True, enough=_SETTINGS.window_gain,
+                          max_solves=_SETTINGS.window_solves)
         if descent.converged:
             found.append(window(fraction, descent.theta))
     return [*found, window(1.0, theta)]

@@ -90,9 +90,10 @@ def _scaled(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _scatter(forces: np.ndarray, index: np.ndarray) -> float:
-    """Standard deviation of the logarithms of the forces within the tests; 0 with one recording in each test.
+    """Return the standard deviation of the logarithms of the forces within the tests; 0 with one recording in each.
 
     Args:
+        forces: mean force of each recording, shape (R,).
         index: number of the test of each recording, shape (R,).
     """
     count = int(index.max()) + 1

@@ -14,10 +14,21 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.problem import LeastSquares
 from tissue_sim.recording.segmentation import label_motion
 
-#: Points at which recordings of one test are compared.
-_POINTS = 64
-#: Fewer moving samples than this give no coefficient of determination.
-_FEWEST = 8
+
+@dataclass(frozen=True)
+class LackOfFitSettings:
+    """Settings of the lack of fit.
+
+    Attributes:
+        points: number of points at which recordings of one test are compared.
+        min_samples: smallest number of moving samples for a coefficient of determination.
+    """
+
+    points: int = 64
+    min_samples: int = 8
+
+
+_SETTINGS = LackOfFitSettings()
 
 
 @dataclass(frozen=True)
@@ -35,16 +46,18 @@ class LackOfFit:
 
 
 def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:
-    """Lack of fit in test `number` of a problem.
+    """Compute the lack of fit in one test of a problem.
 
     Args:
+        problem: least-squares problem.
         gap: model minus data at all samples, N, shape (N,).
+        number: index of the test in the problem.
     """
     rows = [(rows, problem.tests[number].measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
             if t == number]
     largest = max(float(np.abs(curve.force).max()) for _, curve in rows)
     parts = [(curve, gap[place], moving_samples(curve)) for place, curve in rows]
-    parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _FEWEST]
+    parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _SETTINGS.min_samples]
     if not parts:
         return LackOfFit(None, 0.0)
     if len(parts) == 1:
@@ -71,7 +84,8 @@ def _of_mean(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]], timed: b
     gaps, forces = [], []
     courses = [curve.clock[moving] - curve.clock[0] if timed else curve.displacement[moving]
                for curve, _, moving in parts]
-    grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses), _POINTS)
+    grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses),
+                       _SETTINGS.points)
     for course, (curve, mine, moving) in zip(courses, parts, strict=True):
         order = np.argsort(course, kind="stable")
         gaps.append(np.interp(grid, course[order], mine[moving][order]))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -12,7 +12,8 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.alternatives import PROMISING, mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
+from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
@@ -22,36 +23,47 @@ from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import Descent, descend, distinct
+from calibration.fit.trust_region import DESCENT, Descent, descend, distinct
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import build_analytical_test
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
-from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
+from calibration.statistics.statistics import NOISE_RATIOS, r_squared
 from calibration.statistics.uncertainty import Uncertainty, sandwich_covariance
 from tissue_sim.errors import InputError
 
-#: Approximate number of samples of a thinned problem, on which all starts are refined.
-THINNED_POINTS = 200
-#: Number of distinct minima of the thinned problem that are refined on all samples.
-MAX_MINIMA = 2
-#: Maximum number of evaluations per start of the thinned problem.
-THINNED_SOLVES = 300
-#: Relative tolerance of descents of the thinned problem.
-THINNED_TOLERANCE = 1e-8
-#: Maximum number of evaluations per minimum on all samples.
-SOLVES = 80
-#: Relative tolerance of descents on all samples.
-TOLERANCE = 1e-10
-#: Maximum number of evaluations per start of a law with Prony terms, which is fitted to all samples at once.
-RELAXING_SOLVES = 100
-#: Relative tolerance of descents of a law with Prony terms.
-RELAXING_TOLERANCE = 1e-9
-#: Relative difference of parameters below which two minima are identical.
-_SAME = 1e-2
-#: Correlation of neighbouring residuals above which they are reported as a model error.
-CORRELATED = 0.5
+
+@dataclass(frozen=True)
+class AnalyticalFitSettings:
+    """Settings of the descents of an analytical fit.
+
+    Attributes:
+        thinned_points: approximate number of samples of a thinned problem, on which all starts are refined. A smaller
+            value is faster and may miss a minimum.
+        max_minima: number of distinct minima of the thinned problem that are refined on all samples.
+        thinned_solves: maximum number of evaluations per start of the thinned problem.
+        thinned_tolerance: relative tolerance of descents of the thinned problem.
+        solves: maximum number of evaluations per minimum on all samples.
+        tolerance: relative tolerance of descents on all samples.
+        relaxing_solves: maximum number of evaluations per start of a law with Prony terms, which is fitted to all
+            samples at once.
+        relaxing_tolerance: relative tolerance of descents of a law with Prony terms.
+        correlated_residuals: correlation of neighbouring residuals above which they are reported as a model error.
+    """
+
+    thinned_points: int = 200
+    max_minima: int = 2
+    thinned_solves: int = 300
+    thinned_tolerance: float = 1e-8
+    solves: int = 80
+    tolerance: float = 1e-10
+    relaxing_solves: int = 100
+    relaxing_tolerance: float = 1e-9
+    correlated_residuals: float = 0.5
+
+
+_SETTINGS = AnalyticalFitSettings()
 
 
 class Ordinary(Estimator):
@@ -131,9 +143,9 @@ class Ordinary(Estimator):
         spread, count = found.spread, len(found.descents)
         parts = [f"converged from {count} start{'s' if count != 1 else ''}" if found.unusable is None
                  else found.unusable]
-        if spread.ratio > MODEL_ERROR_RATIO:
+        if spread.ratio > NOISE_RATIOS.model_error:
             parts.append(f"residuals are {spread.ratio:.3g} times the noise: model error dominates")
-        elif spread.ratio < CURVATURE_RATIO and any(curve.noise.source == "estimated" for curve in self.fitted):
+        elif spread.ratio < NOISE_RATIOS.curvature and any(curve.noise.source == "estimated" for curve in self.fitted):
             parts.append(f"residuals are {spread.ratio:.2g} times the estimated noise, so that is too large")
         if spread.basis == "replicates":
             parts.append(f"standard errors follow the scatter of the {len(self.fitted)} replicates")
@@ -165,22 +177,23 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     """
     spent, law = problem.solves.meter(), problem.space.law
     # The stress of a material with memory depends on the whole motion, so its samples are not thinned.
-    stride = 1 if problem.remembers else -(-problem.samples // THINNED_POINTS)
+    stride = 1 if problem.remembers else -(-problem.samples // _SETTINGS.thinned_points)
     thin = problem if stride == 1 else problem.thinned(stride)
 
     def end_of(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
-               tolerance: float = TOLERANCE) -> Descent:
+               tolerance: float = _SETTINGS.tolerance) -> Descent:
         return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                        max_solves=most)
 
     def near(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return (np.abs(one - other) <= _SAME * np.abs(other) + 1e-9)[: len(problem.space.free)]
+        return (np.abs(one - other) <= DESCENT.same_minimum * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
-    limits = (RELAXING_SOLVES, RELAXING_TOLERANCE) if problem.relaxing else (THINNED_SOLVES, THINNED_TOLERANCE)
+    limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.relaxing else \
+        (_SETTINGS.thinned_solves, _SETTINGS.thinned_tolerance)
     descents = [end_of(thin, start, number, *limits) for number, start in enumerate(closed_starts(thin), 1)]
     ends = distinct([(d, 1) for d in descents if np.isfinite(d.error)], near)
-    refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, SOLVES), count)
-                                             for end, count in ends[:MAX_MINIMA]]
+    refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, _SETTINGS.solves), count)
+                                             for end, count in ends[:_SETTINGS.max_minima]]
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
     if not refined:
         hint = "" if all(test.specimen is None for test in problem.tests) else \
@@ -191,7 +204,7 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
             continue
         descents.append(end_of(thin, start, len(descents) + 1, *limits))
         if np.isfinite(descents[-1].error):
-            refined.append((end_of(problem, descents[-1].theta, descents[-1].start, SOLVES), 1))
+            refined.append((end_of(problem, descents[-1].theta, descents[-1].start, _SETTINGS.solves), 1))
     refined = distinct([item for item in refined if np.isfinite(item[0].error)], near)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
     best = refined[prefer_positive_exponents(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
@@ -209,9 +222,9 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
 
 
 def _is_promising(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:
-    """Return whether the sum of squares at a start is below `PROMISING` times the best one."""
+    """Return whether the sum of squares at a start is close enough to the best one to follow the start."""
     evaluation = feasible(problem, start)
-    return evaluation is not None and evaluation.error < PROMISING * max(best, problem.samples)
+    return evaluation is not None and evaluation.error < ALTERNATIVES.promising_ratio * max(best, problem.samples)
 
 
 def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: Noise) -> Uncertainty:
@@ -255,7 +268,7 @@ def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
              f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
     correlation = neighbour_correlation(problem, found.estimate.evaluation)
-    if correlation > CORRELATED:
+    if correlation > _SETTINGS.correlated_residuals:
         notes.append(f"the residuals are smooth (neighbours correlate by {correlation:.2f}): they are a model error, "
                      "not noise, and the criteria favour too many terms")
     return notes

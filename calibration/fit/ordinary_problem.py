@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import FitSettings, Noise
 from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.fit.variables import LongTerm, Variables
@@ -19,12 +20,8 @@ from calibration.statistics.statistics import pooled_noise
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
 
-#: Default prior standard deviation of a zero, in units of the force noise.
-_ZERO_PRIOR = 5.0
-#: Default bound of a zero, in prior standard deviations.
-_ZERO_BOUND = 10.0
 #: Distance to a bound at which an unknown counts as on the bound, relative to the distance of its bounds.
-ON_BOUND = 1e-6
+_BOUND_DISTANCE = 1e-6
 
 
 @dataclass(eq=False)
@@ -54,8 +51,8 @@ class OrdinaryProblem(LeastSquares):
                                     for (t, _), curve in zip(self.places, self.measured, strict=True)])
         self.shifted = [i for i, curve in enumerate(self.measured) if self.settings.offset == "fit"
                         and not curve.stressed]
-        zero_prior = self.settings.zero_prior or _ZERO_PRIOR * self.force_noise
-        zero_bound = self.settings.zero_bound or _ZERO_BOUND * zero_prior
+        zero_prior = self.settings.zero_prior or OFFSET_DEFAULTS.zero_prior * self.force_noise
+        zero_bound = self.settings.zero_bound or OFFSET_DEFAULTS.zero_bound * zero_prior
         count = len(self.shifted)
         high = np.tile([self.settings.offset_bound, zero_bound], count)
         self.bounds = np.append(self.space.low, -high), np.append(self.space.high, high)
@@ -158,7 +155,7 @@ class OrdinaryProblem(LeastSquares):
         low, high = self.bounds if variables is None else variables.bounds
         u = theta if variables is None else variables.of(theta)
         reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
-        return (u - low <= ON_BOUND * reach) | (high - u <= ON_BOUND * reach)
+        return (u - low <= _BOUND_DISTANCE * reach) | (high - u <= _BOUND_DISTANCE * reach)
 
     def offsets(self, theta: np.ndarray) -> np.ndarray:
         """Return contact offset, m, and zero, N, of each recording, shape (recordings, 2)."""

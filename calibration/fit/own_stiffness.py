@@ -18,7 +18,9 @@ def describe_own_stiffnesses(problem: LeastSquares, model: np.ndarray, smallest_
     variance of the force in every test.
 
     Args:
-        model: force of the law at all samples, N, shape (N,). smallest_R2: share of the variance to be explained.
+        problem: least-squares problem.
+        model: force of the law at all samples, N, shape (N,).
+        smallest_R2: fraction of the variance that the scaled force must explain.
     """
     if len(problem.tests) < 2 or len({test.measured[0].test.kind.name for test in problem.tests}) > 1:
         return ""

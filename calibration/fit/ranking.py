@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -11,15 +12,26 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.regions import name_misfits
-from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO
+from calibration.statistics.statistics import NOISE_RATIOS
 
-#: Relative difference of prediction errors below which they do not decide between two laws.
-ALIKE = 0.1
-#: Prediction error above which a law counts as not predictive, %.
-FAR_OFF = 10.0
-#: Ratio of the error to its expected value up to which the error of a further specimen is scatter between specimens.
-SCATTER = 2.0
 
+@dataclass(frozen=True)
+class RankingSettings:
+    """Limits of the sentences that explain a ranking.
+
+    Attributes:
+        equal_error: relative difference of prediction errors below which they do not decide between two laws.
+        max_error: prediction error above which a law counts as not predictive, %.
+        scatter_ratio: ratio of the error to its expected value up to which the error of a further specimen is scatter
+            between specimens.
+    """
+
+    equal_error: float = 0.1
+    max_error: float = 10.0
+    scatter_ratio: float = 2.0
+
+
+_SETTINGS = RankingSettings()
 #: Fit of a law, its predictions, and its curves.
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
@@ -114,25 +126,25 @@ def _predicting(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[
     held_out = ranked_by_held_out(predictions)
     words = ", ".join(_words(p) for p in mine if bool(p.fitted) != held_out)
     what = "held-out tests" if held_out else "each test from the others"
-    if (best.left_out or 0.0) > FAR_OFF and not all(_is_scatter(p) for p in mine if bool(p.fitted) != held_out
-                                                    and (p.percent is None or p.percent > FAR_OFF)):
+    large = [p for p in mine if bool(p.fitted) != held_out and (p.percent is None or p.percent > _SETTINGS.max_error)]
+    if (best.left_out or 0.0) > _SETTINGS.max_error and not all(map(_is_scatter, large)):
         parts = [f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else
                  f"{best.law} does not predict {what}: {words}"]
     else:
         parts = [f"{best.law} predicts {what} best: {words}" if len(fits) > 1 else
                  f"{best.law} predicts {what}: {words}"]
     rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.held and fit.left_out is not None
-              and fit.left_out <= (1 + ALIKE) * (best.left_out or 0.0)]
+              and fit.left_out <= (1 + _SETTINGS.equal_error) * (best.left_out or 0.0)]
     if rivals:
-        parts.append(f"{', '.join(rivals)} within {ALIKE:.0%} of its prediction error, so these tests do not "
-                     "decide between them")
+        parts.append(f"{', '.join(rivals)} within {_SETTINGS.equal_error:.0%} of its prediction error, so these tests "
+                     "do not decide between them")
     return parts
 
 
 def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
     """Describe the reliability of a ranking by BIC, as the end of a sentence."""
     best = fits[0]
-    if best.noise_ratio > MODEL_ERROR_RATIO:
+    if best.noise_ratio > NOISE_RATIOS.model_error:
         return (f"; its residuals are {best.noise_ratio:.3g} times the noise, so model error dominates and the ranking "
                 "says which law is least wrong over this range, not which one is right")
     if doubt := _doubted_noise(best, fitted):
@@ -146,7 +158,7 @@ def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
 def _doubted_noise(best: Fit, fitted: Sequence[MeasuredCurve]) -> str:
     """Describe why the estimated noise is unreliable; empty if it is reliable or stated."""
     guessed = [curve for curve in fitted if curve.noise.source == "estimated"]
-    if best.noise_ratio >= CURVATURE_RATIO or not guessed:
+    if best.noise_ratio >= NOISE_RATIOS.curvature or not guessed:
         return ""
     key = "nominal_stress_Pa" if guessed[0].stressed else "force_N"
     return (f"its residuals are {best.noise_ratio:.2g} times the noise, which could not be estimated from samples so "
@@ -167,4 +179,5 @@ def _words(prediction: Prediction) -> str:
 def _is_scatter(prediction: Prediction) -> bool:
     """Return whether the error of a prediction by a mean is compatible with the scatter between specimens."""
     rmse, expected = prediction.RMSE_N, prediction.expected_N
-    return bool(prediction.mean_of) and rmse is not None and expected is not None and rmse <= SCATTER * expected
+    return (bool(prediction.mean_of) and rmse is not None and expected is not None
+            and rmse <= _SETTINGS.scatter_ratio * expected)

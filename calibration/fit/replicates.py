@@ -21,17 +21,17 @@ class ReplicateSettings:
         compared: recordings are compared over this upper share of the displacement that all of them reach, where an
             offset of the contact matters least.
         unit: a ratio within this many decades of 1000 is named as a factor of units.
+        points: number of points at which recordings are compared.
     """
 
     ratio: float = 1.5
     scatter: float = 3.0
     compared: float = 0.5
     unit: float = 0.1
+    points: int = 32
 
 
 SETTINGS = ReplicateSettings()
-#: Points at which recordings are compared.
-_POINTS = 32
 
 
 @dataclass(frozen=True)
@@ -84,10 +84,13 @@ def _disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | 
 
 
 def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatter: float = 0.0) -> Disagreement | None:
-    """Two groups of stiffnesses with a gap between them.
+    """Split stiffnesses into two groups with a gap between them; None if there is no such gap.
 
     Args:
-        sizes: the stiffnesses, shape (n,). scatter: standard deviation of the logarithm of each by itself.
+        test: name of the test.
+        names: names of the recordings, shape (n,).
+        sizes: stiffnesses of the recordings, shape (n,).
+        scatter: known standard deviation of the logarithm of each stiffness.
     """
     negative = sizes <= 0
     if negative.any() and not negative.all():
@@ -111,8 +114,9 @@ def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatte
 
 
 def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
-    """Mean force of each recording over displacements that all of them reach, N, shape (R,); None where there are
-    none.
+    """Return the mean force of each recording over displacements that all recordings reach, N, shape (R,).
+
+    None if there are no such displacements.
 
     Args:
         curves: displacement and force of each recording, shapes (n,).
@@ -120,7 +124,7 @@ def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray |
     found = common_range([displacement for displacement, _ in curves])
     if found is None:
         return None
-    grid, means = np.linspace(*found, _POINTS), []
+    grid, means = np.linspace(*found, SETTINGS.points), []
     for displacement, force in curves:
         end = int(np.argmax(displacement)) + 1
         order = np.argsort(displacement[:end], kind="stable")

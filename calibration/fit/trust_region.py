@@ -13,22 +13,41 @@ from calibration.fit.fit import Iteration
 from calibration.fit.problem import Evaluation, LeastSquares, Problem
 from calibration.forward.contract import InfeasibleError
 
-#: Relative decrease of the sum of squares, and relative step, at which SciPy ends a descent (ftol, xtol).
-TOLERANCE = 1e-7
-#: Predicted decrease of the sum of squares, in units of the variance of the noise or the residuals, below which a
-#: descent ends. The remaining step is about sqrt(MIN_GAIN) = 3 % of a standard error.
-MIN_GAIN = 1e-3
-#: The same for a descent from one of several starts, which only has to distinguish its minimum from others.
-MIN_GAIN_OF_A_START = 3e-2
-#: Maximum number of evaluations of the model per descent.
-MAX_SOLVES = 60
-#: Distance to a bound at which an unknown counts as on the bound, relative to the unknown.
-_ON_BOUND = 1e-3
-#: Relative rounding error of the conversion of unknowns to variables and back.
-_ROUNDING = 1e-12
-#: Tolerance of SciPy's test of the gradient (gtol); effectively off, since the predicted gain decides.
-GRADIENT = 1e-14
 
+@dataclass(frozen=True)
+class DescentSettings:
+    """Tolerances and limits of a descent by the trust region reflective method.
+
+    Attributes:
+        tolerance: relative decrease of the sum of squares, and relative step, at which SciPy ends a descent (``ftol``,
+            ``xtol``).
+        min_gain: predicted decrease of the sum of squares, in units of the variance of the noise or the residuals,
+            below which a descent ends. The remaining step is about sqrt(min_gain) = 3 % of a standard error. A smaller
+            value needs more evaluations.
+        min_gain_of_start: the same for a descent from one of several starts, which only has to distinguish its minimum
+            from others.
+        max_solves: maximum number of evaluations of the model per descent.
+        bound_distance: distance to a bound at which an unknown counts as on the bound, relative to the unknown.
+        rounding: relative rounding error of the conversion of unknowns to variables and back.
+        same_minimum: relative difference of parameters below which two minima are identical. A larger value merges
+            different materials; a smaller one reports one minimum several times.
+        gradient: tolerance of SciPy's test of the gradient (``gtol``); effectively off, since the predicted decrease
+            decides.
+
+    Source: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1.
+    """
+
+    tolerance: float = 1e-7
+    min_gain: float = 1e-3
+    min_gain_of_start: float = 3e-2
+    max_solves: int = 60
+    bound_distance: float = 1e-3
+    rounding: float = 1e-12
+    same_minimum: float = 1e-2
+    gradient: float = 1e-14
+
+
+DESCENT = DescentSettings()
 #: Function that receives each iteration of a descent.
 Listener = Callable[[Iteration], None]
 
@@ -89,7 +108,7 @@ class _ReducedProblem:
         For the start the original values are returned, without rounding errors, so that cached simulations are found.
         """
         unknowns = self.variables.unknowns(u)
-        same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=_ROUNDING, atol=0.0)
+        same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=DESCENT.rounding, atol=0.0)
         return self.first if same else unknowns
 
     def residual(self, u: np.ndarray) -> np.ndarray:
@@ -136,7 +155,7 @@ class _ReducedProblem:
     def _bound(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the bound that each variable is close to and would cross, shape (k,); NaN: none."""
         low, high = self.variables.bounds
-        near = _ON_BOUND * np.maximum(np.abs(u), _ON_BOUND)
+        near = DESCENT.bound_distance * np.maximum(np.abs(u), DESCENT.bound_distance)
         return np.where((u - low <= near) & (gradient > 0), low, np.where(
             (high - u <= near) & (gradient < 0), high, np.nan))
 
@@ -164,9 +183,9 @@ class _SettledError(Exception):
 
 
 def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
-            enough: float = MIN_GAIN, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
-            max_solves: int = MAX_SOLVES, stalled: tuple[int, float] | None = None, listen: Listener | None = None,
-            past: int = 0) -> Descent:
+            enough: float = DESCENT.min_gain, tolerance: float = DESCENT.tolerance, gradient: float = DESCENT.gradient,
+            max_solves: int = DESCENT.max_solves, stalled: tuple[int, float] | None = None,
+            listen: Listener | None = None, past: int = 0) -> Descent:
     """Minimise the sum of squares from a start by the trust region reflective method.
 
     The descent ends early if the predicted decrease of a Gauss-Newton step is below `enough`. If forces are

@@ -26,36 +26,38 @@ from calibration.fit.preload_cover import covers_preload, fitted_contacts
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.usability_records import Alternative, Clause
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import MODEL_ERROR_RATIO
+from calibration.statistics.statistics import NOISE_RATIOS
 from tissue_sim.laws import Stability
 
 
 @dataclass(frozen=True)
 class UsabilitySettings:
-    """Limits of the clauses.
+    """Limits of the clauses; a fit is usable if all clauses hold.
 
     Attributes:
-        largest_residual: root mean square residual of a test, relative to its largest force.
-        smallest_R2: share of the variance of the force (of the displacement where the force is controlled) that a law
-            must explain in each test, over the samples in which the controlled quantity moves; docs/calibration.md
-            compares the limit with measured data.
-        noise_ratio: residuals below this many times the noise fail no clause on residuals.
+        largest_residual: largest root mean square residual of a test, relative to its largest force. A smaller value
+            rejects laws whose error is below the scatter between specimens.
+        smallest_R2: smallest fraction of the variance of the force (of the displacement if the force is controlled)
+            that a law must explain in each test, over the samples in which the controlled quantity moves. A larger
+            value rejects laws that describe measured tissue; docs/calibration.md compares the limit with measured data.
+        noise_ratio: residuals below this many times the noise fail no clause on residuals. A larger value accepts a
+            misfit in recordings with little noise.
+        start_samples: number of samples whose mean is the force at the start of a recording.
+        start_fraction: a force against the load at the start counts above this fraction of the range of the force ...
+        start_noise: ... and above this many times the noise; the remedy of a misfit is then the zero of the load cell.
     """
 
     largest_residual: float = 0.10
     smallest_R2: float = 0.95
-    noise_ratio: float = MODEL_ERROR_RATIO
+    noise_ratio: float = NOISE_RATIOS.model_error
+    start_samples: int = 3
+    start_fraction: float = 0.02
+    start_noise: float = 5.0
 
 
 SETTINGS = UsabilitySettings()
 #: Status of a usable fit.
 USABLE = "converged"
-#: Samples whose mean is the force at the start of a recording.
-_START_SAMPLES = 3
-#: A force against the load at the start counts above this fraction of the range of the force ...
-_START_FRACTION = 0.02
-#: ... and above this many times the noise.
-_START_NOISE = 5.0
 #: Remedy of a misfit where neither the recordings nor their zero are at fault.
 _OTHER_LAW = "end the test before something else begins, such as failure (max_strain), or take another law"
 
@@ -65,10 +67,15 @@ class Evidence:
     """Data on which the clauses are evaluated.
 
     Attributes:
-        estimate: the minimum. stability, reached, mu0: of the law there; see `check_stability` and `StretchRange`.
-        specimens: of the population. alternatives: other parameters that fit as well.
-        determination: of the shear modulus by the tests; None where there is no such modulus.
-        symbols, units: of the parameters, for sentences.
+        estimate: minimum of the sum of squares.
+        stability: stability of the law at the minimum, see `tissue_sim.laws.check_stability`.
+        reached: test -> range of stretches that its recordings reach.
+        mu0: shear modulus at rest, Pa.
+        specimens: specimens with individual parameters.
+        alternatives: other parameters that fit equally well.
+        determination: determination of the shear modulus by the tests; None if there is no such modulus.
+        symbols: name of a parameter -> its symbol in messages.
+        units: name of a parameter -> its unit.
     """
 
     estimate: Estimate
@@ -177,11 +184,12 @@ def _contact(evidence: Evidence) -> Clause:
 
 
 def contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
-    """Sentences of the screening that make the moduli of a fit wrong.
+    """Return the sentences of the screening that make the moduli of a fit wrong.
 
     Relaxation, creep and dissipation contradict a law without memory only.
 
     Args:
+        curve: recording.
         remembers: whether the material of the fit has a memory.
     """
     screening = curve.screening
@@ -256,8 +264,8 @@ def _misfit_remedy(evidence: Evidence) -> str:
 
 def _start_against_load(curve: MeasuredCurve) -> float:
     """Mean force of the first samples where it is significantly below zero, N; otherwise 0."""
-    start = float(np.mean(curve.force[:_START_SAMPLES]))
-    limit = max(_START_FRACTION * float(np.ptp(curve.force)), _START_NOISE * curve.noise.deviation)
+    start = float(np.mean(curve.force[:SETTINGS.start_samples]))
+    limit = max(SETTINGS.start_fraction * float(np.ptp(curve.force)), SETTINGS.start_noise * curve.noise.deviation)
     return start if start < -limit else 0.0
 
 
@@ -279,11 +287,12 @@ def _displacement(evidence: Evidence) -> Clause:
 
 
 def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
-    """Share of the variance of the displacement that a model explains at the measured force.
+    """Return the fraction of the variance of the displacement that a model explains at the measured force.
 
     The misfit of the force is divided by the secant stiffness of the model.
 
     Args:
+        curve: recording.
         model: force at the samples, N, shape (n,).
     """
     stiffness = float(model @ curve.displacement) / float(curve.displacement @ curve.displacement)

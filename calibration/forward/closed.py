@@ -10,6 +10,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
+from calibration.forward.difference_steps import DIFFERENCES
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory
 from tissue_sim.closed_form.homogeneous import ClosedForm
@@ -19,9 +20,6 @@ from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import tokens
 from tissue_sim.specimen import Specimen
-
-#: Half step of central differences, relative to the size of a parameter, or to the height for the contact offset.
-_RELATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +89,7 @@ class ClosedFormTest:
 
     @property
     def closed_form(self) -> ClosedForm:
+        """Closed form of the kind of test."""
         return self.kind.require_closed_form()
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormSolution]:
@@ -191,7 +190,7 @@ class ClosedFormTest:
             rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
         if not contact:
             return force, rates, None
-        step = _RELATIVE_STEP * self.height
+        step = DIFFERENCES.relative * self.height
         above, below = (self._history_force(material, recording, offset + change) for change in (step, -step))
         return force, rates, (above - below) / (2 * step)
 
@@ -213,7 +212,7 @@ class ClosedFormTest:
             return {}
         law, history = answer.law, self.history(recording, offset)
         count, factor = prony.tau.size, self.kind.sign * self.area
-        step = _RELATIVE_STEP * prony.tau
+        step = DIFFERENCES.relative * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
@@ -238,7 +237,7 @@ class ClosedFormTest:
         """
         space, values, name = answer.space, answer.named, answer.space.free[index]
         size, ends = float(space.sizes(values)[index]), []
-        for step in (_RELATIVE_STEP * size, -_RELATIVE_STEP * size):
+        for step in (DIFFERENCES.relative * size, -DIFFERENCES.relative * size):
             try:
                 material = space.material(values | {name: values[name] + step}, test=self.name,
                                           recording=answer.recording)

@@ -34,6 +34,7 @@ class ColumnTest(ClosedFormTest):
 
     @property
     def weightless(self) -> ClosedFormTest:
+        """Closed form of the same test without self-weight."""
         return ClosedFormTest(self.name, self.kind, self.height, self.area, self.measured)
 
     def _elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):

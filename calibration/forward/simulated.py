@@ -56,6 +56,7 @@ class SimulatedTest(SimulatedMotions):
 
     @property
     def is_path_dependent(self) -> bool:
+        """Whether the force depends on the path that led to a displacement."""
         return isinstance(self.motions[0], TimedMotion)
 
     @property
@@ -64,6 +65,7 @@ class SimulatedTest(SimulatedMotions):
 
     @property
     def proportional(self) -> bool:
+        """Whether the force is proportional to the moduli."""
         return is_proportional(self.experiment, self.rig)
 
     @property

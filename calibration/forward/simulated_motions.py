@@ -65,6 +65,7 @@ class SimulatedMotions:
 
     @property
     def specimen(self) -> Specimen:
+        """Specimen of the experiment."""
         return self.experiment.specimen
 
     def _experiment(self, motion: Loading | TimedMotion) -> Experiment:

@@ -16,10 +16,21 @@ from scipy import optimize, special
 
 from tissue_sim.errors import InputError
 
-#: Smallest number of specimens for an estimate of the between-specimen covariance.
-MIN_SPECIMENS = 2
-#: Confidence level of the intervals.
-LEVEL = 0.95
+
+@dataclass(frozen=True)
+class PopulationSettings:
+    """Settings of the population of specimens.
+
+    Attributes:
+        min_specimens: smallest number of specimens for an estimate of the between-specimen covariance.
+        level: confidence level of the intervals.
+    """
+
+    min_specimens: int = 2
+    level: float = 0.95
+
+
+POPULATION = PopulationSettings()
 #: Probabilities at which the distribution of a spread is tabulated: midpoints of 400 equal cells.
 _PROBABILITIES = (np.arange(400) + 0.5) / 400
 
@@ -90,9 +101,9 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     """
     x, V = np.array(estimates, dtype=float), np.array(covariances, dtype=float)
     n, p = len(specimens), len(order)
-    if n < MIN_SPECIMENS:
-        raise InputError(f"the scatter between specimens requires at least {MIN_SPECIMENS} specimens; got {n}",
-                         field="specimen")
+    if n < POPULATION.min_specimens:
+        raise InputError(f"the scatter between specimens requires at least {POPULATION.min_specimens} specimens; got "
+                         f"{n}", field="specimen")
     if x.shape != (n, p) or V.shape != (n, p, p):
         raise InputError(f"estimates and covariances must have the shapes {(n, p)} and {(n, p, p)}; got {x.shape} and "
                          f"{V.shape}", field="estimates")
@@ -173,7 +184,7 @@ def _intervals(x: np.ndarray, v: np.ndarray, together: float):
         v: variances of the estimates, shape (n,).
         together: variance of the mean by errors that all specimens share.
     """
-    low, high = (1 - LEVEL) / 2, (1 + LEVEL) / 2
+    low, high = (1 - POPULATION.level) / 2, (1 + POPULATION.level) / 2
     # Q decreases with the spread, so the upper quantile of Q gives the lower end.
     ends = tuple(_spread_at(x, v, float(special.chdtri(x.size - 1, 1 - level))) for level in (high, low))
     spread = np.array([_spread_at(x, v, statistic) for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])

@@ -8,14 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from calibration.statistics.adequacy import RANK_TOLERANCE
+from calibration.statistics.adequacy import SCORE_TEST
 
-#: Smallest fraction of the length of a change outside the span of the fit for which the change can be tested.
-MIN_FREE_FRACTION = 1e-3
-#: Number of random draws of the scores.
-DRAWS = 20_000
-#: Seed of the random draws, fixed so that results are reproducible.
-SEED = 1
+
+@dataclass(frozen=True)
+class DirectionSettings:
+    """Settings of score tests of many alternatives.
+
+    Attributes:
+        min_free_fraction: smallest fraction of the length of a change outside the span of the fit for which the change
+            can be tested. A smaller value tests changes that the fit absorbs almost completely.
+        draws: number of random draws of the scores; the standard error of a p value is sqrt(p / draws).
+        seed: seed of the random draws, fixed so that results are reproducible.
+    """
+
+    min_free_fraction: float = 1e-3
+    draws: int = 20_000
+    seed: int = 1
+
+
+DIRECTIONS = DirectionSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +66,8 @@ class Direction:
         if columns.shape[1] == 1:
             # The singular vector has an arbitrary sign; the basis has the sign of the effect.
             left = free / (sizes[0] or 1.0)
-        kept = sizes > max(MIN_FREE_FRACTION * length / np.sqrt(columns.shape[1]),
-                           RANK_TOLERANCE * sizes.max(initial=0.0), 1e-12)
+        kept = sizes > max(DIRECTIONS.min_free_fraction * length / np.sqrt(columns.shape[1]),
+                           SCORE_TEST.rank_tolerance * sizes.max(initial=0.0), 1e-12)
         return cls(left[:, kept], length, float(np.linalg.norm(sizes[kept])), positive)
 
     def score(self, residual: np.ndarray) -> np.ndarray:
@@ -88,8 +100,8 @@ class Direction:
         return special.chdtrc(self.freedom, np.sum(score**2, axis=-1))
 
 
-def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = SEED,
-                       draws: int = DRAWS) -> np.ndarray:
+def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = DIRECTIONS.seed,
+                       draws: int = DIRECTIONS.draws) -> np.ndarray:
     """Compute family-wise p values by simulation of the minimum p value (Westfall and Young).
 
     Without effects the scores of all directions are jointly normal with mean 0 and covariance B'B, where B contains all

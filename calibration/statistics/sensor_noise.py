@@ -13,8 +13,6 @@ from tissue_sim.errors import InputError
 
 #: One recording: force, N, shape (n,); time, s, shape (n,), or None; labels of the segments, shape (n,), or None.
 Signal = tuple[np.ndarray, np.ndarray | None, Sequence | np.ndarray | None]
-#: Smallest number of samples of a segment from which the noise is estimated.
-MIN_SAMPLES = 4
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,7 @@ class NoiseSettings:
         grid: number of trial correlation times before the best one is refined.
         relative_floor: smallest noise level relative to the largest force; exact synthetic data would give zero.
         floor: smallest noise level, N.
+        min_samples: smallest number of samples of a segment from which the noise is estimated.
     """
 
     max_degree: int = 24
@@ -40,6 +39,7 @@ class NoiseSettings:
     grid: int = 16
     relative_floor: float = 1e-9
     floor: float = 1e-12
+    min_samples: int = 4
 
 
 _SETTINGS = NoiseSettings()
@@ -114,7 +114,7 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
             estimated then. None: it is estimated.
 
     Raises:
-        InputError: no segment has `MIN_SAMPLES` samples, or a stated value is out of range.
+        InputError: no segment has `NoiseSettings.min_samples` samples, or a stated value is out of range.
 
     Source: Patterson and Thompson, Biometrika 58 (1971) 545 (restricted likelihood); Schwarz, Annals of Statistics 6
         (1978) 461; Bennett, Bell System Technical Journal 27 (1948) 446 (rounding).
@@ -124,8 +124,8 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     checked = SensorNoise(1.0 if deviation is None else deviation, correlation_time or 0.0)
     pieces = [piece for force, time, segment in recordings for piece in _pieces(force, time, segment)]
     if not pieces:
-        raise InputError(f"no segment has the {MIN_SAMPLES} samples that an estimate of the noise requires; state "
-                         "noise.force_N", field="noise.force_N")
+        raise InputError(f"no segment has the {_SETTINGS.min_samples} samples that an estimate of the noise requires; "
+                         "state noise.force_N", field="noise.force_N")
     tau, degrees = _select(pieces, correlation_time)
     if correlation_time is None and tau:
         tau = _refine(pieces, degrees, tau)
@@ -169,13 +169,13 @@ class _Piece:
 
 
 def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
-    """Split a recording into its segments with at least `MIN_SAMPLES` samples."""
+    """Split a recording into its segments with at least `NoiseSettings.min_samples` samples."""
     force = np.asarray(force, dtype=float)
     time = spread_time_stamps(time, force.size)
     starts = [0] if segment is None else [0, *(np.flatnonzero(np.asarray(segment)[1:] != np.asarray(segment)[:-1]) + 1)]
     pieces = []
     for first, last in zip(starts, [*starts[1:], force.size], strict=True):
-        if last - first < MIN_SAMPLES:
+        if last - first < _SETTINGS.min_samples:
             continue
         t = time[first:last]
         degree = min(_SETTINGS.max_degree, (last - first) // _SETTINGS.samples_per_degree)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.statistics.scores import DRAWS, Direction, familywise_p_values, largest_cosine
+from calibration.statistics.scores import DIRECTIONS, Direction, familywise_p_values, largest_cosine
 
 N = 60
 
@@ -45,7 +45,7 @@ def test_one_direction_has_its_own_probability():
     for one in (two_sided, one_sided):
         expected = float(one.p(np.array([2.0])))
         found = familywise_p_values([one], [np.array([2.0])])[0]
-        assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DRAWS))
+        assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DIRECTIONS.draws))
 
 
 @pytest.mark.parametrize("count", [5, 30])
@@ -53,13 +53,14 @@ def test_independent_directions_cost_what_sidak_says(count):
     several = [direction(axis(k)) for k in range(count)]
     scores = [np.array([3.0]), *(np.array([0.1]) for _ in range(count - 1))]
     expected = 1 - (1 - 2 * stats.norm.sf(3.0)) ** count
-    assert familywise_p_values(several, scores)[0] == pytest.approx(expected, abs=4 * np.sqrt(expected / DRAWS))
+    found = familywise_p_values(several, scores)[0]
+    assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DIRECTIONS.draws))
 
 
 def test_the_same_direction_many_times_costs_nothing():
     several = [direction(axis(0, length)) for length in (1.0, 2.0, 5.0)]
     found = familywise_p_values(several, [np.array([2.5])] * 3)
-    assert found == pytest.approx(2 * stats.norm.sf(2.5), abs=4 * np.sqrt(0.0125 / DRAWS))
+    assert found == pytest.approx(2 * stats.norm.sf(2.5), abs=4 * np.sqrt(0.0125 / DIRECTIONS.draws))
 
 
 def test_several_numbers_at_once_are_a_chi_square():
