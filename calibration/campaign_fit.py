@@ -11,10 +11,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.digest import digest_of
+from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.segmented import notes_in_short
-from calibration.fit.assess import assess
+from calibration.fit.assess import assess_fit
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
@@ -26,12 +26,12 @@ from calibration.fit.ordinary import Ordinary
 from calibration.fit.predictor import Predictor, predictor_of_held_out
 from calibration.fit.preload_cover import notes_after_fit
 from calibration.fit.profiles import ProfileSide, profile_side
-from calibration.fit.ranking import Fitted, rank, rank_message
+from calibration.fit.ranking import Fitted, describe_ranking, rank_laws
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.result import CalibrationResult
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import Descent
-from calibration.fit.validation import LeftOut, leave_out, predict_held_out
+from calibration.fit.validation import LeftOut, predict_held_out, predict_left_out_test
 from calibration.forward.geometry import check_geometry
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.output_folder import SOLVES
@@ -63,7 +63,7 @@ class CampaignFit:
         self.campaign = campaign = scale_offsets(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = digest_of(campaign, self.recordings)
+        self.digest = compute_digest(campaign, self.recordings)
         self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> number of simulations in the check of its start values.
@@ -99,16 +99,16 @@ class CampaignFit:
         """
         if self.estimator.explores:
             self.solves.move_to(self.folder / SOLVES)
-        disagreements = self._disagreements()
-        found, failures = self._fit()
+        disagreements = self._describe_disagreements()
+        found, failures = self._fit_laws()
         if not found:
             write_failure(self.campaign, failures, self.folder)
             raise ConvergenceError(f"{self.campaign.path}: no start of any law converges "
                                    f"({next(iter(failures.values()), '')}); state other values in fit.start, or use a "
                                    "smaller max_strain")
-        fits, predictions, curves = rank(found)
+        fits, predictions, curves = rank_laws(found)
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
-        message = rank_message(fits, predictions, fitted)
+        message = describe_ranking(fits, predictions, fitted)
         for disagreement in disagreements:
             message = message if disagreement in message else f"{disagreement}. {message}"
         for law, failure in failures.items():
@@ -134,7 +134,7 @@ class CampaignFit:
                        figures_format=figures_format)
         return result
 
-    def _fit(self) -> tuple[list[Fitted], dict[str, str]]:
+    def _fit_laws(self) -> tuple[list[Fitted], dict[str, str]]:
         """Return the results of the fitted laws, and the reason of failure of each other law."""
         laws = self.campaign.fit.laws
         ends = self.estimator.estimate(laws, self.steps)
@@ -142,30 +142,30 @@ class CampaignFit:
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
         spreads: dict[str, Uncertainty] = {}
         for law, estimate in list(estimates.items()):
-            spread = attempt(_uncertainty_at, self.estimator, estimate)
+            spread = attempt(_compute_uncertainty, self.estimator, estimate)
             if isinstance(spread, Failure):
                 failures[law] = spread.reason
                 del estimates[law]
             else:
                 spreads[law] = spread
-        sides_of, left_of = self._explore(estimates, spreads)
+        sides_of, left_of = self._compute_profiles_and_validation(estimates, spreads)
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
             if self.estimator.explores:
                 self.steps.report_progress(f"uncertainty and predictions of {law}")
-            answer = attempt(self._assess, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
+            answer = attempt(self._assess_law, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
             if isinstance(answer, Failure):
                 failures[law] = answer.reason
             else:
                 answers.append(answer)
         return answers, failures
 
-    def _assess(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
-                sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
+    def _assess_law(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
+                    sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
         """Return fit, predictions and curves of one law."""
         campaign, law = self.campaign, estimate.problem.space.law
         spent = self.solves.meter()
-        fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
+        fit = assess_fit(self.estimator, estimate, spread, descents, sides, campaign)
         fit = add_influence(fit, estimate.problem, estimate.evaluation)
         fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
         own = Predictor.of(estimate.problem.space, estimate.theta, spread)
@@ -186,8 +186,8 @@ class CampaignFit:
                       estimate_cpu_s=best.cpu_s + estimate.cpu_s if self.estimator.explores else 0.0)
         return fit, [*(one.prediction for one in left), *held_out], curves
 
-    def _explore(self, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty]
-                 ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOut]]]:
+    def _compute_profiles_and_validation(self, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty]
+                                         ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOut]]]:
         """Compute the profiles of all parameters with a standard error, and the fits with one test left out.
 
         Returns:
@@ -206,7 +206,7 @@ class CampaignFit:
                                 self.estimator.scatter(estimate)))
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((profile_side, sides, "profiles", sides_of),
-                                              (leave_out, left, "tests left out, one at a time", left_of)):
+                                              (predict_left_out_test, left, "tests left out, one at a time", left_of)):
             answers = self.steps.run_all(partial(attempt, function), [arguments for _, arguments in tasks], words) \
                 if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
@@ -215,7 +215,7 @@ class CampaignFit:
                     found[law].append(answer)
         return sides_of, left_of
 
-    def _disagreements(self) -> list[str]:
+    def _describe_disagreements(self) -> list[str]:
         """Return a sentence for each group of disagreeing recordings, and announce them before they are pooled."""
         found = [each.describe() for each in find_disagreements(self.measured)]
         for sentence in found:
@@ -223,6 +223,6 @@ class CampaignFit:
         return found
 
 
-def _uncertainty_at(estimator: Estimator, estimate: Estimate) -> Uncertainty:
+def _compute_uncertainty(estimator: Estimator, estimate: Estimate) -> Uncertainty:
     """Return the uncertainty at the estimate."""
     return estimator.uncertainty(estimate.problem, estimate.evaluation)

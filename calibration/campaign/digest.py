@@ -10,7 +10,7 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
 
 
-def digest_of(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
+def compute_digest(campaign: Campaign, recordings: Sequence[MeasuredCurve]) -> str:
     """Return the SHA-256 digest of campaign, recordings, rigs, tool profiles, specimen meshes and program version."""
     content = [campaign.sha256, *(f"{curve.name} {curve.sha256}" for curve in recordings)]
     for test in campaign.tests:

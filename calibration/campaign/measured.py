@@ -124,8 +124,8 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind.name, **test.reading)
-                curves += [_curve(*clean_recording(recording, name, test), name, path, test, campaign)
-                           for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
+                curves += [_read_curve(*clean_recording(recording, name, test), name, path, test, campaign)
+                           for recording, name in zip(recordings, name_recordings(recordings, path, test), strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
                 raise error.located(file=campaign.path, field=field) from None
@@ -138,7 +138,7 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         if not analytical:
             _check_replicates(curves, test, campaign)
             noise = estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
-                                          deviation=_stated_noise(curves[0], campaign),
+                                          deviation=_find_stated_noise(curves[0], campaign),
                                           correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
         found[test.name] = tuple(curves)
@@ -178,16 +178,17 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
     return replace(campaign, fit=fit)
 
 
-def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
+def name_recordings(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
     """Return the names of the recordings in one file: the file name, or the recording names if there are several."""
     return [f"{test.name}/{path.stem if len(recordings) == 1 else recording.name}" for recording in recordings]
 
 
-def _curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
-           campaign: Campaign) -> MeasuredCurve:
+def _read_curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
+                campaign: Campaign) -> MeasuredCurve:
+    """Return one recording as a curve: cleaned, segmented and limited to the fitted samples."""
     material, closed = campaign.fit.material, campaign.fit.method == "analytical" or test.experiment is None
     check_size(recording, test, campaign, path)
-    displacement, force, stressed = _mechanical(recording, test, path)
+    displacement, force, stressed = _read_force_and_displacement(recording, test, path)
     _check_parts(test, material, stressed or closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
@@ -275,7 +276,7 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
         campaign: campaign with the stated noise.
         window: the fitted samples; None: all samples of the loading.
     """
-    stated, window = _stated_noise(loading, campaign), loading if window is None else window
+    stated, window = _find_stated_noise(loading, campaign), loading if window is None else window
     if stated is None:
         spread = estimate_noise(loading.force, loading.displacement)
         rounding = resolution(loading.force) / np.sqrt(12.0)
@@ -286,13 +287,13 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
     points = campaign.fit.strain_points
     if points is None:
         return replace(window, noise=noise)
-    grid, interpolation = _evenly_spaced(loading.displacement, loading, campaign, points)
+    grid, interpolation = _interpolate_evenly(loading.displacement, loading, campaign, points)
     return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
                    interpolation=interpolation)
 
 
-def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
-                   points: int) -> tuple[np.ndarray, csr_array]:
+def _interpolate_evenly(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
+                        points: int) -> tuple[np.ndarray, csr_array]:
     """Return evenly spaced displacements up to the end of the window, and the matrix that interpolates onto them."""
     from scipy.sparse import csr_array
 
@@ -331,7 +332,7 @@ def _check_parts(test: Test, material: Material, closed: bool, path: Path) -> No
         raise InputError(f"{path.name} contains stress, to which a rig does not apply; leave rig out", field="rig")
 
 
-def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
+def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return displacement (m), force (N), both positive under load, and whether strain and stress were recorded."""
     mechanical, *direct = test.kind.channels
     stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
@@ -372,7 +373,7 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
                              "[[test]]", file=campaign.path, field=f"{test.place}.recordings")
 
 
-def _stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:
+def _find_stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:
     """Return the stated noise as a force, N, from the value in the recorded unit if stated; None: to be estimated."""
     force, stress, specimen = campaign.noise.force, campaign.noise.nominal_stress, curve.test.specimen
     if not curve.stressed:

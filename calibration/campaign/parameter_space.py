@@ -286,20 +286,22 @@ class ParameterSpace:
 def _expand_scope(named: NamedParameter, tests: Sequence[Test],
                   recordings: Mapping[str, Sequence[str]]) -> list[Unknown]:
     """Return the numbers of a named parameter: one, or one for each specimen, test or recording."""
-    def one(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
-            specimen: str | None = None) -> Unknown:
+    def build_unknown(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
+                      specimen: str | None = None) -> Unknown:
         name = f"{named.path}@{owner}" if owner else named.path
         return Unknown(name, named.path, named.declaration, named.of_law, named.of_material, where, recording, specimen)
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
     if named.scope == PER_TEST:
-        return [one(test.name, (test.name,)) for test in own]
+        return [build_unknown(test.name, (test.name,)) for test in own]
     if named.scope == PER_REPLICATE:
-        return [one(recording, (test.name,), recording) for test in own for recording in recordings.get(test.name, ())]
+        return [build_unknown(recording, (test.name,), recording)
+                for test in own for recording in recordings.get(test.name, ())]
     if named.scope == PER_SPECIMEN:
         specimens = dict.fromkeys(test.specimen.name for test in own if test.specimen is not None)
-        return [one(specimen, tuple(test.name for test in tests
-                                    if test.specimen is not None and test.specimen.name == specimen), specimen=specimen)
-                for specimen in specimens]
+        tests_of = {specimen: tuple(test.name for test in tests
+                                    if test.specimen is not None and test.specimen.name == specimen)
+                    for specimen in specimens}
+        return [build_unknown(specimen, where, specimen=specimen) for specimen, where in tests_of.items()]
     shared = named.scope if isinstance(named.scope, tuple) else None if named.of_material else named.tests
-    return [one(where=shared)]
+    return [build_unknown(where=shared)]

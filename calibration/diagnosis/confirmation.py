@@ -37,7 +37,7 @@ def settle_evidence(evidence: Evidence) -> Evidence:
     The evidence is returned unchanged if this fit fails.
     """
     problem = evidence.problem
-    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated(problem)
+    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated_jitter(problem)
     estimate = settle(copy_problem(problem), evidence.estimate.theta, stated)
     return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 

@@ -223,7 +223,7 @@ def gather(campaign: Campaign, measured: Measured, solves: SimulationCache, cont
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = upper_jitter(problem, estimate.theta, estimator.stated(problem))
+    problem.jitter = upper_jitter(problem, estimate.theta, estimator.stated_jitter(problem))
     problem.reset_nuisances()
     descent = descend(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)

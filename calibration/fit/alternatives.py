@@ -105,8 +105,8 @@ def find_alternatives(law: Law, parameters: Mapping[str, float], minima: Sequenc
         if minimum.rise >= SETTINGS.rise or not law.mu0(other) > 0:
             continue
         known = [parameters, *(one.parameters_of_law for one in found)]
-        if all(_largest_difference(law, one, other, stretches)[0] > SETTINGS.difference for one in known):
-            _, test, stretch, (own, theirs) = _largest_difference(law, parameters, other, stretches)
+        if all(_find_largest_stress_difference(law, one, other, stretches)[0] > SETTINGS.difference for one in known):
+            _, test, stretch, (own, theirs) = _find_largest_stress_difference(law, parameters, other, stretches)
             found.append(Alternative(
                 parameters=minimum.parameters, parameters_of_law=dict(other), R2=minimum.R2, rise=minimum.rise,
                 separated_by=test, at=stretch, stress_Pa=own, alternative_stress_Pa=theirs))
@@ -126,8 +126,8 @@ def describe_alternatives(alternatives: Sequence[Alternative], symbols: Mapping[
     return "; ".join(parts)
 
 
-def without_errors_of(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
-                      alternatives: Sequence[Alternative]) -> Uncertainty:
+def without_misleading_errors(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
+                              alternatives: Sequence[Alternative]) -> Uncertainty:
     """Replace misleading standard errors by infinity.
 
     These are the standard errors of parameters that differ between equally good optima, and of parameters with two
@@ -147,8 +147,8 @@ def without_errors_of(space: ParameterSpace, spread: Uncertainty, theta: np.ndar
     return replace(spread, standard_errors=errors)
 
 
-def _largest_difference(law: Law, one: Mapping[str, float], other: Mapping[str, float],
-                        stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
+def _find_largest_stress_difference(law: Law, one: Mapping[str, float], other: Mapping[str, float],
+                                    stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
     """Return the largest relative difference of the nominal stresses of two materials over several tests.
 
     Returns:

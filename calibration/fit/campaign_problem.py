@@ -30,13 +30,13 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
     space = ParameterSpace.of(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
-    jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
+    jitter = guess_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
     # With the error of the fast mesh in the covariance, offsets do not compensate for this error.
     return Problem(space, tests, solves, jitter, tuple(mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
 
 
-def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
+def guess_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
     """Return the stated jitter, and first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None

@@ -85,7 +85,7 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     along = estimate.evaluation.force
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
-        path = _path(test)
+        path = _build_path(test)
         time = path.time if test.is_path_dependent else None
         try:
             predictor = others.get(test.name, own)
@@ -100,7 +100,7 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
             used = None if is_observed else scatter
             deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
                 if known else None
-            force, error, bands = _along(problem.solves, predictor, test, path, mesh_error, used, deviations)
+            force, error, bands = _evaluate_path(problem.solves, predictor, test, path, mesh_error, used, deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
             bands = force, force
@@ -110,8 +110,8 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     return found
 
 
-def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
-           scatter: Jitter | None, deviations: Deviations | None):
+def _evaluate_path(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve,
+                   mesh_error: float, scatter: Jitter | None, deviations: Deviations | None):
     """Return the force along a path, its standard error, and the half widths of both prediction bands."""
     # The test is evaluated for one recording that follows the path.
     seen: ForwardTest = replace(test, measured=(path,))
@@ -139,7 +139,7 @@ def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, pat
     return force, error, prediction_bands(bias, scatters, found.noise, float(samples))
 
 
-def _path(test: ForwardTest) -> MeasuredCurve:
+def _build_path(test: ForwardTest) -> MeasuredCurve:
     """Return the path of the model as a recording without force: the motion of the first recording, or one loading."""
     first, segment = test.measured[0], None
     time: np.ndarray | None = None

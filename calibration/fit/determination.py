@@ -61,8 +61,8 @@ class Determination:
         return self.relative_error <= SETTINGS.relative_error
 
 
-def determine(estimate: Estimate, spread: Uncertainty, modulus: Callable[[np.ndarray], float],
-              stated: Collection[str]) -> Determination:
+def determine_modulus(estimate: Estimate, spread: Uncertainty, modulus: Callable[[np.ndarray], float],
+                      stated: Collection[str]) -> Determination:
     """Compute the standard error of the shear modulus, and its dependence on bounds.
 
     Args:
@@ -76,11 +76,11 @@ def determine(estimate: Estimate, spread: Uncertainty, modulus: Callable[[np.nda
     theta = estimate.theta[:count]
     sizes = space.sizes(space.values(theta))
     slope = np.zeros(estimate.theta.size)
-    slope[:count] = _gradient(modulus, theta, sizes) / abs(modulus(theta))
+    slope[:count] = _differentiate_modulus(modulus, theta, sizes) / abs(modulus(theta))
     residual, jacobian = estimate.evaluation.projected
     slope = slope[: jacobian.shape[1]]
     held = spread.on_bound[: jacobian.shape[1]]
-    _, flat = _solve(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
+    _, flat = _solve_linearised(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
     variance = float(slope[:count] @ spread.covariance[:count, :count] @ slope[:count])
     error = np.inf if flat > SETTINGS.rounding else float(np.sqrt(max(variance, 0.0)))
     suspects = [i for i in range(count) if held[i] and space.free[i] not in stated]
@@ -89,20 +89,20 @@ def determine(estimate: Estimate, spread: Uncertainty, modulus: Callable[[np.nda
     released = ~held
     released[suspects] = True
     columns = jacobian[:, released]
-    step, flat = _solve(columns, residual, slope[released])
+    step, flat = _solve_linearised(columns, residual, slope[released])
     change = float("inf") if flat > SETTINGS.rounding else float(slope[released] @ step)
     decrease = float(residual @ residual - np.sum((residual + columns @ step)**2))
     depends = abs(change) > SETTINGS.change and decrease > SETTINGS.significance * max(spread.ratio, 1.0)**2
     return Determination(error, tuple(space.free[i] for i in suspects) if depends else (), change)
 
 
-def _gradient(modulus: Callable[[np.ndarray], float], theta: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _differentiate_modulus(modulus: Callable[[np.ndarray], float], theta: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     """Return central differences of the modulus with the parameters, shape (p,)."""
     steps = np.diag(SETTINGS.relative_step * sizes)
     return np.array([(modulus(theta + step) - modulus(theta - step)) / (2.0 * step.max()) for step in steps])
 
 
-def _solve(jacobian: np.ndarray, residual: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, float]:
+def _solve_linearised(jacobian: np.ndarray, residual: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, float]:
     """Solve the linearised least-squares problem.
 
     Args:

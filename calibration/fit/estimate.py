@@ -86,7 +86,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         theta = descent.theta
     refreshes = 0
     while True:
-        differences = _refine(problem, theta, warnings)
+        differences = _update_mesh_corrections(problem, theta, warnings)
         refreshes += 1
         jitter = problem.jitter
         if None in (stated.contact_jitter, stated.zero_jitter):
@@ -103,7 +103,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         # relative difference of the meshes.
         largest = max((difference for difference in differences if np.isfinite(difference)), default=0.0)
         expected = moved.max(initial=0.0) * min(1.0, _SETTINGS.safety * largest)
-        if expected < _SETTINGS.parameter_tolerance and _is_close(jitter, problem.jitter):
+        if expected < _SETTINGS.parameter_tolerance and _are_jitters_equal(jitter, problem.jitter):
             break
         if refreshes == _SETTINGS.max_refreshes:
             warnings.append(f"the parameters still changed after {_SETTINGS.max_refreshes} mesh corrections")
@@ -112,7 +112,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
                     problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
-def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
+def _update_mesh_corrections(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
     """Update the mesh correction of each test, and return the relative differences of the meshes.
 
     A test whose accurate mesh fails has no correction and the larger error of the fast mesh.
@@ -143,7 +143,7 @@ def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None
     problem.reset_nuisances()
 
 
-def _is_close(one: Jitter, other: Jitter) -> bool:
+def _are_jitters_equal(one: Jitter, other: Jitter) -> bool:
     """Return whether two jitters agree within `MeshIterationSettings.jitter_tolerance`."""
     return all(abs(a - b) <= _SETTINGS.jitter_tolerance * max(a, b) for a, b in ((one.contact, other.contact),
                                                                      (one.zero, other.zero)))

@@ -10,7 +10,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve, with_noise
 from calibration.campaign.parameters import SHARED, NamedParameter
-from calibration.fit.assess import assess
+from calibration.fit.assess import assess_fit
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary import Ordinary, fit_law
 from calibration.forward.simulation_cache import SimulationCache
@@ -110,7 +110,7 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     if not isinstance(estimate, Estimate):
         raise ConvergenceError("no start gives a finite force over the hold; check the units of force and time")
     spread = estimator.uncertainty(estimate.problem, estimate.evaluation)
-    fit = assess(estimator, estimate, spread, descents, (), campaign)
+    fit = assess_fit(estimator, estimate, spread, descents, (), campaign)
     material = estimate.problem.space.material(fit.parameters)
     size = 2.0 * _SETTINGS.shear_strain
     error = fit.standard_errors["C10"]

@@ -46,17 +46,18 @@ WINDOWS = (0.4, 0.6, 0.8)
 def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fit:
     """Return the fit with the influence of recordings and windows, and with a warning for outlying recordings."""
     influence = leave_recordings_out(problem, evaluation)
-    odd = name_odd_ones(influence, fit)
-    words = [f"{', '.join(odd)} disagree{'s' if len(odd) == 1 else ''} with the other recordings: without "
-             f"{'it' if len(odd) == 1 else 'the first of them'} {_changes(fit, influence[odd[0]])}"] if odd else []
-    return replace(fit, influence=influence, odd_recordings=odd, windows=narrow_windows(problem, evaluation.theta),
+    odd = name_outlying_recordings(influence, fit)
+    single = len(odd) == 1
+    words = [f"{', '.join(odd)} disagree{'s' if single else ''} with the other recordings: without "
+             f"{'it' if single else 'the first of them'} {_describe_changes(fit, influence[odd[0]])}"] if odd else []
+    return replace(fit, influence=influence, odd_recordings=odd, windows=fit_windows(problem, evaluation.theta),
                    warnings=[*fit.warnings, *words], message="; ".join([fit.message, *words]))
 
 
-def _changes(fit: Fit, without: Mapping[str, float]) -> str:
+def _describe_changes(fit: Fit, without: Mapping[str, float]) -> str:
     """Describe the parameters without a recording, such as ``C10 is 1400 instead of 1600 Pa``."""
     changes = (f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} {fit.unit(name)}"
-               for name, value in without.items() if _moved(fit.parameters[name], value))
+               for name, value in without.items() if _is_changed(fit.parameters[name], value))
     return ", ".join(map(str.rstrip, changes))
 
 
@@ -89,7 +90,7 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
     return found
 
 
-def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
+def name_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
     """Return the names of recordings whose parameters disagree with those of the other recordings.
 
     The value of a recording is the jackknife pseudo-value n theta - (n - 1) theta_(-i). It is compared with mean
@@ -106,7 +107,7 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
     asked: dict[tuple[str, str], list[str]] = {}
     for name, parameters in influence.items():
         for parameter, value in parameters.items():
-            if _moved(fit.parameters[parameter], value):
+            if _is_changed(fit.parameters[parameter], value):
                 asked.setdefault((name.rpartition("/")[0], parameter), []).append(name)
     asked = {place: names for place, names in asked.items() if len(names) >= _SETTINGS.min_recordings}
     questions, odd = sum(map(len, asked.values())), []
@@ -127,12 +128,12 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
     return odd
 
 
-def _moved(value: float, without: float) -> bool:
+def _is_changed(value: float, without: float) -> bool:
     """Return whether a recording influences a parameter."""
     return abs(without - value) > 1e-9 * abs(value)
 
 
-def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
+def fit_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
     """Estimate the parameters from the samples up to fractions of the largest displacement, smallest fraction first.
 
     The last window contains all samples. The list is empty if a test is path-dependent.

@@ -45,7 +45,7 @@ class LackOfFit:
     share: float
 
 
-def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:
+def compute_lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:
     """Compute the lack of fit in one test of a problem.
 
     Args:
@@ -56,7 +56,7 @@ def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFi
     rows = [(rows, problem.tests[number].measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
             if t == number]
     largest = max(float(np.abs(curve.force).max()) for _, curve in rows)
-    parts = [(curve, gap[place], moving_samples(curve)) for place, curve in rows]
+    parts = [(curve, gap[place], find_moving_samples(curve)) for place, curve in rows]
     parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _SETTINGS.min_samples]
     if not parts:
         return LackOfFit(None, 0.0)
@@ -65,22 +65,23 @@ def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFi
         squares = float(np.mean(mine[moving]**2)) - curve.noise.deviation**2
         variance = float(np.var(curve.force[moving]))
     else:
-        squares, variance = _of_mean(parts, problem.tests[number].is_path_dependent)
+        squares, variance = _compare_mean_recording(parts, problem.tests[number].is_path_dependent)
     squares = max(squares, 0.0)
     R2 = 1.0 - squares / variance if variance > 0 else None
     return LackOfFit(R2, float(np.sqrt(squares)) / largest)
 
 
-def moving_samples(curve: MeasuredCurve) -> np.ndarray:
-    """Samples in which the displacement moves, bool, shape (n,): holds are left out."""
+def find_moving_samples(curve: MeasuredCurve) -> np.ndarray:
+    """Return which samples are not in a hold, bool, shape (n,)."""
     if curve.time is None or np.ptp(curve.clock) == 0 or bool(np.any(np.diff(curve.clock) < 0)):
         return np.ones(curve.force.size, bool)
     moving = label_motion(curve.clock, curve.displacement) != "hold"
     return moving if moving.any() else np.ones(curve.force.size, bool)
 
 
-def _of_mean(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]], timed: bool) -> tuple[float, float]:
-    """Mean square lack of fit of the mean recording, N^2, and the variance of its force."""
+def _compare_mean_recording(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]],
+                            timed: bool) -> tuple[float, float]:
+    """Return the mean square lack of fit of the mean recording, N^2, and the variance of its force, N^2."""
     gaps, forces = [], []
     courses = [curve.clock[moving] - curve.clock[0] if timed else curve.displacement[moving]
                for curve, _, moving in parts]

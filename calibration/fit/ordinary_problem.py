@@ -114,18 +114,19 @@ class OrdinaryProblem(LeastSquares):
 
         The recordings of a test are merged to one if they have no individual unknowns.
         """
-        def thin(curve: MeasuredCurve) -> MeasuredCurve:
+        def thin_recording(curve: MeasuredCurve) -> MeasuredCurve:
             time = None if curve.time is None else curve.time[::stride]
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
 
-        def pool(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
+        def pool_recordings(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
             if self.shifted or self.remembers or any(each.recording is not None for each in self.space.unknowns):
                 return curves
             return [replace(curves[0], time=None, displacement=np.concatenate([curve.displacement for curve in curves]),
                             force=np.concatenate([curve.force for curve in curves]))]
 
-        return replace(self, tests=tuple(replace(test, measured=tuple(pool(list(map(thin, test.measured)))))
-                                         for test in self.tests))
+        return replace(self, tests=tuple(
+            replace(test, measured=tuple(pool_recordings(list(map(thin_recording, test.measured)))))
+            for test in self.tests))
 
     def without(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
         """Return the problem without one test; see `LeastSquares.without`."""
@@ -163,7 +164,8 @@ class OrdinaryProblem(LeastSquares):
         values[self.shifted] = theta[len(self.space.free):].reshape(-1, 2)
         return values
 
-    def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return unweighted residuals of the nominal stress; see `LeastSquares._weighted_residuals`."""
         free = len(self.space.free)
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
         answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
@@ -196,7 +198,7 @@ class OrdinaryProblem(LeastSquares):
         return columns / self.area[:, None]
 
 
-def feasible(problem: OrdinaryProblem, theta: np.ndarray) -> Evaluation | None:
+def evaluate_if_feasible(problem: OrdinaryProblem, theta: np.ndarray) -> Evaluation | None:
     """Return the evaluation of a problem; None if the model is infeasible or its values are not finite."""
     try:
         evaluation = problem.evaluate(theta)

@@ -58,9 +58,9 @@ class Specimens:
             return None
         first = self.material_of[0]
         alone = "" if first in self.left_out else f", or fit {first} in a separate campaign"
-        return (f"no population: of {len(self.names)} specimens these are not determined: {in_words(self.left_out)}; "
-                f"so no material file is written, and E0 and mu0 are those of {first} alone: widen fit.bounds, give "
-                f"undetermined parameters the scope 'shared'{alone}")
+        return (f"no population: of {len(self.names)} specimens these are not determined: "
+                f"{describe_left_out(self.left_out)}; so no material file is written, and E0 and mu0 are those of "
+                f"{first} alone: widen fit.bounds, give undetermined parameters the scope 'shared'{alone}")
 
     def warnings(self, unusable: str | None) -> list[str]:
         """Return warnings on the specimens that the material represents.
@@ -72,8 +72,8 @@ class Specimens:
         if missing is not None:
             return [] if missing == unusable else [missing]
         if self.population is not None and self.left_out:
-            return [f"no part of the population: {in_words(self.left_out)}; mean, spread and material are those of "
-                    f"the other {len(self.material_of)} specimens"]
+            return [f"no part of the population: {describe_left_out(self.left_out)}; mean, spread and material are "
+                    f"those of the other {len(self.material_of)} specimens"]
         if self.population is None and self.names:
             return [f"the material is that of {self.names[0]}: a single specimen says nothing about the scatter "
                     "between specimens"]
@@ -158,12 +158,12 @@ def _undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors: np.n
     return [f"{', '.join(symbols)} {why}" for why, symbols in reasons.items()]
 
 
-def in_words(left_out: Mapping[str, str]) -> str:
+def describe_left_out(left_out: Mapping[str, str]) -> str:
     """Describe specimens that are not included in a mean, such as ``animal_2 (C20 on its bound 0 Pa)``."""
     return ", ".join(f"{name} ({why})" for name, why in left_out.items())
 
 
-def differing_specimens(estimate: Estimate) -> list[str]:
+def describe_differing_specimens(estimate: Estimate) -> list[str]:
     """Return a warning if specimens that share the parameters of a law differ significantly.
 
     The test needs no second fit: the decrease of the sum of squares by individual parameters is, to first order, the

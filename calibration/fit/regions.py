@@ -47,7 +47,7 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
     """
     residual, design = evaluation.design
     found = []
-    for number, segment, modes, parts in _regions(problem):
+    for number, segment, modes, parts in _iterate_regions(problem):
         test, columns, shapes = problem.tests[number], np.zeros((residual.size, modes)), []
         own = [rows for rows, (t, _) in zip(problem.rows, problem.places, strict=True) if t == number]
         for rows, curve, (inside, along) in zip(own, test.measured, parts, strict=True):
@@ -82,7 +82,7 @@ def name_misfits(regions: Sequence[Region]) -> str:
     return ", ".join(found)
 
 
-def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
+def _iterate_regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
     """Yield the regions of all tests.
 
     Yields:
@@ -94,8 +94,8 @@ def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.nd
                                  for name in curve.segment.tolist())
         if len(segments) > 1:
             regions = [(segment, _SETTINGS.segment_modes,
-                        [(inside := curve.segment == segment, _along(curve.time, inside)) for curve in test.measured])
-                       for segment in segments]
+                        [(inside := curve.segment == segment, _relative_time(curve.time, inside))
+                         for curve in test.measured]) for segment in segments]
         else:
             deepest = max(curve.displacement.max() for curve in test.measured)
             # Loading begins at rest, or at the largest compression of a gripped specimen.
@@ -110,7 +110,7 @@ def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.nd
                     if sum(inside.sum() for inside, _ in region[2]) >= _SETTINGS.min_samples)
 
 
-def _along(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
+def _relative_time(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
     """Return the relative time of all samples between first and last sample of a segment, 0 to 1, shape (n,)."""
     if time is None or inside.sum() < 2:
         return np.zeros(inside.size)

@@ -39,8 +39,10 @@ class Disagreement:
     """Two groups of recordings of one test with different stiffnesses.
 
     Attributes:
-        test: its name. odd: names of the smaller group. others: of the larger one.
-        ratio: stiffness of the smaller group over that of the larger one, negative where the signs differ.
+        test: name of the test.
+        odd: names of the recordings in the smaller group.
+        others: names of the recordings in the larger group.
+        ratio: stiffness of the smaller group divided by that of the larger one; negative if the signs differ.
     """
 
     test: str
@@ -57,12 +59,12 @@ class Disagreement:
             times = ratio if ratio >= 1 else 1.0 / ratio
             what = f"are {times:.3g} times {'stiffer' if ratio > 1 else 'softer'} than"
         odd = ", ".join(self.odd)
-        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_names(self.others)}"
+        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_list_names(self.others)}"
         unit = " (a factor of 1000 is that of N to mN or of m to mm)" if \
             ratio > 0 and abs(abs(np.log10(ratio)) - 3.0) < SETTINGS.unit else ""
         verb = what if len(self.odd) > 1 else what.replace("have", "has", 1).replace("are", "is", 1)
-        return (f"recordings of {self.test} disagree: {odd} {verb} {_names(self.others)}; check unit{unit}, sign and "
-                f"size of the specimen of {suspects}; recordings of another material belong in another campaign")
+        return (f"recordings of {self.test} disagree: {odd} {verb} {_list_names(self.others)}; check unit{unit}, sign "
+                f"and size of the specimen of {suspects}; recordings of another material belong in another campaign")
 
 
 def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[Disagreement]:
@@ -71,13 +73,14 @@ def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[
     Args:
         measured: test -> its recordings.
     """
-    return [found for name, curves in measured.items() if (found := _disagreement(name, curves)) is not None]
+    return [found for name, curves in measured.items() if (found := _find_disagreement(name, curves)) is not None]
 
 
-def _disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | None:
+def _find_disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | None:
+    """Return the disagreement of the recordings of one test; None if there is none."""
     if len(curves) < 2:
         return None
-    sizes = stiffnesses([(curve.displacement, curve.force) for curve in curves])
+    sizes = compute_mean_forces([(curve.displacement, curve.force) for curve in curves])
     if sizes is None:
         return None
     return split_stiffnesses(test, [curve.name for curve in curves], sizes)
@@ -95,7 +98,7 @@ def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatte
     negative = sizes <= 0
     if negative.any() and not negative.all():
         odd, others = (negative, ~negative) if negative.sum() <= (~negative).sum() else (~negative, negative)
-        return Disagreement(test, _of(names, odd), _of(names, others), -1.0)
+        return Disagreement(test, _select_names(names, odd), _select_names(names, others), -1.0)
     if negative.all():
         return None
     logs = np.log(sizes)
@@ -110,10 +113,10 @@ def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatte
     below = np.isin(np.arange(logs.size), order[:cut])
     odd = below if below.sum() <= (~below).sum() else ~below
     ratio = float(np.exp(logs[odd].mean() - logs[~odd].mean()))
-    return Disagreement(test, _of(names, odd), _of(names, ~odd), ratio)
+    return Disagreement(test, _select_names(names, odd), _select_names(names, ~odd), ratio)
 
 
-def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
+def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
     """Return the mean force of each recording over displacements that all recordings reach, N, shape (R,).
 
     None if there are no such displacements.
@@ -133,18 +136,19 @@ def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray |
 
 
 def common_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
-    """Upper part of the displacements that all recordings reach; None where there is none."""
+    """Return lower and upper end of the displacements at which recordings are compared, m; None if there are none."""
     reach = min(float(each.max()) for each in displacements)
     low = max((1.0 - SETTINGS.compared) * reach, *(float(each.min()) for each in displacements))
     return (low, reach) if 0 < low < reach else None
 
 
-def _of(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
+def _select_names(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
+    """Return the names at which `mask`, bool, shape (n,), is true."""
     return tuple(name for name, inside in zip(names, mask.tolist(), strict=True) if inside)
 
 
-def _names(names: Iterable[str]) -> str:
-    """Up to three names, and how many more."""
+def _list_names(names: Iterable[str]) -> str:
+    """List up to three names and the number of the others."""
     several = list(names)
     more = f" and {len(several) - 3} more" if len(several) > 3 else ""
     return ", ".join(several[:3]) + more

@@ -12,7 +12,7 @@ import msgspec
 from calibration.campaign.campaign import Campaign
 from calibration.fit.agreement import compare_methods
 from calibration.fit.fit import Fit, Prediction, SensorStatement
-from calibration.fit.self_weight import statement
+from calibration.fit.self_weight import describe_self_weight
 from calibration.output_folder import FIT_FILE, TABLES
 from tissue_sim.decode import read_json
 
@@ -73,7 +73,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
         "fits": list(msgspec.to_builtins(result.fits)), "best": result.best.law, "failures": dict(result.failures),
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
         "noise_source": result.noise_source, "noise": list(msgspec.to_builtins(result.noise)),
-        "message": result.message, "self_weight": statement(result.campaign, result.best),
+        "message": result.message, "self_weight": describe_self_weight(result.campaign, result.best),
         "output": str(result.output), "work": result.digest,
     }
 

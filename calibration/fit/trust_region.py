@@ -91,9 +91,9 @@ class _ReducedProblem:
     #: Number of residuals; known after the first evaluation.
     size = 1
 
-    def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float,
+    def __init__(self, problem: LeastSquares, theta: np.ndarray, record_iteration: Callable, enough: float,
                  stalled: tuple[int, float] | None):
-        self.problem, self.note, self.enough, self.stalled = problem, note, enough, stalled
+        self.problem, self.note, self.enough, self.stalled = problem, record_iteration, enough, stalled
         # Sums of squares of all evaluations, and the unknowns of the smallest one.
         self.errors: list[float] = []
         self.best = theta
@@ -145,21 +145,21 @@ class _ReducedProblem:
         residual, jacobian = evaluation.projected
         jacobian = self.variables.transform_jacobian(jacobian, u)
         if self.enough:
-            bound = self._bound(u, jacobian.T @ residual)
+            bound = self._find_crossed_bounds(u, jacobian.T @ residual)
             inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
             if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
-                raise self._settled(np.where(np.isfinite(bound), bound, u), evaluation)
+                raise self._end_on_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
         return jacobian
 
-    def _bound(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    def _find_crossed_bounds(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the bound that each variable is close to and would cross, shape (k,); NaN: none."""
         low, high = self.variables.bounds
         near = DESCENT.bound_distance * np.maximum(np.abs(u), DESCENT.bound_distance)
         return np.where((u - low <= near) & (gradient > 0), low, np.where(
             (high - u <= near) & (gradient < 0), high, np.nan))
 
-    def _settled(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
+    def _end_on_bounds(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
         """Return the end of the descent: with variables moved onto the bounds `u` unless this increases the error."""
         try:
             on_bounds = self.problem.evaluate(np.clip(self.unknowns(u), *self.problem.bounds))
@@ -214,47 +214,47 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     spent = problem.solves.meter()
     history: list[Iteration] = []
 
-    def note(evaluation: Evaluation) -> None:
-        if history and history[-1].parameters == named(evaluation):
+    def record_iteration(evaluation: Evaluation) -> None:
+        if history and history[-1].parameters == name_values(evaluation):
             return
         rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
-        history.append(Iteration(start=start, run=past + len(history) + 1, parameters=named(evaluation),
+        history.append(Iteration(start=start, run=past + len(history) + 1, parameters=name_values(evaluation),
                                  error=evaluation.error, RMSE_N=rmse, corrected=corrected))
         if listen is not None:
             listen(history[-1])
 
-    def named(evaluation: Evaluation) -> dict[str, float]:
+    def name_values(evaluation: Evaluation) -> dict[str, float]:
         return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
-    def done(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
+    def build_descent(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
         return Descent(start, theta, error, converged, failure, tuple(history), *spent())
 
     theta = np.clip(theta, *problem.bounds)
     try:
-        note(problem.evaluate(theta))
+        record_iteration(problem.evaluate(theta))
         if not corrected and enough:
-            theta = _rescaled(problem, theta)
+            theta = _rescale_moduli(problem, theta)
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
-        return done(theta, np.inf, False, str(error))
+        return build_descent(theta, np.inf, False, str(error))
     if not theta.size:
-        return done(theta, evaluation.error, True, "")
-    reduced = _ReducedProblem(problem, theta, note, enough, stalled)
+        return build_descent(theta, evaluation.error, True, "")
+    reduced = _ReducedProblem(problem, theta, record_iteration, enough, stalled)
     try:
         # Scaling by the columns of the Jacobian makes the method independent of the units of the unknowns.
         result = least_squares(
             reduced.residual, reduced.start, reduced.jacobian, x_scale="jac", bounds=reduced.variables.bounds,
             ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=max_solves)
     except _SettledError as settled:
-        return done(settled.theta, settled.error, True, "")
+        return build_descent(settled.theta, settled.error, True, "")
     theta = reduced.unknowns(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {max_solves} solves{f'; {reduced.failure}' if reduced.failure else ''}"
-    return done(theta, float(2 * result.cost), result.status > 0, failure)
+    return build_descent(theta, float(2 * result.cost), result.status > 0, failure)
 
 
-def distinct(ends: Iterable[tuple[Descent, int]],
-             near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
+def distinct_minima(ends: Iterable[tuple[Descent, int]],
+                    near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
     """Return the distinct minima, best first, each with the number of starts that ended in it.
 
     Args:
@@ -271,7 +271,7 @@ def distinct(ends: Iterable[tuple[Descent, int]],
     return kept
 
 
-def _rescaled(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
+def _rescale_moduli(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
     """Return the unknowns with all moduli multiplied by the best common factor; unchanged if this is impossible."""
     space = problem.space
     moduli = np.array([each.is_modulus for each in space.varied])

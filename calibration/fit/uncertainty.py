@@ -61,7 +61,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     errors[inside[undetermined]] = np.inf
     if problem.jitter.freedom and inside.size:
         basis = "residuals" if basis == "residuals" else "replicates"
-        quantile[inside] = special.stdtrit(_freedom(problem, evaluation, sizes, inside), 0.975)
+        quantile[inside] = special.stdtrit(_degrees_of_freedom(problem, evaluation, sizes, inside), 0.975)
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
     # The log determinant is part of the likelihood: it differs between laws with different estimates of the jitter.
     criteria = evaluation.error + evaluation.log_determinant, float(problem.samples)
@@ -69,7 +69,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
                        information)
 
 
-def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _degrees_of_freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Return Satterthwaite's degrees of freedom of the parameters' variances for an estimated jitter.
 
     Each variance component s_k of the jitter has the relative variance 2 / f with its degrees of freedom f. The
@@ -92,7 +92,7 @@ def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside
     # The columns of one kind of jitter are every len(kinds)-th of the first columns.
     own = len(problem.places) * len(problem.kinds)
 
-    def variances(kind: int, factor: float) -> np.ndarray:
+    def scaled_variances(kind: int, factor: float) -> np.ndarray:
         columns = evaluation.columns.copy()
         columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
         cross = columns.T @ rates
@@ -102,6 +102,7 @@ def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside
         return np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 1e-300)
 
     factor = _SETTINGS.variance_factor
-    squares = sum(((np.log(variances(kind, factor)) - np.log(variances(kind, 1 / factor))) / (2 * np.log(factor)))**2
-                  for kind in range(len(problem.kinds)))
+    slopes = ((np.log(scaled_variances(kind, factor)) - np.log(scaled_variances(kind, 1 / factor)))
+              / (2 * np.log(factor)) for kind in range(len(problem.kinds)))
+    squares = sum(slope**2 for slope in slopes)
     return problem.jitter.freedom / np.maximum(squares, 1e-9)

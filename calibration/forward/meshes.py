@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.forward.motion import spline
+from calibration.forward.motion import build_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -145,4 +145,4 @@ class MeshError:
         """
         if not self.relative.size:
             return np.ones(np.shape(depth))
-        return 1.0 + spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))
+        return 1.0 + build_spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))

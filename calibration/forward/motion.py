@@ -128,9 +128,9 @@ class _LoadingCurve:
 
     def __init__(self, depth: np.ndarray, columns: np.ndarray):
         self._end, self._width = depth[-1], _CORNER_WIDTH * depth[-1]
-        self._spline = spline(depth, columns)
+        self._spline = build_spline(depth, columns)
         self._slope = self._spline.derivative()
-        self._force = spline(depth, columns[:, 0])
+        self._force = build_spline(depth, columns[:, 0])
 
     def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
                  offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -286,7 +286,7 @@ class _TimedCurve:
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
-            interpolate = spline if motion.is_moving(first, last) else PchipInterpolator
+            interpolate = build_spline if motion.is_moving(first, last) else PchipInterpolator
             self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
@@ -351,7 +351,7 @@ def offset_derivative(recording: Recording) -> np.ndarray:
     return (3 * recording.force - 4 * near + far) / (2 * step)
 
 
-def spline(knots: np.ndarray, values: np.ndarray):
+def build_spline(knots: np.ndarray, values: np.ndarray):
     """Return the cubic spline through values at knots; a piecewise linear function for fewer than four knots.
 
     Args:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.motion import MOTION_STEPS, Loading, spline
+from calibration.forward.motion import MOTION_STEPS, Loading, build_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.model import Model
@@ -46,7 +46,7 @@ class RigMotionSettings:
 _SETTINGS = RigMotionSettings()
 
 
-def loading_to(depth: float, deepest: float, limit: float) -> Loading:
+def build_loading(depth: float, deepest: float, limit: float) -> Loading:
     """Return a loading from rest to the deepest position of the tool.
 
     Args:
@@ -88,11 +88,12 @@ class PositionCurve:
             holds: see `PositionCurve`.
             tilt: height difference across the tool's face, m.
         """
-        return cls(spline(depth, columns), spline(depth, columns[:, 0]), float(depth[-1]), holds, _strips(tilt))
+        return cls(build_spline(depth, columns), build_spline(depth, columns[:, 0]), float(depth[-1]), holds,
+                   _divide_face(tilt))
 
     def with_tilt(self, tilt: float) -> PositionCurve:
         """Return the curve of a face with another tilt, m."""
-        return replace(self, strips=_strips(tilt))
+        return replace(self, strips=_divide_face(tilt))
 
     def __call__(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the curve at tool positions.
@@ -139,7 +140,7 @@ class PositionCurve:
             position >= 0.0).astype(float)
 
 
-def _strips(tilt: float) -> list[tuple[float, float]]:
+def _divide_face(tilt: float) -> list[tuple[float, float]]:
     """Return lag, m, and fraction of the face for the strips of a tilted face; one strip without tilt."""
     return strips(tilt) if tilt else [(0.0, 1.0)]
 

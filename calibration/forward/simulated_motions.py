@@ -68,7 +68,8 @@ class SimulatedMotions:
         """Specimen of the experiment."""
         return self.experiment.specimen
 
-    def _experiment(self, motion: Loading | TimedMotion) -> Experiment:
+    def _build_experiment(self, motion: Loading | TimedMotion) -> Experiment:
+        """Return the experiment with this motion of the tool."""
         return replace(self.experiment, protocol=motion.protocol)
 
     def _build_model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | TimedMotion,
@@ -79,7 +80,7 @@ class SimulatedMotions:
             InfeasibleError: the values give no valid model.
         """
         try:
-            return space.model(values, self._experiment(motion), self.rig, test=self.name, recording=recording)
+            return space.model(values, self._build_experiment(motion), self.rig, test=self.name, recording=recording)
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
 
@@ -118,13 +119,13 @@ class SimulatedMotions:
         if proportional:
             values, factor = space.normalised(values)
 
-        def build(of: dict[str, float]) -> Model:
+        def build_true_model(of: dict[str, float]) -> Model:
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
             model = self._build_model(space, of, motion, recording)
             return with_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
 
-        model = build(values)
-        topology = build(space.before_moving(values)) if space.shapes_mesh(self.name) else None
+        model = build_true_model(values)
+        topology = build_true_model(space.before_moving(values)) if space.shapes_mesh(self.name) else None
         effects = ReadoutEffects.from_model(model)
         model, topology = effects.remove_from(model), topology and effects.remove_from(topology)
         acting = {} if resolution != "fast" else {

@@ -92,7 +92,7 @@ def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> 
     if not noise.correlation_time:
         return columns / noise.deviation
     correlation, deviation = _step_statistics(spread_time_stamps(time, columns.shape[0]), noise.correlation_time)
-    return _innovations(columns, correlation, deviation) / noise.deviation
+    return _compute_innovations(columns, correlation, deviation) / noise.deviation
 
 
 def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | None = None,
@@ -122,16 +122,16 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     if deviation is not None and correlation_time is not None:
         return SensorNoise(deviation, correlation_time)
     checked = SensorNoise(1.0 if deviation is None else deviation, correlation_time or 0.0)
-    pieces = [piece for force, time, segment in recordings for piece in _pieces(force, time, segment)]
+    pieces = [piece for force, time, segment in recordings for piece in _split_segments(force, time, segment)]
     if not pieces:
         raise InputError(f"no segment has the {_SETTINGS.min_samples} samples that an estimate of the noise requires; "
                          "state noise.force_N", field="noise.force_N")
-    tau, degrees = _select(pieces, correlation_time)
+    tau, degrees = _select_correlation_time(pieces, correlation_time)
     if correlation_time is None and tau:
-        tau = _refine(pieces, degrees, tau)
+        tau = _refine_correlation_time(pieces, degrees, tau)
     if deviation is not None:
         return replace(checked, correlation_time=tau)
-    squares, freedom, _ = _restricted(pieces, degrees, tau)
+    squares, freedom, _ = _restricted_likelihood(pieces, degrees, tau)
     level = float(np.sqrt(squares / freedom))
     rounding = max(resolution(np.asarray(force, dtype=float)) for force, _, _ in recordings) / float(np.sqrt(12.0))
     floor = max(_SETTINGS.floor, *(_SETTINGS.relative_floor * float(np.abs(force).max())
@@ -164,11 +164,11 @@ class _Piece:
         if not tau:
             return np.asarray(np.linalg.qr(self.columns, mode="r")), 0.0
         correlation, deviation = _step_statistics(self.time, tau)
-        whitened = np.asarray(np.linalg.qr(_innovations(self.columns, correlation, deviation), mode="r"))
+        whitened = np.asarray(np.linalg.qr(_compute_innovations(self.columns, correlation, deviation), mode="r"))
         return whitened, 2.0 * float(np.log(deviation).sum())
 
 
-def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
+def _split_segments(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
     """Split a recording into its segments with at least `NoiseSettings.min_samples` samples."""
     force = np.asarray(force, dtype=float)
     time = spread_time_stamps(time, force.size)
@@ -184,7 +184,7 @@ def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.n
     return pieces
 
 
-def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int]]:
+def _select_correlation_time(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int]]:
     """Return the correlation time and the degree of each segment's trend with the smallest BIC.
 
     Args:
@@ -203,7 +203,7 @@ def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int
         triangles, logarithms = zip(*(piece.triangle(tau) for piece in pieces), strict=True)
         # Sums of squared residuals of each segment for the degrees 0, 1, 2, ...
         squares = [np.cumsum(R[:, -1][::-1]**2)[::-1][1:] for R in triangles]
-        degrees = _degrees(squares, samples)
+        degrees = _select_degrees(squares, samples)
         total = sum(part[k] for part, k in zip(squares, degrees, strict=True))
         terms = sum(degrees) + (1 if tau and stated is None else 0)
         variance = max(total / samples, _SETTINGS.floor**2)
@@ -213,7 +213,7 @@ def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int
     return best[1], best[2]
 
 
-def _degrees(squares: list[np.ndarray], samples: int) -> list[int]:
+def _select_degrees(squares: list[np.ndarray], samples: int) -> list[int]:
     """Return the degree of each segment's trend with the smallest BIC, by fixed-point iteration from the highest.
 
     Args:
@@ -232,7 +232,7 @@ def _degrees(squares: list[np.ndarray], samples: int) -> list[int]:
         degrees = lower
 
 
-def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[float, int, float]:
+def _restricted_likelihood(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[float, int, float]:
     """Return the terms of -2 log restricted likelihood: residual sum of squares, degrees of freedom, log determinants.
 
     Args:
@@ -250,13 +250,13 @@ def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[f
     return squares, freedom, logarithm
 
 
-def _refine(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
+def _refine_correlation_time(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
     """Return the correlation time that maximises the restricted likelihood near a first guess, s."""
     # Import on use: errors in input files are reported before scipy.optimize is loaded.
     from scipy.optimize import minimize_scalar
 
     def criterion(logarithm: float) -> float:
-        squares, freedom, determinants = _restricted(pieces, degrees, float(np.exp(logarithm)))
+        squares, freedom, determinants = _restricted_likelihood(pieces, degrees, float(np.exp(logarithm)))
         return freedom * np.log(max(squares / freedom, _SETTINGS.floor**2)) + determinants
 
     # The first guess maximises the likelihood, whose optimum is below that of the restricted likelihood.
@@ -297,7 +297,7 @@ def _step_statistics(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarr
     return np.exp(-lag), np.sqrt(-np.expm1(-2.0 * lag))
 
 
-def _innovations(columns: np.ndarray, correlation: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def _compute_innovations(columns: np.ndarray, correlation: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """Return the innovations (y_i - rho_i y_{i-1}) / sqrt(1 - rho_i^2) of columns, shape of `columns`."""
     shape = (-1, *([1] * (columns.ndim - 1)))
     before = np.concatenate([np.zeros_like(columns[:1]), columns[:-1]])

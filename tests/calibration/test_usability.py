@@ -11,8 +11,8 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.fit.determination import determine
-from calibration.fit.usability import SETTINGS, contradictions, displacement_R2
+from calibration.fit.determination import determine_modulus
+from calibration.fit.usability import SETTINGS, displacement_R2, find_contradictions
 from calibration.report.usability import CRITERIA
 from scenes.cli import main
 from tissue_sim.recording.screening import Control, LeftOut, Preload, Screening
@@ -192,14 +192,14 @@ def curve(tmp_path):
 def test_screening_contradicts_an_elastic_law(curve):
     loses = replace(curve, screening=Screening(control=Control("displacement", "oscillation", loss_factor=0.3,
                                                                frequency=1.0)))
-    assert "viscoelastic.terms[0].g" in contradictions(loses, remembers=False)[0]
-    assert not contradictions(loses, remembers=True)
+    assert "viscoelastic.terms[0].g" in find_contradictions(loses, remembers=False)[0]
+    assert not find_contradictions(loses, remembers=True)
     follows = replace(curve, screening=Screening(control=Control("displacement", "ramp", loading=curve.force.size)))
-    assert not contradictions(follows, remembers=False)
+    assert not find_contradictions(follows, remembers=False)
     zeroed = replace(curve, screening=Screening(preload=Preload(0.65, 0.11, 4e-4, False, "begins under 0.65 N")))
-    assert contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
+    assert find_contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
     kept = replace(curve, screening=Screening(suspected=(LeftOut((61,), "force", "sample 61 is 50 N"),)))
-    assert "sample 61 is 50 N" in contradictions(kept, remembers=False)[0]
+    assert "sample 61 is 50 N" in find_contradictions(kept, remembers=False)[0]
 
 
 def test_creep_at_constant_force_is_a_misfit_of_the_displacement(curve):
@@ -275,7 +275,7 @@ def test_a_modulus_that_depends_on_a_bound_that_is_not_stated(missing, stated, h
                                evaluation=SimpleNamespace(projected=(residual, jacobian)))
     spread = SimpleNamespace(on_bound=np.array([False, True]), covariance=np.diag([1e-4, 0.0]),
                              ratio=float(np.sqrt(np.mean(residual**2))))
-    found = determine(estimate, spread, lambda theta: float(theta[0]), stated)
+    found = determine_modulus(estimate, spread, lambda theta: float(theta[0]), stated)
     assert found.held == held and found.is_determined
     if held:
         assert found.change == pytest.approx(1.0 / a - 1.0, abs=0.02)

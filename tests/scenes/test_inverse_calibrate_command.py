@@ -268,7 +268,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(generalised, "run_settle", interrupted)
+        patch.setattr(generalised, "run_estimate", interrupted)
         assert run(*words) == 130
     count = len(simulations(out))
     assert count > 2, "more than the simulations of the start"
