@@ -31,6 +31,7 @@ from calibration.fit.replicates import find_disagreements
 from calibration.fit.result import CalibrationResult
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import Descent
+from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.fit.validation import LeftOut, predict_held_out, predict_left_out_test
 from calibration.forward.geometry import check_geometry
 from calibration.forward.simulation_cache import SimulationCache
@@ -51,6 +52,7 @@ class CampaignFit:
         measured: recordings of each test, see `read_measured`.
         folder: folder of the results.
         steps: task executor and progress reports.
+        limits: limits of the usability rule.
 
     Attributes:
         recordings: all recordings.
@@ -59,11 +61,12 @@ class CampaignFit:
     """
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
-                 steps: RunContext):
+                 steps: RunContext, limits: UsabilitySettings = USABILITY):
         self.campaign = campaign = scale_offsets(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = compute_digest(campaign, self.recordings)
+        self.limits = limits
+        self.digest = compute_digest(campaign, self.recordings, limits.changed)
         self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> number of simulations in the check of its start values.
@@ -127,7 +130,8 @@ class CampaignFit:
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
             self.estimator.pooled_noise, sources.pop() if len(sources) == 1 else "mixed",
-            noise if self.estimator.explores else (), failures=failures)
+            noise if self.estimator.explores else (), failures=failures,
+            usability_settings=self.limits.changed)
         if self.estimator.explores:
             self.steps.report_progress("writing the report")
         write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,
@@ -164,16 +168,16 @@ class CampaignFit:
                     sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
         """Return fit, predictions and curves of one law."""
         campaign, law = self.campaign, estimate.problem.space.law
-        spent = self.solves.meter()
-        fit = assess_fit(self.estimator, estimate, spread, descents, sides, campaign)
+        spent = self.solves.start_meter()
+        fit = assess_fit(self.estimator, estimate, spread, descents, sides, campaign, self.limits)
         fit = add_influence(fit, estimate.problem, estimate.evaluation)
         fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
         own = Predictor.of(estimate.problem.space, estimate.theta, spread)
         predictors = {test.name: predictor_of_held_out(test, own, fit.population)
                       for test in campaign.tests if test.hold_out}
-        tests = [self.estimator.held_out(test, estimate, predictors[test.name] or own) if test.hold_out
+        tests = [self.estimator.build_held_out_test(test, estimate, predictors[test.name] or own) if test.hold_out
                  else next(fitted) for test in campaign.tests]
-        scatter = self.estimator.scatter(estimate)
+        scatter = self.estimator.find_jitter(estimate)
         held_out = [predict_held_out(estimate.problem, test, predictors[test.name], scatter)
                     for test, _ in tests if test.name in predictors]
         curves = draw_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
@@ -203,7 +207,7 @@ class CampaignFit:
                       for side in (-1, 1)]
             if len(estimate.problem.tests) > 1:
                 left += [(law, (estimate.problem, estimate.theta, number, self.estimator.uncertainty,
-                                self.estimator.scatter(estimate)))
+                                self.estimator.find_jitter(estimate)))
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((profile_side, sides, "profiles", sides_of),
                                               (predict_left_out_test, left, "tests left out, one at a time", left_of)):

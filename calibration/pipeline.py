@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
     from calibration.fit.run_context import IterationListener, Progress
+    from calibration.fit.usability_settings import UsabilitySettings
 
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
               progress: Progress | None = None, listen: IterationListener | None = None,
               figures: bool = True, figures_format: str | None = None,
-              workers: Workers | None = None) -> list[CalibrationResult]:
+              workers: Workers | None = None,
+              usability: UsabilitySettings | None = None) -> list[CalibrationResult]:
     """Fit every law of every campaign and write the results.
 
     ``LAW.material.json``, ``fit.json``, ``report.html``, ``curves.csv`` and ``residuals.csv`` are written to `output`.
@@ -43,6 +45,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         figures: whether the report includes figures.
         figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
         workers: worker processes for inverse fits; None: this process only.
+        usability: limits of the usability rule; None: the defaults. ``fit.json`` states those that differ.
 
     Returns:
         The result of each campaign.
@@ -60,11 +63,12 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     from calibration.campaign_fit import CampaignFit
     from calibration.fit.result import read_back
     from calibration.fit.run_context import RunContext
+    from calibration.fit.usability_settings import USABILITY
     from calibration.report.outputs import write_summary
 
     with open_tasks(workers or Workers()) as tasks:
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                            RunContext(campaign.name, tasks, progress, listen))
+                            RunContext(campaign.name, tasks, progress, listen), usability or USABILITY)
                 for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run_campaigns(fits, output, read_back, overwrite, figures, figures_format)
     if len(campaigns) > 1:

@@ -147,7 +147,7 @@ class ParameterSpace:
         """Whether all parameters belong to the material and are the same in all tests."""
         return all(each.of_material and each.tests is None and each.recording is None for each in self.unknowns)
 
-    def mark(self, test: str, recording: str) -> str | None:
+    def find_own_recording(self, test: str, recording: str) -> str | None:
         """Return the recording if a parameter has a separate value in the recording, otherwise None."""
         return recording if any(each.recording == recording and each.acts_in(test, recording)
                                 for each in self.unknowns) else None
@@ -156,7 +156,7 @@ class ParameterSpace:
         """Return whether a free parameter of a test changes the geometry of its mesh."""
         return any(each.declaration.shapes_mesh and each.acts_in(test, None) for each in self.varied)
 
-    def before_moving(self, values: Mapping[str, float]) -> dict[str, float]:
+    def with_start_geometry(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the values with the start geometry, for which the mesh is generated before its nodes are moved."""
         return {**values, **{each.name: self.start[each.name] for each in self.unknowns
                              if each.declaration.shapes_mesh and each.name in self.start}}
@@ -263,7 +263,7 @@ class ParameterSpace:
                 acting.setdefault(each.path, each)
         return acting
 
-    def normalised(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
+    def normalise_moduli(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
         """Return the values with moduli scaled to the sum `REFERENCE_MODULUS`, and the factor removed from them."""
         moduli = [each.name for each in self.unknowns if each.is_modulus]
         factor = sum(abs(values[name]) for name in moduli) / REFERENCE_MODULUS

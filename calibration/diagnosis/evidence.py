@@ -247,7 +247,7 @@ def upper_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
         return jitter
     factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - _EXCEEDANCE))
     resolved: dict[str, list[float]] = {"contact": [], "zero": []}
-    for test in problem.replicates(theta):
+    for test in problem.linearise_replicates(theta):
         for one in test:
             own = np.column_stack([one.contact, one.zero])
             variances = np.diag(np.linalg.pinv(own.T @ own))

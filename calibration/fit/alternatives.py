@@ -31,7 +31,7 @@ class AlternativeSettings:
             variance of the residuals: the 95 % quantile of chi-square with one degree of freedom, as in a profile
             likelihood.
         difference: two optima are different materials where their nominal stress in a further test differs by more
-            than this share of the smaller one. Below it the choice between them has no consequence.
+            than this fraction of the smaller stress. For smaller differences the choice has no consequence.
         lowest_stretch: the further tests are evaluated up to this stretch in compression and its reciprocal in
             tension, or up to the stretches of the data where these are closer to 1.
         promising_ratio: a start with other signs of the exponents is followed where its sum of squares is below this
@@ -164,6 +164,6 @@ def _find_largest_stress_difference(law: Law, one: Mapping[str, float], other: M
         with np.errstate(all="ignore"):
             pair = tuple(float(law.nominal_stress(place, values, mode)) for values in (one, other))
         smaller = min(map(abs, pair))
-        share = abs(pair[0] - pair[1]) / smaller if smaller > 0 and np.isfinite(pair).all() else np.inf
-        rated.append((share, words, place, (pair[0], pair[1])))
+        difference = abs(pair[0] - pair[1]) / smaller if smaller > 0 and np.isfinite(pair).all() else np.inf
+        rated.append((difference, words, place, (pair[0], pair[1])))
     return max(rated, key=lambda item: item[0])

@@ -20,6 +20,7 @@ from calibration.fit.profiles import ProfileSide
 from calibration.fit.self_weight import compute_sags
 from calibration.fit.trust_region import Descent
 from calibration.fit.usability import Evidence, compute_misfits, describe_instability, judge_usability
+from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
 from calibration.statistics.statistics import correlation, information_criteria
 from calibration.statistics.uncertainty import Uncertainty
@@ -28,7 +29,7 @@ from tissue_sim.laws.stability import STRETCH_RANGE
 
 
 def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
-               sides: Sequence[ProfileSide], campaign: Campaign) -> Fit:
+               sides: Sequence[ProfileSide], campaign: Campaign, limits: UsabilitySettings = USABILITY) -> Fit:
     """Return the `Fit` of an estimate, without computing effort and rank.
 
     Args:
@@ -38,6 +39,7 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
         descents: descents from all starts.
         sides: sides of the profile likelihoods.
         campaign: campaign.
+        limits: limits of the usability rule.
     """
     problem, space = estimate.problem, estimate.problem.space
     law = find_law(space.law)
@@ -45,7 +47,7 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
     values = space.values(theta)
     free = slice(0, len(space.free))
     specimens = find_specimens(space, theta, spread.covariance[free, free], spread.standard_errors[free])
-    moduli = space.of_law(specimens.typical(space, values))
+    moduli = space.of_law(specimens.representative_values(space, values))
     reached = {test.name: test.stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
@@ -56,7 +58,7 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
                                                    for minimum in estimate.minima], stretches)
     determination = _determine_shear_modulus(estimate, spread, mu0, campaign)
     clauses, status, unusable = judge_usability(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
-                                                         determination, space.symbols, units))
+                                                         determination, space.symbols, units, limits))
     loose = find_undetermined_parameters(space, spread)
     spread = without_misleading_errors(space, spread, theta, alternatives)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)

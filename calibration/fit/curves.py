@@ -117,7 +117,7 @@ def _evaluate_path(solves: SimulationCache, predictor: Predictor, test: ForwardT
     seen: ForwardTest = replace(test, measured=(path,))
     answer = seen.solve(predictor.space, predictor.theta, solves)
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
-    first, *sampled = predictor.scatters(rates)
+    first, *sampled = predictor.predict_scatter(rates)
     unsure = [Scatter(np.column_stack([first.columns, mesh_error * force])), *sampled]
     found = deviations or Deviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
     scatters, count = list(found.scatters), len(test.measured)

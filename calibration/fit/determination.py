@@ -42,12 +42,12 @@ SETTINGS = DeterminationSettings()
 
 @dataclass(frozen=True)
 class Determination:
-    """Knowledge of the shear modulus mu0 (at once, where the material has a memory).
+    """Precision of the shear modulus mu0 (the instantaneous one, if the material has a memory).
 
     Attributes:
-        relative_error: standard error of mu0 over mu0, of the parameters that are not held; inf where the samples
-            contain no information on it.
-        held: names of the parameters at bounds that were not stated, where mu0 depends on these bounds.
+        relative_error: standard error of mu0 divided by mu0, with parameters on bounds fixed; inf if the samples
+            contain no information on mu0.
+        held: names of the parameters on bounds that were not stated, if mu0 depends on these bounds.
         change: relative change of mu0 in the first Newton step without these bounds.
     """
 

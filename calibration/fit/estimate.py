@@ -75,7 +75,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         past: see `calibration.fit.trust_region.descend`.
         listen: see `calibration.fit.trust_region.descend`.
     """
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     history: list[Iteration] = []
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
@@ -138,7 +138,7 @@ def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None
     if all(len(test.measured) < 2 for test in problem.tests):
         return
     problem.reset_nuisances()
-    replicates = problem.replicates(theta)
+    replicates = problem.linearise_replicates(theta)
     problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
     problem.reset_nuisances()
 

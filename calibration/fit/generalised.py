@@ -155,7 +155,7 @@ class Generalised(Estimator):
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
                                                         strict=True)]}
 
-    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """Return a held-out test with its mesh correction, and its relative mesh error."""
         problem = estimate.problem
         found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
@@ -167,7 +167,7 @@ class Generalised(Estimator):
             error = FAST_MESH_ERRORS
         return found, mesh_uncertainty(found, error)
 
-    def scatter(self, estimate: Estimate) -> Jitter | None:
+    def find_jitter(self, estimate: Estimate) -> Jitter | None:
         """Return the marginalised jitter."""
         return estimate.problem.jitter
 
@@ -180,7 +180,7 @@ def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener
 def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
                  listen: Listener | None = None) -> Descent:
     """Run a descent from one start, unless the sum of squares at the start exceeds `limit`."""
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     try:
         error = problem.evaluate(theta).error
     except InfeasibleError as failure:

@@ -151,7 +151,7 @@ def fit_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
 
     found = []
     for fraction in WINDOWS:
-        narrow = problem.within(fraction)
+        narrow = problem.restrict_to_fraction(fraction)
         if min(curve.force.size for curve in narrow.measured) < MIN_POINTS or narrow.samples <= theta.size:
             continue
         descent = descend(narrow, theta, corrected=True, enough=_SETTINGS.window_gain,

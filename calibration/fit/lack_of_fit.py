@@ -36,13 +36,13 @@ class LackOfFit:
     """Lack of fit in one test, over the samples in which the displacement moves.
 
     Attributes:
-        R2: share of the variance of the force that the law explains, noise and scatter between recordings taken out;
+        R2: fraction of the variance of the force that the law explains, without noise and scatter between recordings;
             None with fewer than 8 such samples.
-        share: root mean square lack of fit, relative to the largest force.
+        relative_error: root mean square lack of fit, relative to the largest force.
     """
 
     R2: float | None
-    share: float
+    relative_error: float
 
 
 def compute_lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:

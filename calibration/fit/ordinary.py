@@ -156,13 +156,13 @@ class Ordinary(Estimator):
             parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
         return parts
 
-    def scatter(self, estimate: Estimate) -> Jitter | None:
+    def find_jitter(self, estimate: Estimate) -> Jitter | None:
         """Return the stated jitter; None if none is stated."""
         noise = self.campaign.noise
         stated = noise.contact_jitter or noise.zero_jitter
         return Jitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
 
-    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """Return the closed form of a held-out test, whose mesh error is 0."""
         return self._build_test(test), 0.0
 
@@ -176,10 +176,10 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     Returns:
         All descents, and the estimate or the reason of the failure.
     """
-    spent, law = problem.solves.meter(), problem.space.law
+    spent, law = problem.solves.start_meter(), problem.space.law
     # The stress of a material with memory depends on the whole motion, so its samples are not thinned.
     stride = 1 if problem.remembers else -(-problem.samples // _SETTINGS.thinned_points)
-    thin = problem if stride == 1 else problem.thinned(stride)
+    thin = problem if stride == 1 else problem.with_fewer_samples(stride)
 
     def run_descent(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
                     tolerance: float = _SETTINGS.tolerance) -> Descent:

@@ -109,7 +109,7 @@ class OrdinaryProblem(LeastSquares):
         return LongTerm(own[moduli], own[np.logical_not(moduli)], np.array([index_of[g] for g, _ in terms]),
                         np.array([index_of[tau] for _, tau in terms]), self.time_range)
 
-    def thinned(self, stride: int) -> OrdinaryProblem:
+    def with_fewer_samples(self, stride: int) -> OrdinaryProblem:
         """Return the problem with every `stride`-th sample, for cheaper descents.
 
         The recordings of a test are merged to one if they have no individual unknowns.
@@ -128,8 +128,8 @@ class OrdinaryProblem(LeastSquares):
             replace(test, measured=tuple(pool_recordings(list(map(thin_recording, test.measured)))))
             for test in self.tests))
 
-    def without(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquares.without`."""
+    def without_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquares.without_test`."""
         free = len(self.space.free)
         kept = [self.places[i][0] != number for i in self.shifted]
         tests = [test for i, test in enumerate(self.tests) if i != number]

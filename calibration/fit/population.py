@@ -79,7 +79,7 @@ class Specimens:
                     "between specimens"]
         return []
 
-    def typical(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
+    def representative_values(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
         """Return parameter values in which each specimen has those of the representative material.
 
         Args:

@@ -39,7 +39,7 @@ class Predictor:
         free = len(space.free)
         return cls(space, theta[:free], spread.covariance[:free, :free])
 
-    def scatters(self, rates: np.ndarray) -> list[Scatter]:
+    def predict_scatter(self, rates: np.ndarray) -> list[Scatter]:
         """Return the scatter of a predicted force by the uncertainty of the parameters.
 
         Args:

@@ -184,7 +184,7 @@ class LeastSquares(ABC):
     def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return residual, rates, columns, nuisances and force of an `Evaluation`."""
 
-    def within(self, fraction: float) -> LeastSquares:
+    def restrict_to_fraction(self, fraction: float) -> LeastSquares:
         """Return the problem with the samples of each test up to a fraction of its largest displacement."""
         def cut_recording(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
             kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
@@ -200,7 +200,7 @@ class LeastSquares(ABC):
         return replace(self, tests=tuple(tests))
 
     @abstractmethod
-    def without(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
+    def without_test(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
         """Return the problem without one test, and its unknowns.
 
         Args:
@@ -241,8 +241,8 @@ class Problem(LeastSquares):
             self.shared.append(columns if size > 0 else slice(end, end))
         self.nuisances = end
 
-    def without(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquares.without`."""
+    def without_test(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquares.without_test`."""
         kept = [i for i in range(len(self.tests)) if i != number]
         return Problem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
                        tuple(self.mesh_error[i] for i in kept)), theta
@@ -371,7 +371,7 @@ class Problem(LeastSquares):
         along = 2.0 * measured.displacement / np.abs(measured.displacement).max() - 1.0
         return self.mesh_error[number] * np.column_stack([force, along * force])
 
-    def replicates(self, theta: np.ndarray) -> list[list[WhitenedReplicate]]:
+    def linearise_replicates(self, theta: np.ndarray) -> list[list[WhitenedReplicate]]:
         """Return the linearised replicates of each test for `calibration.statistics.jitter.estimate_jitter`.
 
         Args:

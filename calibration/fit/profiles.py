@@ -80,7 +80,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
 
     Source: Venzon and Moolgavkar, Appl. Statist. 37 (1988) 87.
     """
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     space, quantile = problem.space, float(spread.quantile[index])
     bound = space.high[index] if side > 0 else space.low[index]
     deviation = spread.standard_errors[index]

@@ -18,7 +18,7 @@ class ReplicateSettings:
         ratio: two groups of recordings disagree where their stiffnesses differ by more than this factor ...
         scatter: ... and the gap between the groups is more than this many standard deviations of the stiffnesses within
             them (logarithms).
-        compared: recordings are compared over this upper share of the displacement that all of them reach, where an
+        compared: recordings are compared over this upper fraction of the displacement that all of them reach, where an
             offset of the contact matters least.
         unit: a ratio within this many decades of 1000 is named as a factor of units.
         points: number of points at which recordings are compared.

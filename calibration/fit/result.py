@@ -33,6 +33,7 @@ class CalibrationResult:
         noise_source: ``"stated"``, ``"estimated"``, ``"resolution"`` (of the sensor) or ``"mixed"``.
         noise: noise of each test of an inverse fit.
         failures: law -> reason why it has no fit.
+        usability_settings: name -> value of the limits of the usability rule that differ from the defaults.
         resumed: whether the result was read from an earlier run.
     """
 
@@ -46,6 +47,7 @@ class CalibrationResult:
     noise_source: str = "stated"
     noise: tuple[SensorStatement, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict)
+    usability_settings: Mapping[str, float] = field(default_factory=dict)
     resumed: bool = False
 
     @property
@@ -74,6 +76,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
         "noise_source": result.noise_source, "noise": list(msgspec.to_builtins(result.noise)),
         "message": result.message, "self_weight": describe_self_weight(result.campaign, result.best),
+        "usability_settings": dict(result.usability_settings),
         "output": str(result.output), "work": result.digest,
     }
 
@@ -101,6 +104,7 @@ def read_back(campaign: Campaign, folder: Path, digest: str) -> CalibrationResul
             msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, digest,
             found["noise_Pa"], found["noise_source"],
             msgspec.convert(tuple(found["noise"]), tuple[SensorStatement, ...]),
-            msgspec.convert(found.get("failures", {}), dict[str, str]), resumed=True)
+            msgspec.convert(found.get("failures", {}), dict[str, str]),
+            msgspec.convert(found.get("usability_settings", {}), dict[str, int | float]), resumed=True)
     except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):
         return None

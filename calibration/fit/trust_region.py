@@ -211,7 +211,7 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     Source: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1, as in scipy.optimize.least_squares.
     """
     space = problem.space
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     history: list[Iteration] = []
 
     def record_iteration(evaluation: Evaluation) -> None:

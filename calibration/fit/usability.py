@@ -25,37 +25,10 @@ from calibration.fit.population import Specimens
 from calibration.fit.preload_cover import covers_preload, fitted_contacts
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.usability_records import Alternative, Clause
+from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import NOISE_RATIOS
 from tissue_sim.laws import Stability
 
-
-@dataclass(frozen=True)
-class UsabilitySettings:
-    """Limits of the clauses; a fit is usable if all clauses hold.
-
-    Attributes:
-        largest_residual: largest root mean square residual of a test, relative to its largest force. A smaller value
-            rejects laws whose error is below the scatter between specimens.
-        smallest_R2: smallest fraction of the variance of the force (of the displacement if the force is controlled)
-            that a law must explain in each test, over the samples in which the controlled quantity moves. A larger
-            value rejects laws that describe measured tissue; docs/calibration.md compares the limit with measured data.
-        noise_ratio: residuals below this many times the noise fail no clause on residuals. A larger value accepts a
-            misfit in recordings with little noise.
-        start_samples: number of samples whose mean is the force at the start of a recording.
-        start_fraction: a force against the load at the start counts above this fraction of the range of the force ...
-        start_noise: ... and above this many times the noise; the remedy of a misfit is then the zero of the load cell.
-    """
-
-    largest_residual: float = 0.10
-    smallest_R2: float = 0.95
-    noise_ratio: float = NOISE_RATIOS.model_error
-    start_samples: int = 3
-    start_fraction: float = 0.02
-    start_noise: float = 5.0
-
-
-SETTINGS = UsabilitySettings()
 #: Status of a usable fit.
 USABLE = "converged"
 #: Remedy of a misfit where neither the recordings nor their zero are at fault.
@@ -76,6 +49,7 @@ class Evidence:
         determination: determination of the shear modulus by the tests; None if there is no such modulus.
         symbols: name of a parameter -> its symbol in messages.
         units: name of a parameter -> its unit.
+        limits: limits of the clauses.
     """
 
     estimate: Estimate
@@ -87,6 +61,7 @@ class Evidence:
     determination: Determination | None
     symbols: Mapping[str, str]
     units: Mapping[str, str]
+    limits: UsabilitySettings = USABILITY
 
 
 def judge_usability(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
@@ -219,26 +194,26 @@ def _check_replicates(evidence: Evidence) -> Clause:
 def compute_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
     """Return the root mean square residual of each test, % of its largest force, and as a multiple of the noise."""
     problem, gap = estimate.problem, estimate.evaluation.force - estimate.problem.data
-    shares, ratios = {}, {}
+    percents, ratios = {}, {}
     for number, test in enumerate(problem.tests):
         mine = [(rows, test.measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
                 if t == number]
         residual = np.concatenate([gap[rows] for rows, _ in mine])
         scaled = np.concatenate([gap[rows] / curve.noise.deviation for rows, curve in mine])
         largest = max(float(np.abs(curve.force).max()) for _, curve in mine)
-        shares[test.name] = 100.0 * float(np.sqrt(np.mean(residual**2))) / largest
+        percents[test.name] = 100.0 * float(np.sqrt(np.mean(residual**2))) / largest
         ratios[test.name] = float(np.sqrt(np.mean(scaled**2)))
-    return shares, ratios
+    return percents, ratios
 
 
 def _check_residuals(evidence: Evidence) -> Clause:
     """Check the residuals of each test; too large are those that exceed the limits of force and noise."""
     problem = evidence.estimate.problem
-    shares, ratios = compute_misfits(evidence.estimate)
-    missed = [f"its residuals in {test.name} are {shares[test.name]:.2g} % of the largest "
+    percents, ratios = compute_misfits(evidence.estimate)
+    missed = [f"its residuals in {test.name} are {percents[test.name]:.2g} % of the largest "
               f"{'stress' if test.measured[0].stressed else 'force'} and {ratios[test.name]:.3g} times the noise"
-              for test in problem.tests if shares[test.name] > 100 * SETTINGS.largest_residual
-              and ratios[test.name] > SETTINGS.noise_ratio]
+              for test in problem.tests if percents[test.name] > 100 * evidence.limits.largest_residual
+              and ratios[test.name] > evidence.limits.noise_ratio]
     return _build_clause("residuals", "misfit", f"does not describe the data: {' and '.join(missed)}" if missed else "",
                          _find_misfit_remedy(evidence) if missed else "")
 
@@ -249,9 +224,9 @@ def _check_explained_variance(evidence: Evidence) -> Clause:
     gap, missed = evidence.estimate.evaluation.force - problem.data, []
     for number, test in enumerate(problem.tests):
         R2 = compute_lack_of_fit(problem, gap, number).R2
-        if R2 is not None and SETTINGS.smallest_R2 > R2 and ratios[test.name] > SETTINGS.noise_ratio:
+        if R2 is not None and evidence.limits.smallest_R2 > R2 and ratios[test.name] > evidence.limits.noise_ratio:
             missed.append(f"R2 in {test.name} is {R2:.3f} over the part in which the displacement moves (noise and "
-                          f"scatter taken out), and the limit is {SETTINGS.smallest_R2:g}")
+                          f"scatter taken out), and the limit is {evidence.limits.smallest_R2:g}")
     return _build_clause("explained", "misfit", " and ".join(missed), _find_misfit_remedy(evidence) if missed else "")
 
 
@@ -264,15 +239,15 @@ def _find_misfit_remedy(evidence: Evidence) -> str:
     problem = evidence.estimate.problem
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"
-             for curve in problem.measured if (start := _find_negative_start_force(curve)) < 0]
+             for curve in problem.measured if (start := _find_negative_start_force(curve, evidence.limits)) < 0]
     return "; ".join(found) or describe_own_stiffnesses(problem, evidence.estimate.evaluation.force,
-                                                        SETTINGS.smallest_R2) or _OTHER_LAW
+                                                        evidence.limits.smallest_R2) or _OTHER_LAW
 
 
-def _find_negative_start_force(curve: MeasuredCurve) -> float:
+def _find_negative_start_force(curve: MeasuredCurve, limits: UsabilitySettings) -> float:
     """Return the mean force of the first samples if it is significantly below zero, N; otherwise 0."""
-    start = float(np.mean(curve.force[:SETTINGS.start_samples]))
-    limit = max(SETTINGS.start_fraction * float(np.ptp(curve.force)), SETTINGS.start_noise * curve.noise.deviation)
+    start = float(np.mean(curve.force[:limits.start_samples]))
+    limit = max(limits.start_fraction * float(np.ptp(curve.force)), limits.start_noise * curve.noise.deviation)
     return start if start < -limit else 0.0
 
 
@@ -288,9 +263,9 @@ def _check_displacement(evidence: Evidence) -> Clause:
         if control is None or control.quantity != "force":
             continue
         R2 = displacement_R2(curve, model[rows])
-        if SETTINGS.smallest_R2 > R2:
+        if evidence.limits.smallest_R2 > R2:
             missed.append(f"{curve.name}: the force is controlled, and the law explains {max(R2, 0.0):.1%} of the "
-                          f"variance of the displacement (R2 {R2:.3g}, limit {SETTINGS.smallest_R2:g})")
+                          f"variance of the displacement (R2 {R2:.3g}, limit {evidence.limits.smallest_R2:g})")
     return _build_clause("displacement", "misfit", "; ".join(missed),
                          "the displacement creeps under a held force: name viscoelastic.terms[0].g and .tau_s (a "
                          "second term: terms[1]) in fit.start, or record the test at a controlled displacement")

@@ -45,9 +45,9 @@ def predict_left_out_test(problem: LeastSquares, theta: np.ndarray, number: int,
         uncertainty: function that returns the uncertainty of a problem at its minimum.
         scatter: scatter of contact and zero between recordings; None: unknown.
     """
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     test = problem.tests[number]
-    rest, theta = problem.without(number, theta)
+    rest, theta = problem.without_test(number, theta)
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
     if not np.isfinite(descent.error):

@@ -95,7 +95,7 @@ class ClosedFormTest:
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormSolution]:
         """Return the parameter values of each recording; `evaluate` computes the forces. See `ForwardTest.solve`."""
         values, solutions = space.values(theta), {}
-        marks = [space.mark(self.name, curve.name) for curve in self.measured]
+        marks = [space.find_own_recording(self.name, curve.name) for curve in self.measured]
         for mark in marks:
             if mark not in solutions:
                 solutions[mark] = self._build_solution(space, values, mark)

@@ -101,7 +101,7 @@ class Loading:
         kept = np.unique([*range(0, last, max(last // MOTION_STEPS.smooth_steps, 1)), last])
         return replace(self, depth=self.depth[kept]), kept
 
-    def at_knots(self, curve: ForceCurve) -> np.ndarray:
+    def evaluate_at_knots(self, curve: ForceCurve) -> np.ndarray:
         """Return the columns of a curve at the knots, shape (k, m)."""
         # The rounded corner makes the force at rest slightly positive; the difference removes this value.
         return curve(None, self.depth, 0.0)[0] - curve(None, self.depth[:1], 0.0)[0]
@@ -235,7 +235,7 @@ class TimedMotion:
             values[first:last + 1] = np.linspace(values[first], values[last], last + 1 - first)
         return replace(self, time=time, displacement=displacement)
 
-    def at_knots(self, curve: ForceCurve) -> np.ndarray:
+    def evaluate_at_knots(self, curve: ForceCurve) -> np.ndarray:
         """Return the columns of a curve at the knots, shape (k, m)."""
         return curve(self.time, self.displacement, 0.0)[0]
 

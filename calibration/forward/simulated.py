@@ -125,7 +125,7 @@ class SimulatedTest(SimulatedMotions):
         curves: dict[tuple[int, str | None], ForceCurve] = {}
         chosen, differences = [], set()
         for measured, number, model in zip(self.measured, self.motion_of, models, strict=False):
-            key = number, space.mark(self.name, measured.name)
+            key = number, space.find_own_recording(self.name, measured.name)
             if key not in curves:
                 motion = self.motions[number]
                 force, rates, inexact = self._simulate(space, values, solves, motion, "fast", key[1])
@@ -149,7 +149,7 @@ class SimulatedTest(SimulatedMotions):
         by_mark: dict[str | None, PositionCurve] = {}
         curves, differences = [], set()
         for recording, (measured, number, model) in enumerate(zip(self.measured, self.motion_of, models, strict=False)):
-            mark = space.mark(self.name, measured.name)
+            mark = space.find_own_recording(self.name, measured.name)
             align = partial(self._align_curve, recording)
             if mark not in by_mark:
                 loading = self._build_loading(model.rig)

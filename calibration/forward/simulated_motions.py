@@ -117,7 +117,7 @@ class SimulatedMotions:
             preserves_proportionality(each, rigid=rigid) or self._affects_readings_only(each, values)
             for each in space.unknowns if each.is_modulus or each.acts_in(self.name, recording))
         if proportional:
-            values, factor = space.normalised(values)
+            values, factor = space.normalise_moduli(values)
 
         def build_true_model(of: dict[str, float]) -> Model:
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
@@ -125,7 +125,7 @@ class SimulatedMotions:
             return with_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
 
         model = build_true_model(values)
-        topology = build_true_model(space.before_moving(values)) if space.shapes_mesh(self.name) else None
+        topology = build_true_model(space.with_start_geometry(values)) if space.shapes_mesh(self.name) else None
         effects = ReadoutEffects.from_model(model)
         model, topology = effects.remove_from(model), topology and effects.remove_from(topology)
         acting = {} if resolution != "fast" else {
@@ -139,7 +139,7 @@ class SimulatedMotions:
         if curve is None:
             curve = simulate_curve(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)
             solves.counts[self.name, resolution] += 1
-            solves.keep(key, curve)
+            solves.store(key, curve)
         if curve.problem:
             raise InfeasibleError(f"{self.name}: {curve.problem}")
         force = factor * np.array(curve.force)
@@ -163,4 +163,4 @@ class SimulatedMotions:
             used, (force, *_) = first, self._simulate(space, values, solves, first, "accurate", rigid=rigid)
         except InfeasibleError:
             used, (force, *_) = second, self._simulate(space, values, solves, second, "accurate", rigid=rigid)
-        return force if used is motion else motion.at_knots(used.interpolate(force[:, None]))[:, 0]
+        return force if used is motion else motion.evaluate_at_knots(used.interpolate(force[:, None]))[:, 0]

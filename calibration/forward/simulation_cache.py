@@ -74,13 +74,13 @@ class SimulationCache:
                                                            type=SimulatedCurve)
         return self._curves.get(key)
 
-    def keep(self, key: str, curve: SimulatedCurve) -> None:
+    def store(self, key: str, curve: SimulatedCurve) -> None:
         """Store a curve in memory and, if the cache has a folder, in a file."""
         self._curves[key] = curve
         if self.folder is not None:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
-    def meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
+    def start_meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
         """Start a measurement of computing effort.
 
         Returns:
@@ -99,7 +99,7 @@ class SimulationCache:
         # The absolute path is valid in worker processes with another working directory.
         self.folder = self._read_folder = folder.resolve()
         for key, curve in self._curves.items():
-            self.keep(key, curve)
+            self.store(key, curve)
 
 
 def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,

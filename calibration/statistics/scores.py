@@ -101,7 +101,7 @@ class Direction:
 
 
 def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = DIRECTIONS.seed,
-                       draws: int = DIRECTIONS.draws) -> np.ndarray:
+                        draws: int = DIRECTIONS.draws) -> np.ndarray:
     """Compute family-wise p values by simulation of the minimum p value (Westfall and Young).
 
     Without effects the scores of all directions are jointly normal with mean 0 and covariance B'B, where B contains all

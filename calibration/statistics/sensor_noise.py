@@ -153,7 +153,7 @@ class _Piece:
     columns: np.ndarray
     time: np.ndarray
 
-    def triangle(self, tau: float) -> tuple[np.ndarray, float]:
+    def factorise(self, tau: float) -> tuple[np.ndarray, float]:
         """Return R of the QR decomposition of the whitened columns, and log det of the correlation matrix.
 
         Leading blocks of R are those of trends of lower degree.
@@ -200,7 +200,7 @@ def _select_correlation_time(pieces: list[_Piece], stated: float | None) -> tupl
         candidates += list(np.geomspace(shortest, longest, _SETTINGS.grid)) if longest > shortest else []
     best: tuple[float, float, list] = (np.inf, 0.0, [])
     for tau in candidates:
-        triangles, logarithms = zip(*(piece.triangle(tau) for piece in pieces), strict=True)
+        triangles, logarithms = zip(*(piece.factorise(tau) for piece in pieces), strict=True)
         # Sums of squared residuals of each segment for the degrees 0, 1, 2, ...
         squares = [np.cumsum(R[:, -1][::-1]**2)[::-1][1:] for R in triangles]
         degrees = _select_degrees(squares, samples)
@@ -242,7 +242,7 @@ def _restricted_likelihood(pieces: list[_Piece], degrees: list[int], tau: float)
     """
     squares, freedom, logarithm = 0.0, 0, 0.0
     for piece, degree in zip(pieces, degrees, strict=True):
-        R, own = piece.triangle(tau)
+        R, own = piece.factorise(tau)
         fixed = degree + 1
         squares += float(R[fixed:, -1] @ R[fixed:, -1])
         freedom += piece.time.size - fixed

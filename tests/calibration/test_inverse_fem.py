@@ -185,8 +185,8 @@ class TestProblem:
         assert problem.evaluate(descent.theta).error < problem.evaluate(descent.theta * 1.001).error
         assert problem.evaluate(descent.theta).error < problem.evaluate(descent.theta * 0.999).error
         space = ParameterSpace.of("reduced_polynomial_2", campaign)
-        one, factor = space.normalised({"C10": 3.0, "C20": 1.5})
-        other, larger = space.normalised({"C10": 3e4, "C20": 1.5e4})
+        one, factor = space.normalise_moduli({"C10": 3.0, "C20": 1.5})
+        other, larger = space.normalise_moduli({"C10": 3e4, "C20": 1.5e4})
         assert one == other
         assert larger == pytest.approx(1e4 * factor)
 

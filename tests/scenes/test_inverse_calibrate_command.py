@@ -304,7 +304,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgress
 
-keep, kept = SimulationCache.keep, []
+keep, kept = SimulationCache.store, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -312,7 +312,7 @@ def keep_some(solves, key, curve):
     if len(kept) == {count}:
         os.kill(os.getpid(), signal.SIGKILL)
 
-SimulationCache.keep = keep_some
+SimulationCache.store = keep_some
 main(sys.argv[1:])
 """
 
