@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
-from calibration.campaign.segmented import notes_in_short
+from calibration.campaign.segmented import summarise_notes
 from calibration.fit.assess import assess_fit
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
@@ -119,7 +119,7 @@ class CampaignFit:
         message_before_notes = message
         # A material with memory describes relaxation and creep, so these need no note.
         left_out = {"control"} if self.campaign.fit.material.remembers else set()
-        message += notes_in_short((curve.test.name, curve.name, {
+        message += summarise_notes((curve.test.name, curve.name, {
             subject: note for subject, note in notes_after_fit(curve, fits[0]).items()
             if note not in message_before_notes and subject not in left_out})
             for curve in self.recordings)

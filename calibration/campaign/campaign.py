@@ -25,10 +25,10 @@ from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
     NamedParameter,
+    build_stated_material,
     check_values,
-    declared_around,
+    declare_rig_and_experiment,
     find_named,
-    stated_material,
 )
 from calibration.campaign.schema import (
     BY_PARAMETER,
@@ -153,7 +153,7 @@ class FitSettings:
     @property
     def material(self) -> Material:
         """Material with a placeholder law and the parts that the campaign names, to query its memory and layers."""
-        return stated_material({**self.start, **self.fixed}, self.named)
+        return build_stated_material({**self.start, **self.fixed}, self.named)
 
 
 @dataclass(frozen=True)
@@ -233,7 +233,7 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
                             _read_noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(),
                             _shared_density(tests), prisms)
     except InputError as error:
-        raise defaults.located(error, path) from None
+        raise defaults.locate_error(error, path) from None
 
 
 def _shared_density(tests: tuple[Test, ...]) -> float | None:
@@ -333,8 +333,9 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         raise InputError(f"starts must be 1 to {MAX_STARTS}; got {table.starts}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
-    named = find_named(table, {test.name: declared_around(None if test.specimen is None else test.experiment, test.rig)
-                               for test in tests},
+    around = {test.name: declare_rig_and_experiment(None if test.specimen is None else test.experiment, test.rig)
+              for test in tests}
+    named = find_named(table, around,
                        {test.name: () if test.specimen is None else test.specimen.region_names for test in tests})
     check_values(table, named)
     for name, parameter in named.items():

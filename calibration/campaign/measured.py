@@ -16,7 +16,7 @@ from calibration.campaign.screened import check_left_out, clean_recording, scree
 from calibration.campaign.segmented import SegmentedRecording, notes_with_air, origin_notes, segment_recording
 from calibration.campaign.specimen_check import check_size
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
-from calibration.statistics.statistics import estimate_noise, resolution
+from calibration.statistics.statistics import estimate_noise, quantisation_step
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
@@ -100,7 +100,7 @@ class MeasuredCurve:
         return float(travel / duration) if duration > 0 else None
 
 
-def remembers(test: Test, material: Material) -> bool:
+def depends_on_history(test: Test, material: Material) -> bool:
     """Return whether the force depends on the motion history; if so, holds and unloading are fitted too."""
     return material.remembers or (test.experiment is not None and test.experiment.is_path_dependent)
 
@@ -194,7 +194,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
                          "state a time column, or speed_mm_s", field="recordings")
-    remembering = remembers(test, material) or (campaign.fit.whole and time is not None)
+    remembering = depends_on_history(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
     screening = with_control(screening, displacement, force, time, test)
     if remembering:
@@ -279,7 +279,7 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
     stated, window = _find_stated_noise(loading, campaign), loading if window is None else window
     if stated is None:
         spread = estimate_noise(loading.force, loading.displacement)
-        rounding = resolution(loading.force) / np.sqrt(12.0)
+        rounding = quantisation_step(loading.force) / np.sqrt(12.0)
         noise = SensorNoise(spread, source="estimated") if spread >= rounding else \
             SensorNoise(rounding, source="resolution")
     else:

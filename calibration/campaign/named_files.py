@@ -10,7 +10,7 @@ from tissue_sim.experiment.tools.tool import read_shape
 from tissue_sim.specimen import SPECIMENS
 
 
-def whole_path(path: Path) -> str:
+def absolute_path(path: Path) -> str:
     """Return the absolute path of a file."""
     return str(path.resolve())
 

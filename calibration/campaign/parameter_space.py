@@ -212,7 +212,8 @@ class ParameterSpace:
             values: values of all parameters by name, SI.
             test: name of the test; None: the first value of each parameter.
         """
-        return {path: values[each.name] for path, each in self._acting(test, None).items() if each.of_law}
+        acting = self._find_acting_parameters(test, None)
+        return {path: values[each.name] for path, each in acting.items() if each.of_law}
 
     def material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
                  test: str | None = None, recording: str | None = None) -> Material:
@@ -228,7 +229,7 @@ class ParameterSpace:
         Raises:
             InputError: the values are invalid for the material.
         """
-        acting = self._acting(test, recording)
+        acting = self._find_acting_parameters(test, recording)
         others = {path: values[each.name] for path, each in acting.items() if each.of_material and not each.of_law}
         own = {path: values[each.name] for path, each in acting.items() if each.of_law}
         if len(own) < len(find_law(self.law).parameters):
@@ -251,11 +252,11 @@ class ParameterSpace:
             InputError: the values are invalid for the model.
         """
         model = Model(experiment, self.material(values, test=test, recording=recording), rig)
-        others = {path: values[each.name] for path, each in self._acting(test, recording).items()
+        others = {path: values[each.name] for path, each in self._find_acting_parameters(test, recording).items()
                   if not each.of_material}
         return with_values(model, others) if others else model
 
-    def _acting(self, test: str | None, recording: str | None) -> dict[str, Unknown]:
+    def _find_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, Unknown]:
         """Return the parameter of each path that applies to a recording of a test."""
         acting: dict[str, Unknown] = {}
         for each in self.unknowns:

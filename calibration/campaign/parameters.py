@@ -59,7 +59,7 @@ class NamedParameter:
         return not self.path.startswith(_NOT_MATERIAL)
 
 
-def declared_around(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
+def declare_rig_and_experiment(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
     """Return the declarations of the parameters of experiment and rig by path; empty for a gripped specimen."""
     if experiment is None:
         return {}
@@ -67,7 +67,7 @@ def declared_around(experiment: Experiment | None, rig: Rig) -> dict[str, Declar
             for path, each in parameters(whole).items()}
 
 
-def stated_material(values: Mapping[str, float], named: Mapping[str, NamedParameter]) -> Material:
+def build_stated_material(values: Mapping[str, float], named: Mapping[str, NamedParameter]) -> Material:
     """Return a material with a placeholder law and the parts that these values (SI) define.
 
     The material answers whether it has memory or layers.
@@ -86,7 +86,7 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
 
     Args:
         table: table ``[fit]`` of the campaign.
-        around: parameters of experiment and rig of each test, see `declared_around`.
+        around: parameters of experiment and rig of each test, see `declare_rig_and_experiment`.
         regions: names of the regions of the specimen of each test.
 
     Returns:
@@ -204,7 +204,7 @@ def check_values(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
         raise InputError(f"{bulk[-1]} and {other} both state the bulk response; keep one of them",
                          field=f"fit.{'start' if bulk[-1] in table.start else 'fixed'}.{bulk[-1]}")
     try:
-        stated_material({name: value * named[name].declaration.factor for name, value in stated.items()}, named)
+        build_stated_material({name: value * named[name].declaration.factor for name, value in stated.items()}, named)
     except InputError as error:
         # A missing parameter is reported in fit.start, where the other parameters of the part are.
         field = f"fit.start.{_format_file_path(error.field or '')}".replace(".[", "[")

@@ -34,8 +34,8 @@ class PlannedRecordingSettings:
 PLANNED = PlannedRecordingSettings()
 
 
-def planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicates: int = PLANNED.replicates,
-                   samples: int = PLANNED.samples) -> tuple[MeasuredCurve, ...]:
+def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicates: int = PLANNED.replicates,
+                          samples: int = PLANNED.samples) -> tuple[MeasuredCurve, ...]:
     """Return recordings of a planned motion with a placeholder force proportional to the displacement.
 
     Args:
@@ -86,7 +86,7 @@ def read_planned(campaign: Campaign, replicates: int = PLANNED.replicates,
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"{test.place}.protocol") from None
         noise = SensorNoise(float(campaign.noise.force or 0.0), campaign.noise.correlation_time or 0.0)
-        found[test.name] = planned_curves(test, protocol, noise, replicates, samples)
+        found[test.name] = create_planned_curves(test, protocol, noise, replicates, samples)
     return {test.name: found[test.name] for test in campaign.tests}
 
 

@@ -22,7 +22,7 @@ from calibration.fit.trust_region import Descent
 from calibration.fit.usability import Evidence, compute_misfits, describe_instability, judge_usability
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import correlation, information_criteria
+from calibration.statistics.statistics import correlation_matrix, information_criteria
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.laws import Stability, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
@@ -76,8 +76,9 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
         "standard_errors": {name: errors[name] for name in order},
         "derivatives": _describe_derivatives(estimate, theta),
         "covariance": Covariance(order=order, matrix=covariance.tolist()),
-        "correlation": correlation(covariance).tolist(), "covariance_from": spread.basis, "intervals95": intervals,
-        "not_identifiable": loose, "noise_ratio": spread.ratio, "AIC": aic, "BIC": bic, "E0": law.E0(moduli),
+        "correlation": correlation_matrix(covariance).tolist(), "covariance_from": spread.basis,
+        "intervals95": intervals, "not_identifiable": loose,
+        "noise_ratio": spread.ratio, "AIC": aic, "BIC": bic, "E0": law.E0(moduli),
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
         "stability": stability.describe(), "stretch_range": (float(stretches[0]), float(stretches[1])),
         "minima": list(estimate.minima), "starts": len(descents),

@@ -154,7 +154,7 @@ class OrdinaryProblem(LeastSquares):
         """Return which unknowns are on a bound, bool, shape (k,)."""
         variables = self.relaxing
         low, high = self.bounds if variables is None else variables.bounds
-        u = theta if variables is None else variables.of(theta)
+        u = theta if variables is None else variables.from_unknowns(theta)
         reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
         return (u - low <= _BOUND_DISTANCE * reach) | (high - u <= _BOUND_DISTANCE * reach)
 

@@ -56,7 +56,7 @@ class CalibrationResult:
         return self.fits[0]
 
 
-def agreement(results: Sequence[CalibrationResult]) -> list[str]:
+def describe_agreement(results: Sequence[CalibrationResult]) -> list[str]:
     """Return a sentence for each law on the agreement of methods with the same recordings."""
     return compare_methods([(result.campaign, result.fits) for result in results])
 
@@ -68,7 +68,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     Each ``material_file`` is relative to it, so that ``fit.json`` remains valid if the folder moves.
     """
     if len(results) != 1:
-        return {"campaigns": [to_json([result]) for result in results], "agreement": agreement(results)}
+        return {"campaigns": [to_json([result]) for result in results], "agreement": describe_agreement(results)}
     result = results[0]
     return {
         "campaign": result.campaign.name, "method": result.campaign.fit.method,

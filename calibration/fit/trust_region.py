@@ -98,7 +98,7 @@ class _ReducedProblem:
         self.errors: list[float] = []
         self.best = theta
         self.variables = problem.variables(theta)
-        self.start = np.clip(self.variables.of(theta), *self.variables.bounds)
+        self.start = np.clip(self.variables.from_unknowns(theta), *self.variables.bounds)
         self.first = theta
         self.failure = ""
 
@@ -107,7 +107,7 @@ class _ReducedProblem:
 
         For the start the original values are returned, without rounding errors, so that cached simulations are found.
         """
-        unknowns = self.variables.unknowns(u)
+        unknowns = self.variables.to_unknowns(u)
         same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=DESCENT.rounding, atol=0.0)
         return self.first if same else unknowns
 

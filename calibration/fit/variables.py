@@ -38,11 +38,11 @@ class Scaled:
     sizes: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
 
-    def of(self, unknowns: np.ndarray) -> np.ndarray:
+    def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the variables of unknowns, shape (k,)."""
         return unknowns / self.sizes
 
-    def unknowns(self, variables: np.ndarray) -> np.ndarray:
+    def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
         """Return the unknowns of variables, shape (k,)."""
         return variables * self.sizes
 
@@ -87,7 +87,7 @@ class LongTerm:
         low[self.tau], high[self.tau] = np.log([shortest / _BOUNDS.time_margin, longest * _BOUNDS.time_margin])
         return low, high
 
-    def of(self, unknowns: np.ndarray) -> np.ndarray:
+    def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the variables of unknowns, shape (k,)."""
         rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / _BOUNDS.max_ratio), unknowns.copy()
         variables[self.moduli] *= rest
@@ -95,7 +95,7 @@ class LongTerm:
         variables[self.tau] = np.log(unknowns[self.tau])
         return variables
 
-    def unknowns(self, variables: np.ndarray) -> np.ndarray:
+    def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
         """Return the unknowns of variables, shape (k,)."""
         factor, unknowns = 1.0 + variables[self.g].sum(), variables.copy()
         unknowns[self.moduli] *= factor

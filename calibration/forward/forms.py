@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calibration.campaign.campaign import FitSettings, Test
-from calibration.campaign.measured import MeasuredCurve, remembers
+from calibration.campaign.measured import MeasuredCurve, depends_on_history
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
@@ -59,7 +59,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     mesh = content_key(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
     ramps_only = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
-    if timed or material.ages or (remembers(test, material) and not ramps_only):
+    if timed or material.ages or (depends_on_history(test, material) and not ramps_only):
         motions: list[TimedMotion] = []
         motion_of = []
         for curve in curves:

@@ -8,7 +8,7 @@ from importlib.metadata import PackageNotFoundError, version
 import tissue_sim
 from calibration.campaign.experiments import ROUND_SOLVER
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.segmented import notes_in_short
+from calibration.campaign.segmented import summarise_notes
 from calibration.fit.fit import Fit
 from calibration.fit.population import describe_left_out
 from calibration.fit.result import CalibrationResult
@@ -96,8 +96,8 @@ def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCur
                     "contact point, which was detected as the change point of the force relative to its zero and "
                     "drift."
                     for test, several in _recordings_from_contact(result, measured))
-    notes = notes_in_short((curve.test.name, curve.name, curve.notes)
-                           for curves in measured.values() for curve in curves)
+    notes = summarise_notes((curve.test.name, curve.name, curve.notes)
+                            for curves in measured.values() for curve in curves)
     return f"Data. {'; '.join(parts)}.{found}{notes}"
 
 

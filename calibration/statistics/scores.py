@@ -81,7 +81,7 @@ class Direction:
         """
         return -(self.basis.T @ residual)
 
-    def p(self, score: np.ndarray) -> np.ndarray:
+    def p_value(self, score: np.ndarray) -> np.ndarray:
         """Return the p value of a score for this direction alone.
 
         The p value is that of a one-sided normal test for a positive effect with q = 1, otherwise of a chi-square test
@@ -132,9 +132,9 @@ def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.nda
     root = axes * np.sqrt(np.maximum(sizes, 0.0))
     drawn = np.random.default_rng(seed).standard_normal((draws, sizes.size)) @ root.T
     ends = np.cumsum([0, *(direction.freedom for direction in directions)])
-    smallest = np.min([direction.p(drawn[:, first:last]) for direction, first, last in zip(
+    smallest = np.min([direction.p_value(drawn[:, first:last]) for direction, first, last in zip(
         directions, ends[:-1], ends[1:], strict=True)], axis=0)
-    observed = np.array([float(direction.p(score)) for direction, score in zip(directions, scores, strict=True)])
+    observed = np.array([float(direction.p_value(score)) for direction, score in zip(directions, scores, strict=True)])
     below = np.searchsorted(np.sort(smallest), observed, side="right")
     return (below + 1) / (draws + 1)
 

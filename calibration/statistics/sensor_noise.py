@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from calibration.statistics.statistics import resolution
+from calibration.statistics.statistics import quantisation_step
 from tissue_sim.errors import InputError
 
 #: One recording: force, N, shape (n,); time, s, shape (n,), or None; labels of the segments, shape (n,), or None.
@@ -133,7 +133,8 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
         return replace(checked, correlation_time=tau)
     squares, freedom, _ = _restricted_likelihood(pieces, degrees, tau)
     level = float(np.sqrt(squares / freedom))
-    rounding = max(resolution(np.asarray(force, dtype=float)) for force, _, _ in recordings) / float(np.sqrt(12.0))
+    step = max(quantisation_step(np.asarray(force, dtype=float)) for force, _, _ in recordings)
+    rounding = step / float(np.sqrt(12.0))
     floor = max(_SETTINGS.floor, *(_SETTINGS.relative_floor * float(np.abs(force).max())
                                    for force, _, _ in recordings))
     if max(level, rounding) <= floor:  # Rounding of floating point has no colour.

@@ -62,7 +62,7 @@ def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> f
     return float(max(min(deviations), 1e-9 * np.abs(samples).max(), np.finfo(float).tiny))
 
 
-def resolution(samples: np.ndarray) -> float:
+def quantisation_step(samples: np.ndarray) -> float:
     """Return the quantisation step of a signal, in the unit of the samples; 0 if no step is found.
 
     The step is the smallest repeated difference, if all differences are integer multiples of it and more than one
@@ -157,7 +157,7 @@ def r_squared(data: np.ndarray, residual: np.ndarray) -> float:
     return 1.0 - float(residual @ residual / np.sum((data - data.mean())**2))
 
 
-def correlation(covariance: np.ndarray) -> np.ndarray:
+def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     """Return the correlation matrix of a covariance matrix; off-diagonal entries of unknowns with variance 0 are 0."""
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     outer = np.outer(deviation, deviation)

@@ -39,11 +39,11 @@ def test_what_the_fit_takes_up_cannot_be_tested():
 
 def test_one_direction_has_its_own_probability():
     two_sided, one_sided = direction(axis(0)), direction(axis(0), positive=True)
-    assert two_sided.p(np.array([2.0])) == pytest.approx(2 * stats.norm.sf(2.0))
-    assert one_sided.p(np.array([2.0])) == pytest.approx(stats.norm.sf(2.0))
-    assert one_sided.p(np.array([-2.0])) == pytest.approx(stats.norm.cdf(2.0))
+    assert two_sided.p_value(np.array([2.0])) == pytest.approx(2 * stats.norm.sf(2.0))
+    assert one_sided.p_value(np.array([2.0])) == pytest.approx(stats.norm.sf(2.0))
+    assert one_sided.p_value(np.array([-2.0])) == pytest.approx(stats.norm.cdf(2.0))
     for one in (two_sided, one_sided):
-        expected = float(one.p(np.array([2.0])))
+        expected = float(one.p_value(np.array([2.0])))
         found = familywise_p_values([one], [np.array([2.0])])[0]
         assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DIRECTIONS.draws))
 
@@ -66,7 +66,7 @@ def test_the_same_direction_many_times_costs_nothing():
 def test_several_numbers_at_once_are_a_chi_square():
     both = direction(np.column_stack([axis(0), axis(1)]))
     assert both.freedom == 2
-    assert both.p(np.array([2.0, 1.0])) == pytest.approx(stats.chi2.sf(5.0, 2))
+    assert both.p_value(np.array([2.0, 1.0])) == pytest.approx(stats.chi2.sf(5.0, 2))
 
 
 def test_twins_and_strangers():

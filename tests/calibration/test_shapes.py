@@ -11,7 +11,7 @@ from solid_meshes import write_hexahedra
 import calibration
 import tissue_sim as ts
 from calibration.campaign.digest import compute_digest
-from calibration.campaign.named_files import rename_files, whole_path
+from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.forms import build_test, mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, Meshes, exact_mesh
@@ -381,7 +381,7 @@ def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys)
 
 def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):
     content = {"specimen": [{"shape": "mesh", "mesh": "cube.vtu", "mesh_unit": "mm"}], "test": []}
-    table, = rename_files(content, folder, whole_path)["specimen"]
+    table, = rename_files(content, folder, absolute_path)["specimen"]
     assert table == {"shape": "mesh", "mesh": str((folder / "cube.vtu").resolve()), "mesh_unit": "mm"}
 
 
