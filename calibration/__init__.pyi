@@ -19,6 +19,7 @@ from calibration.fit.hold import HoldFit as HoldFit
 from calibration.fit.hold import fit_hold as fit_hold
 from calibration.fit.result import CalibrationResult as CalibrationResult
 from calibration.fit.result import to_json as to_json
+from calibration.fit.usability_settings import UsabilitySettings as UsabilitySettings
 from calibration.importing.files import import_files as import_files
 from calibration.importing.imported import Imported as Imported
 from calibration.importing.imported import ImportOptions as ImportOptions

@@ -15,7 +15,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.digest import digest_of
+from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
 from calibration.diagnosis.confirmation import gap, region_gaps, unseen_replicates, unseen_tests
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
@@ -29,7 +29,7 @@ from calibration.diagnosis.statements import candidate_statements, found_effects
 from calibration.diagnosis.verdict import judge
 from calibration.diagnosis.words import message
 from calibration.effects.catalogue import CATALOGUE
-from calibration.fit.assess import assess
+from calibration.fit.assess import assess_fit
 from calibration.fit.fit import Fit
 from calibration.fit.generalised import Generalised
 from calibration.fit.run_context import RunContext
@@ -61,7 +61,7 @@ class Diagnosed:
 
 
 @dataclass
-class _Clock:
+class _StageClock:
     """Measure the time and the simulations of each stage.
 
     Attributes:
@@ -73,13 +73,15 @@ class _Clock:
     stages: list[Stage] = field(default_factory=list)
 
     @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        began, before = time.monotonic(), self._simulations()
+    def measure_stage(self, name: str) -> Iterator[None]:
+        """Append duration and number of simulations of the block to `stages`."""
+        began, before = time.monotonic(), self._count_simulations()
         yield
         self.stages.append(Stage(name=name, wall_s=time.monotonic() - began,
-                                 simulations=self._simulations() - before))
+                                 simulations=self._count_simulations() - before))
 
-    def _simulations(self) -> int:
+    def _count_simulations(self) -> int:
+        """Return the number of simulations of all processes so far."""
         # Worker processes have separate counters; the folder contains the simulations of all processes.
         folder = self.solves.folder
         return self.solves.counts.total() if folder is None else sum(1 for _ in folder.glob("*.msgpack"))
@@ -100,25 +102,25 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     """
     solves = solves or SimulationCache()
     campaign = scale_offsets(campaign, measured)
-    clock = _Clock(solves)
-    with clock.stage("fit without any effect"):
+    clock = _StageClock(solves)
+    with clock.measure_stage("fit without any effect"):
         before, offsets = settle_contacts(gather(campaign, measured, solves, steps), steps)
-    with clock.stage("scores of the catalogue"):
+    with clock.measure_stage("scores of the catalogue"):
         proposals = propose(before, steps)
-    with clock.stage("fits with the likeliest"):
+    with clock.measure_stage("fits with the likeliest"):
         judgement = judge(before, proposals, steps)
     after: Evidence | None = None
-    with clock.stage("last fit and unseen data"):
+    with clock.measure_stage("last fit and unseen data"):
         steps.report_progress("final fit and prediction of data that were not fitted")
         if judgement.added:
             after = judgement.evidence
         held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
-        fit_before = _fit_of(before)
-        fit_after = None if after is None else _fit_of(after)
+        fit_before = _convert_to_fit(before)
+        fit_after = None if after is None else _convert_to_fit(after)
         candidates = candidate_statements(proposals, judgement, before)
         effects = [] if after is None else found_effects(judgement, before, after)
         regions = region_gaps(before, after)
-    with clock.stage("the next experiment"):
+    with clock.measure_stage("the next experiment"):
         steps.report_progress("choosing the next experiment")
         further = next_experiments(before, proposals, judgement)
     gaps = gap(before), None if after is None else gap(after)
@@ -142,12 +144,12 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     return Diagnosed(diagnosis, before, after, proposals)
 
 
-def _fit_of(evidence: Evidence) -> Fit:
+def _convert_to_fit(evidence: Evidence) -> Fit:
     """Return the fit in the form of a calibration, without profiles."""
     estimate = evidence.estimate
     estimator = Generalised(evidence.campaign, evidence.measured, evidence.problem.solves)
     spread = assess_uncertainty(evidence.problem, evidence.evaluation)
-    return assess(estimator, estimate, spread, [estimate], [], evidence.campaign)
+    return assess_fit(estimator, estimate, spread, [estimate], [], evidence.campaign)
 
 
 def read_for_diagnosis(path: str | Path, law: str | None = None
@@ -205,10 +207,10 @@ class CampaignDiagnosis:
     def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext):
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = content_key("diagnosis", digest_of(campaign, self.recordings), campaign.fit.laws[0],
-                                  sorted(CATALOGUE), _source_digest())
+        self.digest = content_key("diagnosis", compute_digest(campaign, self.recordings), campaign.fit.laws[0],
+                                  sorted(CATALOGUE), _hash_source())
         self.solves = SimulationCache()
-        self._clock = _Clock(self.solves)
+        self._clock = _StageClock(self.solves)
 
     def check(self) -> None:
         """Check that the campaign can be fitted, before any file is written.
@@ -219,7 +221,7 @@ class CampaignDiagnosis:
         self.solves.read_from(self.folder / SOLVES)
         self.steps.report_progress("checking the start values")
         campaign = scale_offsets(self.campaign, self.measured)
-        with self._clock.stage("check of the start values"):
+        with self._clock.measure_stage("check of the start values"):
             estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
             estimator.check(law, 0)
             if self.steps.announce is not None and (words := in_words(simulation_seconds(estimator.problem(law)))):
@@ -245,7 +247,7 @@ class CampaignDiagnosis:
 
 
 @cache
-def _source_digest() -> str:
+def _hash_source() -> str:
     """Return the SHA-256 digest of the source code of this package, which affects the result."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):

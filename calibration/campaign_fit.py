@@ -11,10 +11,10 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.campaign.digest import digest_of
+from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
-from calibration.campaign.segmented import notes_in_short
-from calibration.fit.assess import assess
+from calibration.campaign.segmented import summarise_notes
+from calibration.fit.assess import assess_fit
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
@@ -26,12 +26,13 @@ from calibration.fit.ordinary import Ordinary
 from calibration.fit.predictor import Predictor, predictor_of_held_out
 from calibration.fit.preload_cover import notes_after_fit
 from calibration.fit.profiles import ProfileSide, profile_side
-from calibration.fit.ranking import Fitted, rank, rank_message
+from calibration.fit.ranking import Fitted, describe_ranking, rank_laws
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.result import CalibrationResult
 from calibration.fit.run_context import RunContext
 from calibration.fit.trust_region import Descent
-from calibration.fit.validation import LeftOut, leave_out, predict_held_out
+from calibration.fit.usability_settings import USABILITY, UsabilitySettings
+from calibration.fit.validation import LeftOut, predict_held_out, predict_left_out_test
 from calibration.forward.geometry import check_geometry
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.output_folder import SOLVES
@@ -51,6 +52,7 @@ class CampaignFit:
         measured: recordings of each test, see `read_measured`.
         folder: folder of the results.
         steps: task executor and progress reports.
+        limits: limits of the usability rule.
 
     Attributes:
         recordings: all recordings.
@@ -59,11 +61,12 @@ class CampaignFit:
     """
 
     def __init__(self, campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], folder: Path,
-                 steps: RunContext):
+                 steps: RunContext, limits: UsabilitySettings = USABILITY):
         self.campaign = campaign = scale_offsets(campaign, measured)
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = digest_of(campaign, self.recordings)
+        self.limits = limits
+        self.digest = compute_digest(campaign, self.recordings, limits.changed)
         self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> number of simulations in the check of its start values.
@@ -99,16 +102,16 @@ class CampaignFit:
         """
         if self.estimator.explores:
             self.solves.move_to(self.folder / SOLVES)
-        disagreements = self._disagreements()
-        found, failures = self._fit()
+        disagreements = self._describe_disagreements()
+        found, failures = self._fit_laws()
         if not found:
             write_failure(self.campaign, failures, self.folder)
             raise ConvergenceError(f"{self.campaign.path}: no start of any law converges "
                                    f"({next(iter(failures.values()), '')}); state other values in fit.start, or use a "
                                    "smaller max_strain")
-        fits, predictions, curves = rank(found)
+        fits, predictions, curves = rank_laws(found)
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
-        message = rank_message(fits, predictions, fitted)
+        message = describe_ranking(fits, predictions, fitted)
         for disagreement in disagreements:
             message = message if disagreement in message else f"{disagreement}. {message}"
         for law, failure in failures.items():
@@ -116,7 +119,7 @@ class CampaignFit:
         message_before_notes = message
         # A material with memory describes relaxation and creep, so these need no note.
         left_out = {"control"} if self.campaign.fit.material.remembers else set()
-        message += notes_in_short((curve.test.name, curve.name, {
+        message += summarise_notes((curve.test.name, curve.name, {
             subject: note for subject, note in notes_after_fit(curve, fits[0]).items()
             if note not in message_before_notes and subject not in left_out})
             for curve in self.recordings)
@@ -127,14 +130,15 @@ class CampaignFit:
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
             self.estimator.pooled_noise, sources.pop() if len(sources) == 1 else "mixed",
-            noise if self.estimator.explores else (), failures=failures)
+            noise if self.estimator.explores else (), failures=failures,
+            usability_settings=self.limits.changed)
         if self.estimator.explores:
             self.steps.report_progress("writing the report")
         write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,
                        figures_format=figures_format)
         return result
 
-    def _fit(self) -> tuple[list[Fitted], dict[str, str]]:
+    def _fit_laws(self) -> tuple[list[Fitted], dict[str, str]]:
         """Return the results of the fitted laws, and the reason of failure of each other law."""
         laws = self.campaign.fit.laws
         ends = self.estimator.estimate(laws, self.steps)
@@ -142,38 +146,38 @@ class CampaignFit:
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
         spreads: dict[str, Uncertainty] = {}
         for law, estimate in list(estimates.items()):
-            spread = attempt(_uncertainty_at, self.estimator, estimate)
+            spread = attempt(_compute_uncertainty, self.estimator, estimate)
             if isinstance(spread, Failure):
                 failures[law] = spread.reason
                 del estimates[law]
             else:
                 spreads[law] = spread
-        sides_of, left_of = self._explore(estimates, spreads)
+        sides_of, left_of = self._compute_profiles_and_validation(estimates, spreads)
         answers: list[Fitted] = []
         for law, estimate in estimates.items():
             if self.estimator.explores:
                 self.steps.report_progress(f"uncertainty and predictions of {law}")
-            answer = attempt(self._assess, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
+            answer = attempt(self._assess_law, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
             if isinstance(answer, Failure):
                 failures[law] = answer.reason
             else:
                 answers.append(answer)
         return answers, failures
 
-    def _assess(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
-                sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
+    def _assess_law(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
+                    sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
         """Return fit, predictions and curves of one law."""
         campaign, law = self.campaign, estimate.problem.space.law
-        spent = self.solves.meter()
-        fit = assess(self.estimator, estimate, spread, descents, sides, campaign)
+        spent = self.solves.start_meter()
+        fit = assess_fit(self.estimator, estimate, spread, descents, sides, campaign, self.limits)
         fit = add_influence(fit, estimate.problem, estimate.evaluation)
         fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
         own = Predictor.of(estimate.problem.space, estimate.theta, spread)
         predictors = {test.name: predictor_of_held_out(test, own, fit.population)
                       for test in campaign.tests if test.hold_out}
-        tests = [self.estimator.held_out(test, estimate, predictors[test.name] or own) if test.hold_out
+        tests = [self.estimator.build_held_out_test(test, estimate, predictors[test.name] or own) if test.hold_out
                  else next(fitted) for test in campaign.tests]
-        scatter = self.estimator.scatter(estimate)
+        scatter = self.estimator.find_jitter(estimate)
         held_out = [predict_held_out(estimate.problem, test, predictors[test.name], scatter)
                     for test, _ in tests if test.name in predictors]
         curves = draw_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
@@ -186,8 +190,8 @@ class CampaignFit:
                       estimate_cpu_s=best.cpu_s + estimate.cpu_s if self.estimator.explores else 0.0)
         return fit, [*(one.prediction for one in left), *held_out], curves
 
-    def _explore(self, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty]
-                 ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOut]]]:
+    def _compute_profiles_and_validation(self, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty]
+                                         ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOut]]]:
         """Compute the profiles of all parameters with a standard error, and the fits with one test left out.
 
         Returns:
@@ -203,10 +207,10 @@ class CampaignFit:
                       for side in (-1, 1)]
             if len(estimate.problem.tests) > 1:
                 left += [(law, (estimate.problem, estimate.theta, number, self.estimator.uncertainty,
-                                self.estimator.scatter(estimate)))
+                                self.estimator.find_jitter(estimate)))
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((profile_side, sides, "profiles", sides_of),
-                                              (leave_out, left, "tests left out, one at a time", left_of)):
+                                              (predict_left_out_test, left, "tests left out, one at a time", left_of)):
             answers = self.steps.run_all(partial(attempt, function), [arguments for _, arguments in tasks], words) \
                 if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
@@ -215,7 +219,7 @@ class CampaignFit:
                     found[law].append(answer)
         return sides_of, left_of
 
-    def _disagreements(self) -> list[str]:
+    def _describe_disagreements(self) -> list[str]:
         """Return a sentence for each group of disagreeing recordings, and announce them before they are pooled."""
         found = [each.describe() for each in find_disagreements(self.measured)]
         for sentence in found:
@@ -223,6 +227,6 @@ class CampaignFit:
         return found
 
 
-def _uncertainty_at(estimator: Estimator, estimate: Estimate) -> Uncertainty:
+def _compute_uncertainty(estimator: Estimator, estimate: Estimate) -> Uncertainty:
     """Return the uncertainty at the estimate."""
     return estimator.uncertainty(estimate.problem, estimate.evaluation)

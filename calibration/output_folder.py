@@ -44,7 +44,7 @@ CLAIM_SCHEMA = "tissue_sim/calibration/2"
 def result_files(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of all files that the calibration of a campaign may write."""
     return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
-            *(folder / picture_file(name, kind) for name in _pictures(campaign) for kind in PICTURE_FORMATS),
+            *(folder / picture_file(name, kind) for name in _name_pictures(campaign) for kind in PICTURE_FORMATS),
             folder / FIT_FILE]
 
 
@@ -56,9 +56,9 @@ def diagnosis_files(campaign: Campaign, folder: Path) -> list[Path]:
             folder / DIAGNOSIS_FILE]
 
 
-def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign], recordings: Sequence[MeasuredCurve],
-          digests: Mapping[str, str], overwrite: bool,
-          files_of: Callable[[Campaign, Path], list[Path]] = result_files) -> None:
+def claim_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
+                 recordings: Sequence[MeasuredCurve], digests: Mapping[str, str], overwrite: bool,
+                 files_of: Callable[[Campaign, Path], list[Path]] = result_files) -> None:
     """Prepare the output folder for these campaigns.
 
     Results of the same campaigns stay. Files of an earlier calibration are removed if ``work.json`` lists them; other
@@ -98,7 +98,7 @@ def claim(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaig
             raise InputError("a result would replace this file, which was not written by an earlier run in this "
                              "folder; move the file or choose another folder", file=path)
     _clear_solves({path.parent for path in earlier})
-    _remove(earlier, output)
+    _remove_files(earlier, output)
     files = [path.relative_to(output).as_posix() for path in planned]
     claimed = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests), "files": files}
     write_text(output / CLAIM_FILE, json.dumps(claimed, indent=2) + "\n")
@@ -114,13 +114,13 @@ def picture_file(name: str, kind: str) -> str:
     return f"report_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.{kind}"
 
 
-def pictures_written(campaign: Campaign, folder: Path, kind: str) -> bool:
+def has_pictures(campaign: Campaign, folder: Path, kind: str) -> bool:
     """Return whether the figure files of all tests of a finished campaign exist in this format."""
     return all((folder / picture_file(picture_of_test(campaign, number), kind)).is_file()
                for number in range(len(campaign.tests)))
 
 
-def _pictures(campaign: Campaign) -> list[str]:
+def _name_pictures(campaign: Campaign) -> list[str]:
     """Return the names of all figures that the report of a campaign may have."""
     return [*(picture_of_test(campaign, number, what) for number in range(len(campaign.tests))
               for what in ("test", "segments")), *PICTURES,
@@ -129,6 +129,7 @@ def _pictures(campaign: Campaign) -> list[str]:
 
 def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
                     recordings: Sequence[MeasuredCurve]) -> None:
+    """Raise an `InputError` if a planned file would replace a campaign or recording."""
     files = {recording.file for recording in recordings}
     inputs = [*(campaign.path for campaign in campaigns), *files, *(path.with_suffix(".json") for path in files)]
     existing = [path for path in inputs if path.exists()]
@@ -162,7 +163,7 @@ def _clear_solves(folders: Iterable[Path]) -> None:
             (folder / SOLVES).rmdir()
 
 
-def _remove(files: Sequence[Path], output: Path) -> None:
+def _remove_files(files: Sequence[Path], output: Path) -> None:
     """Remove these files and the folders of campaigns that become empty."""
     for path in files:
         path.unlink(missing_ok=True)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.campaign.planned import REPLICATES, SAMPLES, read_planned
-from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim, pictures_written, result_files
+from calibration.campaign.planned import PLANNED, read_planned
+from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim_folder, has_pictures, result_files
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -19,12 +19,14 @@ if TYPE_CHECKING:
     from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
     from calibration.fit.run_context import IterationListener, Progress
+    from calibration.fit.usability_settings import UsabilitySettings
 
 
 def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
               progress: Progress | None = None, listen: IterationListener | None = None,
               figures: bool = True, figures_format: str | None = None,
-              workers: Workers | None = None) -> list[CalibrationResult]:
+              workers: Workers | None = None,
+              usability: UsabilitySettings | None = None) -> list[CalibrationResult]:
     """Fit every law of every campaign and write the results.
 
     ``LAW.material.json``, ``fit.json``, ``report.html``, ``curves.csv`` and ``residuals.csv`` are written to `output`.
@@ -43,6 +45,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         figures: whether the report includes figures.
         figures_format: ``svg``, ``pdf`` or ``png`` to write each figure also as a file; None: no figure files.
         workers: worker processes for inverse fits; None: this process only.
+        usability: limits of the usability rule; None: the defaults. ``fit.json`` states those that differ.
 
     Returns:
         The result of each campaign.
@@ -53,20 +56,21 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         WorkerError: a worker process ends each time it works on a part.
     """
     output = Path(output)
-    _check_format(figures_format)
-    campaigns = _distinct([load_campaign(path) for path in paths])
+    _check_figures_format(figures_format)
+    campaigns = _require_distinct_names([load_campaign(path) for path in paths])
     measured = [read_measured(campaign) for campaign in campaigns]
     # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
     from calibration.campaign_fit import CampaignFit
     from calibration.fit.result import read_back
     from calibration.fit.run_context import RunContext
+    from calibration.fit.usability_settings import USABILITY
     from calibration.report.outputs import write_summary
 
     with open_tasks(workers or Workers()) as tasks:
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                            RunContext(campaign.name, tasks, progress, listen))
+                            RunContext(campaign.name, tasks, progress, listen), usability or USABILITY)
                 for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run(fits, output, read_back, overwrite, figures, figures_format)
+        results, failures = _run_campaigns(fits, output, read_back, overwrite, figures, figures_format)
     if len(campaigns) > 1:
         write_summary(results, output / SUMMARY_FILE)
     if failures:
@@ -104,10 +108,10 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
         WorkerError: a worker process ends each time it works on a part.
     """
     output = Path(output)
-    _check_format(figures_format)
+    _check_figures_format(figures_format)
     from calibration.diagnosis.evidence import whole_campaign
 
-    campaigns = _distinct([whole_campaign(load_campaign(path), law) for path in paths])
+    campaigns = _require_distinct_names([whole_campaign(load_campaign(path), law) for path in paths])
     measured = [read_measured(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.result import read_diagnosis
@@ -118,14 +122,16 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                                    RunContext(campaign.name, tasks, progress, announce=announce))
                  for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run(parts, output, read_diagnosis, overwrite, figures, figures_format, files_of_diagnosis)
+        results, failures = _run_campaigns(parts, output, read_diagnosis, overwrite, figures, figures_format,
+                                           files_of_diagnosis)
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
 
 
-def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], overwrite: bool, figures: bool,
-         figures_format: str | None, files_of: Callable[..., list[Path]] = result_files) -> tuple[list[Any], list[str]]:
+def _run_campaigns(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], overwrite: bool, figures: bool,
+                   figures_format: str | None,
+                   files_of: Callable[..., list[Path]] = result_files) -> tuple[list[Any], list[str]]:
     """Run several campaigns, and read the results of finished campaigns.
 
     Args:
@@ -140,15 +146,15 @@ def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], over
     Returns:
         The results, and the messages of campaigns that failed.
     """
-    finished = [None if overwrite or not (figures_format is None or pictures_written(
+    finished = [None if overwrite or not (figures_format is None or has_pictures(
         part.campaign, part.folder, figures_format)) else read_back(part.campaign, part.folder, part.digest)
         for part in parts]
     for part, result in zip(parts, finished, strict=True):
         if result is None:
             part.check()
-    claim(output, {part.campaign.name: part.folder for part in parts}, [part.campaign for part in parts],
-          [recording for part in parts for recording in part.recordings],
-          {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
+    claim_folder(output, {part.campaign.name: part.folder for part in parts}, [part.campaign for part in parts],
+                 [recording for part in parts for recording in part.recordings],
+                 {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
     results, failures = [], []
     for part, result in zip(parts, finished, strict=True):
         try:
@@ -159,8 +165,8 @@ def _run(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], over
     return results, failures
 
 
-def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = REPLICATES,
-                       samples: int = SAMPLES, workers: Workers | None = None,
+def design_experiments(path: str | Path, *, law: str | None = None, replicates: int = PLANNED.replicates,
+                       samples: int = PLANNED.samples, workers: Workers | None = None,
                        progress: Progress | None = None) -> Design:
     """Predict what the planned experiments of a campaign will determine, without writing files.
 
@@ -191,13 +197,14 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
         return design(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
-def _check_format(figures_format: str | None) -> None:
+def _check_figures_format(figures_format: str | None) -> None:
+    """Raise an `InputError` if the format of figures is unknown."""
     if figures_format not in (None, *PICTURE_FORMATS):
         raise InputError(f"figures_format must be {', '.join(PICTURE_FORMATS)} or None; got {figures_format!r}",
                          field="figures_format")
 
 
-def _distinct(campaigns: list[Campaign]) -> list[Campaign]:
+def _require_distinct_names(campaigns: list[Campaign]) -> list[Campaign]:
     """Return the campaigns after checking that there is at least one and that their names differ."""
     if not campaigns:
         raise InputError("at least one campaign file is required")

@@ -150,7 +150,7 @@ def draw_case(case: Case, rng: np.random.Generator) -> tuple[TestCurves, list[Me
         raise RuntimeError(estimate)
     spread = estimator.uncertainty(estimate.problem, estimate.evaluation)
     tests = list(zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True))
-    curves, = draw_curves(estimate, spread, tests, estimator.scatter(estimate))
+    curves, = draw_curves(estimate, spread, tests, estimator.find_jitter(estimate))
     return curves, [record(100 + number) for number in range(NEW)]
 
 

@@ -95,8 +95,8 @@ def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
     population = find_specimens(own.space, own.theta, own.covariance, spread_of.standard_errors).population
     further = tests[specimens:]
     predictors = {test.name: predictor_of_held_out(test, own, population) for test in further}
-    curves = draw_curves(estimate, spread_of, [estimator.held_out(test, estimate, own) for test in further], None,
-                         predictors)
+    unseen = [estimator.build_held_out_test(test, estimate, own) for test in further]
+    curves = draw_curves(estimate, spread_of, unseen, None, predictors)
     held = []
     for curve in curves:
         recorded, = curve.measured

@@ -32,7 +32,7 @@ from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.estimate import settle
-from calibration.fit.trust_region import MIN_GAIN_OF_A_START, descend
+from calibration.fit.trust_region import DESCENT, descend
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
@@ -67,7 +67,7 @@ SEED = 5
 #: Starts reach from this share of the truth to its inverse.
 FARTHEST = 10.0
 #: Two ends are one minimum when their sums of squares differ by less: a third of a standard error, squared. A start is
-#: not followed farther than `MIN_GAIN_OF_A_START`.
+#: not followed farther than `DescentSettings.min_gain_of_start`.
 SAME_MINIMUM = 0.1
 #: Target: median number of solves per test and start.
 MEDIAN_SOLVES = 5
@@ -167,7 +167,7 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
     """
     campaign = make_campaign(scenes, Noise(NOISE, contact_jitter=None, zero_jitter=None, correlation_time=0.0))
     problem = build_problem(LAW, campaign, reference_recordings(campaign), SimulationCache())
-    descent = descend(problem, np.array(start), enough=MIN_GAIN_OF_A_START)
+    descent = descend(problem, np.array(start), enough=DESCENT.min_gain_of_start)
     found = {"start": list(start), "end": descent.theta.tolist(), "error": descent.error,
              "converged": descent.converged, "problem": descent.failure, "cpu_s": descent.cpu_s,
              "solves": [descent.simulations.get((name, "fast"), 0) for name in scenes]}

@@ -21,13 +21,14 @@ from calibration.campaign.checks import (
     require_positive,
 )
 from calibration.campaign.experiments import read_experiment, read_rig, read_solver
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameters import (
     PER_SPECIMEN,
     NamedParameter,
+    build_stated_material,
     check_values,
-    declared_around,
+    declare_rig_and_experiment,
     find_named,
-    stated_material,
 )
 from calibration.campaign.schema import (
     BY_PARAMETER,
@@ -49,17 +50,14 @@ from tissue_sim.recording.formats.columns import check_decimal, check_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
-#: Default standard deviation of the prior of a contact offset, m; reduced for tests with small displacements.
-DEFAULT_OFFSET_PRIOR = 0.05e-3
-#: Default half width of the bounds of a contact offset in an analytical fit, m; reduced in the same way.
-DEFAULT_OFFSET_BOUND = 0.5e-3
 #: Default number of starts of an inverse fit.
 DEFAULT_STARTS = 3
 #: Maximum number of starts of an inverse fit.
 MAX_STARTS = 1000
 
 
-def _read_only(values: Mapping | None = None) -> Mapping:
+def _freeze_mapping(values: Mapping | None = None) -> Mapping:
+    """Return a read-only copy of a mapping; empty without one."""
     return read_only(values or {})
 
 
@@ -91,7 +89,7 @@ class Test:
     kind: TestKind
     specimen: Specimen | None
     recordings: tuple[Path, ...]
-    reading: Mapping[str, Any] = field(default_factory=_read_only)
+    reading: Mapping[str, Any] = field(default_factory=_freeze_mapping)
     max_strain: float | None = None
     hold_out: bool = False
     place: str = "test"
@@ -101,7 +99,7 @@ class Test:
     failure: Literal["cut", "keep", "refuse"] = "cut"
     protocol: str | None = None
     solver: str = "axisymmetric"
-    leave_out: Mapping[str, tuple[int, ...]] = field(default_factory=_read_only)
+    leave_out: Mapping[str, tuple[int, ...]] = field(default_factory=_freeze_mapping)
     control: Literal["find", "displacement", "force"] = "find"
 
 
@@ -132,8 +130,8 @@ class FitSettings:
     laws: tuple[str, ...]
     bulk: Bulk = field(default_factory=Bulk)
     offset: str = "none"
-    offset_bound: float = DEFAULT_OFFSET_BOUND
-    offset_prior: float = DEFAULT_OFFSET_PRIOR
+    offset_bound: float = OFFSET_DEFAULTS.contact_bound
+    offset_prior: float = OFFSET_DEFAULTS.contact_prior
     offset_usual: tuple[str, ...] = ()
     zero_bound: float | None = None
     zero_prior: float | None = None
@@ -141,11 +139,11 @@ class FitSettings:
     starts: int = DEFAULT_STARTS
     method: str = "analytical"
     whole: bool = False
-    named: Mapping[str, NamedParameter] = field(default_factory=_read_only)
-    start: Mapping[str, float] = field(default_factory=_read_only)
-    fixed: Mapping[str, float] = field(default_factory=_read_only)
-    prior: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
-    bounds: Mapping[str, tuple[float, float]] = field(default_factory=_read_only)
+    named: Mapping[str, NamedParameter] = field(default_factory=_freeze_mapping)
+    start: Mapping[str, float] = field(default_factory=_freeze_mapping)
+    fixed: Mapping[str, float] = field(default_factory=_freeze_mapping)
+    prior: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=_freeze_mapping)
 
     @property
     def others(self) -> tuple[str, ...]:
@@ -155,7 +153,7 @@ class FitSettings:
     @property
     def material(self) -> Material:
         """Material with a placeholder law and the parts that the campaign names, to query its memory and layers."""
-        return stated_material({**self.start, **self.fixed}, self.named)
+        return build_stated_material({**self.start, **self.fixed}, self.named)
 
 
 @dataclass(frozen=True)
@@ -204,6 +202,7 @@ class Campaign:
 
     @property
     def name(self) -> str:
+        """Name of the campaign: the file name without its ending."""
         return self.path.stem
 
 
@@ -227,22 +226,25 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
                 first = table.questions[0].partition("?")[0]
                 raise InputError(f"{first}? Import again with the flag that answers the question, or delete this key "
                                  "to accept the assumed values", field="questions")
-            tests = _tests(table, specimens := read_specimens(table, path.parent), path.parent, planned)
+            tests = _read_tests(table, specimens := read_specimens(table, path.parent), path.parent, planned)
             prisms = frozenset(name for name, entry in zip(specimens, table.specimen, strict=True)
                                if entry.shape == PRISM)
-            return Campaign(path, _read_only(specimens), tests, _fit_settings(table.fit, table.noise, tests),
-                            _noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(), _density(tests),
-                            prisms)
+            return Campaign(path, _freeze_mapping(specimens), tests, _read_fit_settings(table.fit, table.noise, tests),
+                            _read_noise(table.noise, table.fit.method), hashlib.sha256(data).hexdigest(),
+                            _shared_density(tests), prisms)
     except InputError as error:
-        raise defaults.located(error, path) from None
+        raise defaults.locate_error(error, path) from None
 
 
-def _density(tests: tuple[Test, ...]) -> float | None:
+def _shared_density(tests: tuple[Test, ...]) -> float | None:
+    """Return the density of all fitted specimens, kg/m3; None if unknown or if it differs between them."""
     fitted = {None if test.specimen is None else test.specimen.density for test in tests if not test.hold_out}
     return fitted.pop() if len(fitted) == 1 else None
 
 
-def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path, planned: bool) -> tuple[Test, ...]:
+def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path,
+                planned: bool) -> tuple[Test, ...]:
+    """Return all tests of a campaign file, with their recordings and experiments."""
     if not table.test:
         raise InputError("a campaign needs at least one [[test]]", field="test")
     tests: dict[str, Test] = {}
@@ -280,39 +282,41 @@ def _tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder: Path
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else
             find_recordings(entry.recordings, folder, f"{field}.recordings"),
-            _reading(entry, read_columns_key(entry, field)), entry.max_strain, entry.hold_out, field,
+            _reading_options(entry, read_columns_key(entry, field)), entry.max_strain, entry.hold_out, field,
             read_experiment(entry, specimen, folder, field), read_rig(entry, folder, field),
             entry.contact if isinstance(entry.contact, str) else 1e-3 * entry.contact, entry.failure, entry.protocol,
-            read_solver(entry, specimen, field), _leave_out(entry, f"{field}.leave_out"), entry.control)
+            read_solver(entry, specimen, field), _read_leave_out(entry, f"{field}.leave_out"), entry.control)
     if all(test.hold_out for test in tests.values()):
         raise InputError("at least one test must be fitted, but all are held out; set hold_out = false for one",
                          field="test[0].hold_out")
     return tuple(tests.values())
 
 
-def _leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
+def _read_leave_out(entry: TestTable, field: str) -> Mapping[str, tuple[int, ...]]:
     """Return `Test.leave_out` for a test table."""
     stated = entry.leave_out
     if isinstance(stated, str):
-        return _read_only()
+        return _freeze_mapping()
     by_name = stated if isinstance(stated, dict) else {"": stated}
     for name, samples in by_name.items():
         for number in samples:
             if number < 1:
                 raise InputError(f"the numbers of samples must be at least 1; got {number}",
                                  field=f"{field}.{name}" if name else field)
-    return _read_only({name: tuple(samples) for name, samples in by_name.items()})
+    return _freeze_mapping({name: tuple(samples) for name, samples in by_name.items()})
 
 
-def _reading(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
+def _reading_options(entry: TestTable, columns: Mapping[str, Any] | None) -> Mapping[str, Any]:
     """Return the options for `tissue_sim.read_recordings` that the test states."""
     stated = {"columns": columns, "skip_lines": entry.skip_lines, "delimiter": entry.delimiter, "sheet": entry.sheet,
               "curve": entry.curve, "decimal": entry.decimal,
               "speed": None if entry.speed_mm_s is None else entry.speed_mm_s * 1e-3}
-    return _read_only({"format": entry.format, **{key: value for key, value in stated.items() if value is not None}})
+    known = {key: value for key, value in stated.items() if value is not None}
+    return _freeze_mapping({"format": entry.format, **known})
 
 
-def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -> FitSettings:
+def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -> FitSettings:
+    """Convert the table ``[fit]`` to SI units and check it."""
     if not table.laws:
         raise InputError(f"laws must list at least one law; known laws: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
@@ -329,8 +333,9 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
         raise InputError(f"starts must be 1 to {MAX_STARTS}; got {table.starts}", field="fit.starts")
     check_unused(table, noise)
     check_parameters(table)
-    named = find_named(table, {test.name: declared_around(None if test.specimen is None else test.experiment, test.rig)
-                               for test in tests},
+    around = {test.name: declare_rig_and_experiment(None if test.specimen is None else test.experiment, test.rig)
+              for test in tests}
+    named = find_named(table, around,
                        {test.name: () if test.specimen is None else test.specimen.region_names for test in tests})
     check_values(table, named)
     for name, parameter in named.items():
@@ -354,15 +359,16 @@ def _fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ...]) -
                        if isinstance(value, float | int) and value > 0), None)
     return FitSettings(
         laws=tuple(table.laws), bulk=Bulk() if table.bulk_ratio is None else Bulk("bulk_ratio", table.bulk_ratio),
-        offset=table.offset, offset_prior=offset_prior or DEFAULT_OFFSET_PRIOR, offset_usual=usual,
-        offset_bound=DEFAULT_OFFSET_BOUND if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
+        offset=table.offset, offset_prior=offset_prior or OFFSET_DEFAULTS.contact_prior, offset_usual=usual,
+        offset_bound=OFFSET_DEFAULTS.contact_bound if table.offset_bounds_mm is None else table.offset_bounds_mm * 1e-3,
         zero_bound=table.zero_bounds_N, zero_prior=zero_prior, strain_points=table.strain_points,
         starts=table.starts or DEFAULT_STARTS, method=table.method,
-        named=_read_only(by_path), start=_read_only(start), fixed=_read_only(fixed), prior=_read_only(prior),
-        bounds=_read_only(bounds))
+        named=_freeze_mapping(by_path), start=_freeze_mapping(start), fixed=_freeze_mapping(fixed),
+        prior=_freeze_mapping(prior), bounds=_freeze_mapping(bounds))
 
 
-def _noise(table: NoiseTable, method: str) -> Noise:
+def _read_noise(table: NoiseTable, method: str) -> Noise:
+    """Convert the table ``[noise]`` to SI units and check it."""
     for key in ("force_N", "nominal_stress_Pa"):
         value = getattr(table, key)
         require_positive(None if value == "estimate" else value, f"noise.{key}")

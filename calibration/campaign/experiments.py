@@ -67,14 +67,14 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
             raise InputError(f"tool does not apply to kind = {entry.kind!r}; leave tool out", field=f"{place}.tool")
         return None
     specimen = Specimen(1.0, 1.0) if specimen is None else specimen
-    interfaces = {key: value for key in kind.faces if (value := _interface(entry, kind, key, place)) is not None}
+    interfaces = {key: value for key in kind.faces if (value := _read_friction(entry, kind, key, place)) is not None}
     laws = [from_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content, f"{place}.contact_laws.{name}")
             for name, content in (entry.contact_laws or {}).items()]
     try:
         return kind.experiment(specimen=specimen, protocol=Protocol.ramp(1e-3 * specimen.height, 2),
-                               tool=_tool(entry, kind, folder, place), contact_laws=laws,
+                               tool=_read_tool(entry, kind, folder, place), contact_laws=laws,
                                tilt=1e-3 * (entry.tilt_mm or 0.0), slip=entry.slip,
-                               approach=_approach(entry, specimen, place), **interfaces)
+                               approach=_read_approach(entry, specimen, place), **interfaces)
     except InputError as error:
         keys = _KEYS | {f"tool.{name}": key for key, (_, name, _) in tool_sizes().items()}
         if error.field not in keys:
@@ -83,7 +83,8 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
                          field=f"{place}.{keys[error.field]}") from None
 
 
-def _approach(entry: TestTable, specimen: Specimen, place: str) -> Approach | None:
+def _read_approach(entry: TestTable, specimen: Specimen, place: str) -> Approach | None:
+    """Return the stated approach of a needle (offset, angle); None if none is stated."""
     stated = {key: value for key in _APPROACH if (value := getattr(entry, key)) is not None}
     for key in stated:
         if KINDS[entry.kind].require_tool().is_plate:
@@ -112,7 +113,7 @@ def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
     return name
 
 
-def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:
+def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:
     """Return the stated friction of a face, or None if the campaign states nothing."""
     face, value = kind.faces[key], getattr(entry, key)
     if isinstance(value, str) and value not in (*INTERFACES, *([AS_TOOL] if key == "friction_base" else [])):
@@ -130,7 +131,8 @@ def _interface(entry: TestTable, kind: TestKind, key: str, place: str) -> str | 
     return value
 
 
-def _tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
+def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
+    """Return the tool of a test: that of its kind, or a shape with stated sizes."""
     kinds_tool = kind.require_tool()
     shape, profile = read_shape(entry.tool or kinds_tool.shape, folder)
     fits = kind.fits(TOOLS.find(shape, f"{place}.tool"))

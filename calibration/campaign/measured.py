@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.campaign.campaign import DEFAULT_OFFSET_BOUND, DEFAULT_OFFSET_PRIOR, Campaign, Test
+from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.loading import check_motion, elastic_samples, require_loading
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.screened import check_left_out, clean_recording, screening_notes, with_control, with_preload
 from calibration.campaign.segmented import SegmentedRecording, notes_with_air, origin_notes, segment_recording
 from calibration.campaign.specimen_check import check_size
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
-from calibration.statistics.statistics import estimate_noise, resolution
+from calibration.statistics.statistics import estimate_noise, quantisation_step
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
@@ -29,10 +30,6 @@ if TYPE_CHECKING:
 
 #: Segments that are not part of the first loading; an elastic law is not fitted to them.
 NOT_LOADING = ("approach", "preconditioning", "hold", "unload", "reload", "retract")
-#: Largest default standard deviation of a contact offset, as a fraction of the displacement of a test.
-CONTACT_FRACTION = 0.02
-#: Default standard deviation of a contact offset, as a fraction of the strain of a test recorded as strain.
-STRAIN_FRACTION = 0.005
 #: Loading ends when this fraction of the largest displacement is reached.
 LOADED = 0.98
 #: Largest relative difference between replicates of one test in speed and in largest displacement.
@@ -103,7 +100,7 @@ class MeasuredCurve:
         return float(travel / duration) if duration > 0 else None
 
 
-def remembers(test: Test, material: Material) -> bool:
+def depends_on_history(test: Test, material: Material) -> bool:
     """Return whether the force depends on the motion history; if so, holds and unloading are fitted too."""
     return material.remembers or (test.experiment is not None and test.experiment.is_path_dependent)
 
@@ -127,8 +124,8 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         for path in test.recordings:
             try:
                 recordings = read_recordings(path, kind=test.kind.name, **test.reading)
-                curves += [_curve(*clean_recording(recording, name, test), name, path, test, campaign)
-                           for recording, name in zip(recordings, names_of(recordings, path, test), strict=True)]
+                curves += [_read_curve(*clean_recording(recording, name, test), name, path, test, campaign)
+                           for recording, name in zip(recordings, name_recordings(recordings, path, test), strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
                 raise error.located(file=campaign.path, field=field) from None
@@ -141,7 +138,7 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
         if not analytical:
             _check_replicates(curves, test, campaign)
             noise = estimate_shared_noise([(curve.force, curve.time, curve.segment) for curve in curves],
-                                          deviation=_stated_noise(curves[0], campaign),
+                                          deviation=_find_stated_noise(curves[0], campaign),
                                           correlation_time=campaign.noise.correlation_time)
             curves = [replace(curve, noise=noise) for curve in curves]
         found[test.name] = tuple(curves)
@@ -155,10 +152,11 @@ def read_measured(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, ...]]:
 def default_contact_deviation(curves: Sequence[MeasuredCurve]) -> float:
     """Return the default standard deviation of a contact offset, m.
 
-    The value is `DEFAULT_OFFSET_PRIOR` or a fraction of the displacement of the shortest test, whichever is smaller.
-    For tests recorded as strain the value is a fraction of the strain.
+    The value is `OffsetDefaults.contact_prior` or a fraction of the displacement of the shortest test, whichever is
+    smaller. For tests recorded as strain the value is a fraction of the strain.
     """
-    return min(STRAIN_FRACTION * reach if stressed else min(CONTACT_FRACTION * reach, DEFAULT_OFFSET_PRIOR)
+    usual = OFFSET_DEFAULTS
+    return min(usual.strain_fraction * reach if stressed else min(usual.contact_fraction * reach, usual.contact_prior)
                for reach, stressed in ((float(np.abs(curve.displacement).max()), curve.stressed) for curve in curves))
 
 
@@ -176,26 +174,27 @@ def scale_offsets(campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCu
     if "offset_prior" in fit.offset_usual:
         fit = replace(fit, offset_prior=contact)
     if "offset_bound" in fit.offset_usual:
-        fit = replace(fit, offset_bound=contact * DEFAULT_OFFSET_BOUND / DEFAULT_OFFSET_PRIOR)
+        fit = replace(fit, offset_bound=contact * OFFSET_DEFAULTS.contact_bound / OFFSET_DEFAULTS.contact_prior)
     return replace(campaign, fit=fit)
 
 
-def names_of(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
+def name_recordings(recordings: Sequence[Recording], path: Path, test: Test) -> list[str]:
     """Return the names of the recordings in one file: the file name, or the recording names if there are several."""
     return [f"{test.name}/{path.stem if len(recordings) == 1 else recording.name}" for recording in recordings]
 
 
-def _curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
-           campaign: Campaign) -> MeasuredCurve:
+def _read_curve(recording: Recording, screening: Screening, name: str, path: Path, test: Test,
+                campaign: Campaign) -> MeasuredCurve:
+    """Return one recording as a curve: cleaned, segmented and limited to the fitted samples."""
     material, closed = campaign.fit.material, campaign.fit.method == "analytical" or test.experiment is None
     check_size(recording, test, campaign, path)
-    displacement, force, stressed = _mechanical(recording, test, path)
+    displacement, force, stressed = _read_force_and_displacement(recording, test, path)
     _check_parts(test, material, stressed or closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
                          "state a time column, or speed_mm_s", field="recordings")
-    remembering = remembers(test, material) or (campaign.fit.whole and time is not None)
+    remembering = depends_on_history(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
     screening = with_control(screening, displacement, force, time, test)
     if remembering:
@@ -277,10 +276,10 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
         campaign: campaign with the stated noise.
         window: the fitted samples; None: all samples of the loading.
     """
-    stated, window = _stated_noise(loading, campaign), loading if window is None else window
+    stated, window = _find_stated_noise(loading, campaign), loading if window is None else window
     if stated is None:
         spread = estimate_noise(loading.force, loading.displacement)
-        rounding = resolution(loading.force) / np.sqrt(12.0)
+        rounding = quantisation_step(loading.force) / np.sqrt(12.0)
         noise = SensorNoise(spread, source="estimated") if spread >= rounding else \
             SensorNoise(rounding, source="resolution")
     else:
@@ -288,13 +287,13 @@ def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve
     points = campaign.fit.strain_points
     if points is None:
         return replace(window, noise=noise)
-    grid, interpolation = _evenly_spaced(loading.displacement, loading, campaign, points)
+    grid, interpolation = _interpolate_evenly(loading.displacement, loading, campaign, points)
     return replace(window, noise=noise, time=None, displacement=grid, force=interpolation @ loading.force,
                    interpolation=interpolation)
 
 
-def _evenly_spaced(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
-                   points: int) -> tuple[np.ndarray, csr_array]:
+def _interpolate_evenly(displacement: np.ndarray, curve: MeasuredCurve, campaign: Campaign,
+                        points: int) -> tuple[np.ndarray, csr_array]:
     """Return evenly spaced displacements up to the end of the window, and the matrix that interpolates onto them."""
     from scipy.sparse import csr_array
 
@@ -333,7 +332,7 @@ def _check_parts(test: Test, material: Material, closed: bool, path: Path) -> No
         raise InputError(f"{path.name} contains stress, to which a rig does not apply; leave rig out", field="rig")
 
 
-def _mechanical(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
+def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return displacement (m), force (N), both positive under load, and whether strain and stress were recorded."""
     mechanical, *direct = test.kind.channels
     stated = next((pair for pair in direct if all(name in recording for name in pair)), None)
@@ -374,7 +373,7 @@ def _check_replicates(curves: list[MeasuredCurve], test: Test, campaign: Campaig
                              "[[test]]", file=campaign.path, field=f"{test.place}.recordings")
 
 
-def _stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:
+def _find_stated_noise(curve: MeasuredCurve, campaign: Campaign) -> float | None:
     """Return the stated noise as a force, N, from the value in the recorded unit if stated; None: to be estimated."""
     force, stress, specimen = campaign.noise.force, campaign.noise.nominal_stress, curve.test.specimen
     if not curve.stressed:

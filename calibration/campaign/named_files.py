@@ -10,12 +10,12 @@ from tissue_sim.experiment.tools.tool import read_shape
 from tissue_sim.specimen import SPECIMENS
 
 
-def whole_path(path: Path) -> str:
+def absolute_path(path: Path) -> str:
     """Return the absolute path of a file."""
     return str(path.resolve())
 
 
-def with_files_named(content: Mapping[str, Any], folder: Path, name: Callable[[Path], str]) -> dict[str, Any]:
+def rename_files(content: Mapping[str, Any], folder: Path, name: Callable[[Path], str]) -> dict[str, Any]:
     """Return the content of a campaign with renamed files of specimen meshes, tool profiles and rigs.
 
     Args:
@@ -25,7 +25,7 @@ def with_files_named(content: Mapping[str, Any], folder: Path, name: Callable[[P
     """
     of_specimens = {key for kind in SPECIMENS.values() for key in kind.paths}
 
-    def of_test(key: str, value: Any) -> Any:
+    def rename_value(key: str, value: Any) -> Any:
         path = folder / value if key == "rig" else read_shape(value, folder)[1] if key == "tool" else None
         return value if path is None else name(path)
 
@@ -34,18 +34,18 @@ def with_files_named(content: Mapping[str, Any], folder: Path, name: Callable[[P
         renamed["specimen"] = [{key: name(folder / value) if key in of_specimens else value
                                 for key, value in table.items()} for table in content["specimen"]]
     if "defaults" in content:
-        renamed["defaults"] = {key: of_test(key, value) for key, value in content["defaults"].items()}
-    renamed["test"] = [{key: of_test(key, value) for key, value in table.items()} for table in content["test"]]
+        renamed["defaults"] = {key: rename_value(key, value) for key, value in content["defaults"].items()}
+    renamed["test"] = [{key: rename_value(key, value) for key, value in table.items()} for table in content["test"]]
     return renamed
 
 
-def files_named(content: Mapping[str, Any], folder: Path) -> list[Path]:
-    """Return the paths of meshes, tool profiles and rigs that a campaign names; see `with_files_named`."""
+def list_named_files(content: Mapping[str, Any], folder: Path) -> list[Path]:
+    """Return the paths of meshes, tool profiles and rigs that a campaign names; see `rename_files`."""
     found: list[Path] = []
 
-    def note(path: Path) -> str:
+    def collect_path(path: Path) -> str:
         found.append(path)
         return str(path)
 
-    with_files_named(content, folder, note)
+    rename_files(content, folder, collect_path)
     return found

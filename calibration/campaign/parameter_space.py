@@ -147,7 +147,7 @@ class ParameterSpace:
         """Whether all parameters belong to the material and are the same in all tests."""
         return all(each.of_material and each.tests is None and each.recording is None for each in self.unknowns)
 
-    def mark(self, test: str, recording: str) -> str | None:
+    def find_own_recording(self, test: str, recording: str) -> str | None:
         """Return the recording if a parameter has a separate value in the recording, otherwise None."""
         return recording if any(each.recording == recording and each.acts_in(test, recording)
                                 for each in self.unknowns) else None
@@ -156,7 +156,7 @@ class ParameterSpace:
         """Return whether a free parameter of a test changes the geometry of its mesh."""
         return any(each.declaration.shapes_mesh and each.acts_in(test, None) for each in self.varied)
 
-    def before_moving(self, values: Mapping[str, float]) -> dict[str, float]:
+    def with_start_geometry(self, values: Mapping[str, float]) -> dict[str, float]:
         """Return the values with the start geometry, for which the mesh is generated before its nodes are moved."""
         return {**values, **{each.name: self.start[each.name] for each in self.unknowns
                              if each.declaration.shapes_mesh and each.name in self.start}}
@@ -212,7 +212,8 @@ class ParameterSpace:
             values: values of all parameters by name, SI.
             test: name of the test; None: the first value of each parameter.
         """
-        return {path: values[each.name] for path, each in self._acting(test, None).items() if each.of_law}
+        acting = self._find_acting_parameters(test, None)
+        return {path: values[each.name] for path, each in acting.items() if each.of_law}
 
     def material(self, values: Mapping[str, float], density: float | None = None, name: str = "", *,
                  test: str | None = None, recording: str | None = None) -> Material:
@@ -228,7 +229,7 @@ class ParameterSpace:
         Raises:
             InputError: the values are invalid for the material.
         """
-        acting = self._acting(test, recording)
+        acting = self._find_acting_parameters(test, recording)
         others = {path: values[each.name] for path, each in acting.items() if each.of_material and not each.of_law}
         own = {path: values[each.name] for path, each in acting.items() if each.of_law}
         if len(own) < len(find_law(self.law).parameters):
@@ -251,11 +252,11 @@ class ParameterSpace:
             InputError: the values are invalid for the model.
         """
         model = Model(experiment, self.material(values, test=test, recording=recording), rig)
-        others = {path: values[each.name] for path, each in self._acting(test, recording).items()
+        others = {path: values[each.name] for path, each in self._find_acting_parameters(test, recording).items()
                   if not each.of_material}
         return with_values(model, others) if others else model
 
-    def _acting(self, test: str | None, recording: str | None) -> dict[str, Unknown]:
+    def _find_acting_parameters(self, test: str | None, recording: str | None) -> dict[str, Unknown]:
         """Return the parameter of each path that applies to a recording of a test."""
         acting: dict[str, Unknown] = {}
         for each in self.unknowns:
@@ -263,7 +264,7 @@ class ParameterSpace:
                 acting.setdefault(each.path, each)
         return acting
 
-    def normalised(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
+    def normalise_moduli(self, values: Mapping[str, float]) -> tuple[dict[str, float], float]:
         """Return the values with moduli scaled to the sum `REFERENCE_MODULUS`, and the factor removed from them."""
         moduli = [each.name for each in self.unknowns if each.is_modulus]
         factor = sum(abs(values[name]) for name in moduli) / REFERENCE_MODULUS
@@ -286,20 +287,22 @@ class ParameterSpace:
 def _expand_scope(named: NamedParameter, tests: Sequence[Test],
                   recordings: Mapping[str, Sequence[str]]) -> list[Unknown]:
     """Return the numbers of a named parameter: one, or one for each specimen, test or recording."""
-    def one(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
-            specimen: str | None = None) -> Unknown:
+    def build_unknown(owner: str = "", where: tuple[str, ...] | None = None, recording: str | None = None,
+                      specimen: str | None = None) -> Unknown:
         name = f"{named.path}@{owner}" if owner else named.path
         return Unknown(name, named.path, named.declaration, named.of_law, named.of_material, where, recording, specimen)
 
     own = [test for test in tests if test.name in named.tests and not test.hold_out]
     if named.scope == PER_TEST:
-        return [one(test.name, (test.name,)) for test in own]
+        return [build_unknown(test.name, (test.name,)) for test in own]
     if named.scope == PER_REPLICATE:
-        return [one(recording, (test.name,), recording) for test in own for recording in recordings.get(test.name, ())]
+        return [build_unknown(recording, (test.name,), recording)
+                for test in own for recording in recordings.get(test.name, ())]
     if named.scope == PER_SPECIMEN:
         specimens = dict.fromkeys(test.specimen.name for test in own if test.specimen is not None)
-        return [one(specimen, tuple(test.name for test in tests
-                                    if test.specimen is not None and test.specimen.name == specimen), specimen=specimen)
-                for specimen in specimens]
+        tests_of = {specimen: tuple(test.name for test in tests
+                                    if test.specimen is not None and test.specimen.name == specimen)
+                    for specimen in specimens}
+        return [build_unknown(specimen, where, specimen=specimen) for specimen, where in tests_of.items()]
     shared = named.scope if isinstance(named.scope, tuple) else None if named.of_material else named.tests
-    return [one(where=shared)]
+    return [build_unknown(where=shared)]

@@ -59,7 +59,7 @@ class NamedParameter:
         return not self.path.startswith(_NOT_MATERIAL)
 
 
-def declared_around(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
+def declare_rig_and_experiment(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
     """Return the declarations of the parameters of experiment and rig by path; empty for a gripped specimen."""
     if experiment is None:
         return {}
@@ -67,7 +67,7 @@ def declared_around(experiment: Experiment | None, rig: Rig) -> dict[str, Declar
             for path, each in parameters(whole).items()}
 
 
-def stated_material(values: Mapping[str, float], named: Mapping[str, NamedParameter]) -> Material:
+def build_stated_material(values: Mapping[str, float], named: Mapping[str, NamedParameter]) -> Material:
     """Return a material with a placeholder law and the parts that these values (SI) define.
 
     The material answers whether it has memory or layers.
@@ -86,7 +86,7 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
 
     Args:
         table: table ``[fit]`` of the campaign.
-        around: parameters of experiment and rig of each test, see `declared_around`.
+        around: parameters of experiment and rig of each test, see `declare_rig_and_experiment`.
         regions: names of the regions of the specimen of each test.
 
     Returns:
@@ -101,7 +101,7 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
     for key in (*BY_PARAMETER, "scope"):
         for name in getattr(table, key):
             if name not in named:
-                named[name] = _named(name, f"fit.{key}.{name}", laws, around, regions, table)
+                named[name] = _resolve_name(name, f"fit.{key}.{name}", laws, around, regions, table)
     paths: dict[str, str] = {}
     for name, parameter in named.items():
         if paths.setdefault(parameter.path, name) != name:
@@ -110,20 +110,22 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
     return named
 
 
-def _named(name: str, field: str, laws: Mapping[str, Declaration], around: Mapping[str, Mapping[str, Declaration]],
-           regions: Mapping[str, Collection[str]], table: FitTable) -> NamedParameter:
+def _resolve_name(name: str, field: str, laws: Mapping[str, Declaration],
+                  around: Mapping[str, Mapping[str, Declaration]], regions: Mapping[str, Collection[str]],
+                  table: FitTable) -> NamedParameter:
+    """Return the parameter with a name in the campaign file, with its path, scope and tests."""
     scope = table.scope.get(name)
     everywhere = tuple(around)
     path = name.removeprefix("material.")
     if path in laws:
-        return NamedParameter(path, laws[path], True, _scope(name, scope, everywhere, SHARED), everywhere)
+        return NamedParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
     if path.startswith(_NOT_MATERIAL):
-        own = {test: found for test, known in around.items() if (found := _find(path, known)) is not None}
+        own = {test: found for test, known in around.items() if (found := _find_path(path, known)) is not None}
         if not own:
             known = sorted({path for each in around.values() for path in each})
             raise InputError(f"no test has a parameter {name!r} that is a number{nearest(name, known)}", field=field)
         first = next(iter(own))
-        return NamedParameter(own[first], around[first][own[first]], False, _scope(name, scope, tuple(own), None),
+        return NamedParameter(own[first], around[first][own[first]], False, _read_scope(name, scope, tuple(own), None),
                               tuple(own))
     if "." not in path:
         hint = nearest(name, laws) + '; write other parameters as paths in quotes, such as "viscoelastic.terms[0].g"'
@@ -139,12 +141,12 @@ def _named(name: str, field: str, laws: Mapping[str, Declaration], around: Mappi
             hint = nearest(region, known) if known else "; the mesh of a specimen names its regions"
             raise InputError(f"no specimen has a region {region!r}{hint}", field=field)
         # Tests of homogeneous specimens do not have the region: the shared value applies to the other tests only.
-        where = _scope(name, scope, having, SHARED)
+        where = _read_scope(name, scope, having, SHARED)
         return NamedParameter(full, declaration, False, having if where == SHARED else where, having)
-    return NamedParameter(full, declaration, False, _scope(name, scope, everywhere, SHARED), everywhere)
+    return NamedParameter(full, declaration, False, _read_scope(name, scope, everywhere, SHARED), everywhere)
 
 
-def _find(path: str, known: Mapping[str, Declaration]) -> str | None:
+def _find_path(path: str, known: Mapping[str, Declaration]) -> str | None:
     """Return the known path that equals this path, or whose file key equals its last part; None without a match."""
     if path in known:
         return path
@@ -152,8 +154,9 @@ def _find(path: str, known: Mapping[str, Declaration]) -> str | None:
     return next((full for full, each in known.items() if full.rpartition(".")[0] == parent and each.key == last), None)
 
 
-def _scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
-           default: str | None) -> str | tuple[str, ...]:
+def _read_scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
+                default: str | None) -> str | tuple[str, ...]:
+    """Return the scope of a parameter: a keyword, or the tests that share the value."""
     if stated is None:
         if default is None and len(tests) > 1:
             raise InputError(f"{len(tests)} tests have this parameter ({', '.join(tests)}); state in [fit.scope] one "
@@ -201,14 +204,14 @@ def check_values(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
         raise InputError(f"{bulk[-1]} and {other} both state the bulk response; keep one of them",
                          field=f"fit.{'start' if bulk[-1] in table.start else 'fixed'}.{bulk[-1]}")
     try:
-        stated_material({name: value * named[name].declaration.factor for name, value in stated.items()}, named)
+        build_stated_material({name: value * named[name].declaration.factor for name, value in stated.items()}, named)
     except InputError as error:
         # A missing parameter is reported in fit.start, where the other parameters of the part are.
-        field = f"fit.start.{_in_file(error.field or '')}".replace(".[", "[")
+        field = f"fit.start.{_format_file_path(error.field or '')}".replace(".[", "[")
         raise InputError(error.problem.replace("add it", "add it to fit.start or fit.fixed"), field=field) from None
 
 
-def _in_file(path: str) -> str:
+def _format_file_path(path: str) -> str:
     """Return a parameter path with the key used in files as its last part."""
     try:
         full, declaration = find_declaration(path)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -15,16 +15,27 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.segmentation import label_motion, number_runs
 
-#: Minimum number of samples of a planned recording.
-MIN_SAMPLES = 20
-#: Default number of recordings of a planned test.
-REPLICATES = 3
-#: Default number of samples of a planned recording.
-SAMPLES = 500
+
+@dataclass(frozen=True)
+class PlannedRecordingSettings:
+    """Numbers of recordings and samples of a planned test.
+
+    Attributes:
+        min_samples: smallest number of samples of a planned recording.
+        replicates: default number of recordings of a planned test.
+        samples: default number of samples of a planned recording.
+    """
+
+    min_samples: int = 20
+    replicates: int = 3
+    samples: int = 500
 
 
-def planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicates: int = REPLICATES,
-                   samples: int = SAMPLES) -> tuple[MeasuredCurve, ...]:
+PLANNED = PlannedRecordingSettings()
+
+
+def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicates: int = PLANNED.replicates,
+                          samples: int = PLANNED.samples) -> tuple[MeasuredCurve, ...]:
     """Return recordings of a planned motion with a placeholder force proportional to the displacement.
 
     Args:
@@ -41,8 +52,8 @@ def planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, replicate
                                labels, Path(), "", noise=noise) for number in range(replicates))
 
 
-def read_planned(campaign: Campaign, replicates: int = REPLICATES,
-                 samples: int = SAMPLES) -> dict[str, tuple[MeasuredCurve, ...]]:
+def read_planned(campaign: Campaign, replicates: int = PLANNED.replicates,
+                 samples: int = PLANNED.samples) -> dict[str, tuple[MeasuredCurve, ...]]:
     """Return the recordings of a planned campaign: real recordings if a test has them, planned ones otherwise.
 
     Args:
@@ -57,7 +68,7 @@ def read_planned(campaign: Campaign, replicates: int = REPLICATES,
         InputError: an invalid protocol or one deeper than the specimen, no stated noise, no replicate or too few
             samples, or an error of `read_measured`.
     """
-    for name, count, least in (("replicates", replicates, 1), ("samples", samples, MIN_SAMPLES)):
+    for name, count, least in (("replicates", replicates, 1), ("samples", samples, PLANNED.min_samples)):
         if count < least:
             raise InputError(f"{name} must be at least {least}; got {count}", field=name)
     planned = [test for test in campaign.tests if not test.recordings]
@@ -75,7 +86,7 @@ def read_planned(campaign: Campaign, replicates: int = REPLICATES,
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"{test.place}.protocol") from None
         noise = SensorNoise(float(campaign.noise.force or 0.0), campaign.noise.correlation_time or 0.0)
-        found[test.name] = planned_curves(test, protocol, noise, replicates, samples)
+        found[test.name] = create_planned_curves(test, protocol, noise, replicates, samples)
     return {test.name: found[test.name] for test in campaign.tests}
 
 

@@ -35,7 +35,7 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SpecimenTable(_Table, frozen=True, kw_only=True):
-    """Table ``[[specimen]]`` without the keys of the shapes, which `campaign_table` adds."""
+    """Table ``[[specimen]]`` without the keys of the shapes, which `build_table_type` adds."""
 
     name: str | None = None
     shape: str = "cylinder"
@@ -56,7 +56,7 @@ class SpecimenTable(_Table, frozen=True, kw_only=True):
 
 
 class TestTable(_Table, frozen=True, kw_only=True):
-    """Table ``[[test]]`` without the sizes of tools, which `campaign_table` adds."""
+    """Table ``[[test]]`` without the sizes of tools, which `build_table_type` adds."""
 
     name: str | None = None
     specimen: str | None = None
@@ -143,7 +143,7 @@ class CampaignTable(_Table, frozen=True, kw_only=True):
     questions: list[str] = []
 
 
-def campaign_table() -> type[CampaignTable]:
+def build_table_type() -> type[CampaignTable]:
     """Return the type of a campaign file with all registered kinds of test, shapes and sizes, including plug-ins."""
     options: dict[str, Any] = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
     sizes = [(key, float | None, None) for key in tool_sizes()]
@@ -171,7 +171,7 @@ class Defaults:
     keys: frozenset[str]
     own: tuple[frozenset[str], ...]
 
-    def located(self, error: InputError, path: Path) -> InputError:
+    def locate_error(self, error: InputError, path: Path) -> InputError:
         """Return the error with the file, and with the field in ``[defaults]`` if a default caused the error."""
         match = _FIELD_IN_TEST.match(error.field or "")
         field = error.field
@@ -216,11 +216,11 @@ def decode_campaign(path: Path) -> tuple[CampaignTable, bytes, Defaults]:
     defaults = _apply_defaults(content, path)
     try:
         _check_by_parameter(content.get("fit"))
-        return decode(content, campaign_table(), words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
+        return decode(content, build_table_type(), words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
     except InputError as error:
         # TOML has no null; optional keys are left out.
         problem = error.problem.replace(" or null", "")
-        raise defaults.located(InputError(problem, field=error.field), path) from None
+        raise defaults.locate_error(InputError(problem, field=error.field), path) from None
 
 
 def _check_by_parameter(fit: Any) -> None:

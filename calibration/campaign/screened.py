@@ -101,12 +101,13 @@ def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, cam
         "offset_prior" in fit.offset_usual or fit.offset_prior >= _COVERS * abs(found.shift))
     # An inverse fit has a contact offset in each recording, unless the campaign states a deviation of zero.
     fits_contact = fit.method != "analytical" and campaign.noise.contact_jitter != 0
-    sentence = _against_words(found, stressed=stressed, covers=covers) if found.load < 0 else \
-        _preload_words(found, stressed=stressed, covers=covers, fits_contact=fits_contact)
+    sentence = _describe_force_against_load(found, stressed=stressed, covers=covers) if found.load < 0 else \
+        _describe_preload(found, stressed=stressed, covers=covers, fits_contact=fits_contact)
     return replace(screening, preload=Preload(*found, covers, sentence))
 
 
-def _against_words(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
+def _describe_force_against_load(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
+    """Describe a recording that begins under a force against the direction of loading."""
     load = f"{1e-3 * found.load:.3g} kPa" if stressed else f"{found.load:.3g} N"
     finding = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range, against the direction "
                "of loading: the load cell was not zeroed")
@@ -116,7 +117,8 @@ def _against_words(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
     return f"{finding}; the moduli are wrong; {remedy}"
 
 
-def _preload_words(found: LoadAtZero, *, stressed: bool, covers: bool, fits_contact: bool) -> str:
+def _describe_preload(found: LoadAtZero, *, stressed: bool, covers: bool, fits_contact: bool) -> str:
+    """Describe a recording that begins under load, with remedy."""
     load, shift = (f"{1e-3 * found.load:.3g} kPa", f"a strain of {found.shift:.3g}") if stressed else \
         (f"{found.load:.3g} N", f"{1e3 * found.shift:.2g} mm")
     finding = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range: the displacement was "

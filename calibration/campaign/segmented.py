@@ -142,7 +142,7 @@ def origin_notes(recording: Recording, test: Test) -> dict[str, str]:
     return notes
 
 
-def notes_in_short(recordings: Iterable[tuple[str, str, Mapping[str, str]]]) -> str:
+def summarise_notes(recordings: Iterable[tuple[str, str, Mapping[str, str]]]) -> str:
     """Summarise the notes of all recordings in one sentence per test and subject.
 
     Args:

@@ -36,11 +36,12 @@ def read_specimens(table: CampaignTable, folder: Path) -> dict[str, Specimen]:
         name = entry.name if entry.name is not None else "specimen"
         if name in specimens:
             raise InputError(f"names of specimens must be unique; got {name!r} twice", field=f"{field}.name")
-        specimens[name] = _specimen(entry, name, folder, field)
+        specimens[name] = _read_specimen(entry, name, folder, field)
     return specimens
 
 
-def _specimen(entry: SpecimenTable, name: str, folder: Path, field: str) -> Specimen:
+def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) -> Specimen:
+    """Return the specimen of a table ``[[specimen]]``."""
     for key, value in entry.sizes.items():
         require_positive(value, f"{field}.{key}", " mm")
     require_positive(entry.density_kg_m3, f"{field}.density_kg_m3", " kg/m3")

@@ -37,7 +37,7 @@ def settle_evidence(evidence: Evidence) -> Evidence:
     The evidence is returned unchanged if this fit fails.
     """
     problem = evidence.problem
-    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated(problem)
+    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated_jitter(problem)
     estimate = settle(copy_problem(problem), evidence.estimate.theta, stated)
     return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
@@ -129,7 +129,7 @@ def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
     problem = evidence.problem
     try:
         own = Predictor.of(problem.space, evidence.estimate.theta, assess_uncertainty(problem, evidence.evaluation))
-        test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).held_out(
+        test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).build_held_out_test(
             asked, evidence.estimate, own)
         unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
         return _prediction_errors(unseen, own.theta, own.covariance)[0]

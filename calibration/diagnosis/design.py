@@ -17,9 +17,9 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import propose
 from calibration.diagnosis.statements import candidate_statements
 from calibration.diagnosis.verdict import Judgement
-from calibration.fit.campaign_problem import build_problem, first_jitter
+from calibration.fit.campaign_problem import build_problem, guess_jitter
 from calibration.fit.estimate import Estimate
-from calibration.fit.identifiability import not_identifiable
+from calibration.fit.identifiability import find_undetermined_parameters
 from calibration.fit.problem import Problem
 from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import assess_uncertainty
@@ -107,7 +107,7 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
         raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
                          "depth", file=campaign.path, field="fit.start") from None
     # The default scatter between recordings is proportional to the force, which is known only now.
-    jitter = first_jitter(campaign, [curve for curves in known.values() for curve in curves])
+    jitter = guess_jitter(campaign, [curve for curves in known.values() for curve in curves])
     problem = Problem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests), solves,
                       jitter, tuple(_expected_mesh_error(test, space, theta, solves) for test in problem.tests))
     evaluation = problem.evaluate(theta)
@@ -146,7 +146,7 @@ def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]]
     rows.sort(key=lambda row: not row.testable)
     problem = evidence.problem
     spread = assess_uncertainty(problem, evidence.evaluation)
-    open_names = not_identifiable(problem.space, spread)
+    open_names = find_undetermined_parameters(problem.space, spread)
     space = problem.space
     errors = {**dict.fromkeys(evidence.values, 0.0),
               **{name: float(error) if np.isfinite(error) and name not in open_names else None

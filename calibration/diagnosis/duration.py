@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from calibration.fit.problem import Problem
-from calibration.fit.starts import starts
+from calibration.fit.starts import generate_starts
 from calibration.forward.meshes import meshes_of
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import simulate_curve
@@ -40,7 +40,8 @@ def simulation_seconds(problem: Problem) -> dict[str, float]:
         if isinstance(test, SimulatedTest) and meshes_of(test.solver).slow:
             experiment = replace(test.experiment, protocol=test.motions[0].protocol)
             try:
-                material = problem.space.material(problem.space.values(starts(problem.space, 1)[0]), test=test.name)
+                values = problem.space.values(generate_starts(problem.space, 1)[0])
+                material = problem.space.material(values, test=test.name)
                 curve = simulate_curve(Model(experiment, material, Rig()), None, [], meshes_of(test.solver).fast,
                                        test.solver)
             except InputError:

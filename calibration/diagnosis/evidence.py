@@ -223,7 +223,7 @@ def gather(campaign: Campaign, measured: Measured, solves: SimulationCache, cont
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = upper_jitter(problem, estimate.theta, estimator.stated(problem))
+    problem.jitter = upper_jitter(problem, estimate.theta, estimator.stated_jitter(problem))
     problem.reset_nuisances()
     descent = descend(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
@@ -247,7 +247,7 @@ def upper_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
         return jitter
     factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - _EXCEEDANCE))
     resolved: dict[str, list[float]] = {"contact": [], "zero": []}
-    for test in problem.replicates(theta):
+    for test in problem.linearise_replicates(theta):
         for one in test:
             own = np.column_stack([one.contact, one.zero])
             variances = np.diag(np.linalg.pinv(own.T @ own))

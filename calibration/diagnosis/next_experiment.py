@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.planned import planned_curves
+from calibration.campaign.planned import create_planned_curves
 from calibration.diagnosis.diagnosis import NextExperiment
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import Proposals
@@ -159,7 +159,7 @@ def _smallest_separation(plan: Plan, before: Evidence, rivals: Sequence[Refit]) 
         Names and difference; None if the test cannot be simulated.
     """
     noise = before.measured[plan.test.name.removesuffix(" (planned)")][0].noise
-    curves = planned_curves(plan.test, plan.protocol, noise)
+    curves = create_planned_curves(plan.test, plan.protocol, noise)
     try:
         expected = [_expected(plan.test, curves, before, each) for each in rivals]
     except (InfeasibleError, InputError):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from calibration.diagnosis.evidence import Evidence, gather
-from calibration.fit.generalised import SUSPECT
+from calibration.fit.generalised import INVERSE_WARNINGS
 from calibration.fit.run_context import RunContext
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError
@@ -34,7 +34,8 @@ def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, 
     if scatter.freedom != 0 or not evidence.explained:
         return evidence, []
     for _ in range(_MAX_FITS):
-        far = {name: contact for name, contact in _contacts(found).items() if abs(contact) > SUSPECT * scatter.contact
+        far = {name: contact for name, contact in _contacts(found).items()
+               if abs(contact) > INVERSE_WARNINGS.suspect_nuisance * scatter.contact
                or (name in shifts and abs(contact) > _TOLERANCE * scatter.contact)}
         if not far:
             break

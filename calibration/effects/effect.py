@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any, ClassVar, Literal
 
 from calibration.campaign.campaign import Campaign, FitSettings, Test
-from calibration.campaign.parameters import SHARED, NamedParameter, declared_around
+from calibration.campaign.parameters import SHARED, NamedParameter, declare_rig_and_experiment
 from calibration.effects.situation import NotTestableError as NotTestableError
 from calibration.effects.situation import Situation as Situation
 from calibration.effects.situation import experiment_of as experiment_of
@@ -117,7 +117,7 @@ class Candidate:
                 return law_declaration(law, path)
             return find_declaration(path)[1]
         for test in campaign.tests:
-            found = declared_around(test.experiment, test.rig).get(path)
+            found = declare_rig_and_experiment(test.experiment, test.rig).get(path)
             if found is not None and (self.tests is None or test.name in self.tests):
                 return found
         raise NotTestableError(f"no test has the parameter {path}")
@@ -184,7 +184,7 @@ class Candidate:
             declaration = self.declaration(campaign, path)
             of_law = path in wider
             names = everywhere if not path.startswith(("experiment.", "rig.")) else tuple(
-                test.name for test in campaign.tests if path in declared_around(test.experiment, test.rig))
+                test.name for test in campaign.tests if path in declare_rig_and_experiment(test.experiment, test.rig))
             if tests is not None:
                 names = tuple(name for name in tests if name in names)
             scope = self.scope if self.tests is None or self.scope != SHARED else names

@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from calibration.campaign.campaign import Test
-from calibration.campaign.parameters import declared_around
+from calibration.campaign.parameters import declare_rig_and_experiment
 from calibration.effects.candidates import require_tests, stated_value
 from calibration.effects.effect import Candidate, Effect, Situation
 
@@ -27,7 +27,7 @@ def specimen_size_candidates(effect: Effect, situation: Situation, path: str, te
     """
     situation.require_new(path)
     size_name = path.rpartition(".")[2]
-    tests = require_tests([test for test in tests if path in declared_around(test.experiment, test.rig)],
+    tests = require_tests([test for test in tests if path in declare_rig_and_experiment(test.experiment, test.rig)],
                           f"no specimen has a {size_name}")
     groups: dict[str, list[Test]] = {}
     for test in tests:

@@ -23,16 +23,16 @@ def compare_methods(results: Sequence[Fits]) -> list[str]:
         statement that all intervals overlap.
     """
     return [sentence for one, other in combinations(results, 2)
-            if one[0].fit.method != other[0].fit.method and _files(one) == _files(other)
-            for sentence in _compare(one, other)]
+            if one[0].fit.method != other[0].fit.method and _collect_recordings(one) == _collect_recordings(other)
+            for sentence in _compare_fits(one, other)]
 
 
-def _files(fits: Fits) -> frozenset:
+def _collect_recordings(fits: Fits) -> frozenset:
     """Return the paths of all fitted recordings."""
     return frozenset(path.resolve() for test in fits[0].tests if not test.hold_out for path in test.recordings)
 
 
-def _compare(one: Fits, other: Fits) -> Iterator[str]:
+def _compare_fits(one: Fits, other: Fits) -> Iterator[str]:
     """Yield a sentence for each law that both campaigns fit."""
     by_law = {fit.law: fit for fit in other[1]}
     for mine in one[1]:
@@ -45,27 +45,27 @@ def _compare(one: Fits, other: Fits) -> Iterator[str]:
                 continue
             compared += 1
             if left[1] < right[0] or right[1] < left[0]:
-                apart.append(f"{mine.symbols[name]} {_interval(mine, name)} and {_interval(fit, name)}")
-        names = f"{mine.law}: {_words(one[0])} and {_words(other[0])}"
+                apart.append(f"{mine.symbols[name]} {_format_interval(mine, name)} and {_format_interval(fit, name)}")
+        names = f"{mine.law}: {_describe_campaign(one[0])} and {_describe_campaign(other[0])}"
         if apart:
-            why = _reasons(mine, fit, one[0], other[0])
+            why = _describe_assumptions(mine, fit, one[0], other[0])
             yield f"{names} have 95 % intervals that do not overlap: {'; '.join(apart)}. {why}"
         elif compared:
             yield f"{names} agree within their 95 % intervals."
 
 
-def _words(campaign: Campaign) -> str:
+def _describe_campaign(campaign: Campaign) -> str:
     """Return name and method of a campaign, such as ``study (inverse FEM)``."""
     return f"{campaign.name} ({campaign.fit.method.replace('_fem', ' FEM')})"
 
 
-def _interval(fit: Fit, name: str) -> str:
+def _format_interval(fit: Fit, name: str) -> str:
     """Return the 95 % interval of a parameter with its unit, such as ``1390 to 1420 Pa``."""
     low, high = fit.intervals95[name] or (float("nan"), float("nan"))
     return f"{low:.4g} to {high:.4g} {fit.unit(name)}".rstrip()
 
 
-def _reasons(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -> str:
+def _describe_assumptions(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -> str:
     """Describe the different assumptions of two methods, the most likely reason of a disagreement first."""
     reasons = []
     inverse, plain = (mine, fit) if one.fit.method == "inverse_fem" else (fit, mine)

@@ -31,28 +31,30 @@ class AlternativeSettings:
             variance of the residuals: the 95 % quantile of chi-square with one degree of freedom, as in a profile
             likelihood.
         difference: two optima are different materials where their nominal stress in a further test differs by more
-            than this share of the smaller one. Below it the choice between them has no consequence.
+            than this fraction of the smaller stress. For smaller differences the choice has no consequence.
         lowest_stretch: the further tests are evaluated up to this stretch in compression and its reciprocal in
             tension, or up to the stretches of the data where these are closer to 1.
+        promising_ratio: a start with other signs of the exponents is followed where its sum of squares is below this
+            many times the best one, or this many per sample. A larger value costs more descents.
+        equal_rise: sums of squares that differ by less than this, in units of the variance of the residuals, are
+            numerically equal.
     """
 
     rise: float = 3.841
     difference: float = 0.05
     lowest_stretch: float = 0.7
+    promising_ratio: float = 2.0
+    equal_rise: float = 1e-3
 
 
 SETTINGS = AlternativeSettings()
-#: A start with other signs of the exponents is followed where its sum of squares is below this many times the best one,
-#: or this many per sample.
-PROMISING = 2.0
-#: Sums of squares that differ by less than this, in units of the variance of the residuals, are numerically equal.
-_EQUAL = 1e-3
 
 
 def mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray]:
-    """Starts in the other basins of a law with exponents: every other combination of their signs.
+    """Return starts in the other basins of a law with exponents: every other combination of their signs.
 
     Args:
+        space: parameter space.
         theta: unknowns at a minimum, shape (k,); the free parameters come first.
 
     Returns:
@@ -75,15 +77,16 @@ def mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray
 
 
 def prefer_positive_exponents(space: ParameterSpace, minima: Sequence[tuple[float, np.ndarray]]) -> int:
-    """Index of the minimum to report first, of those that fit equally well: the one with most positive exponents.
+    """Return the index of the minimum to report first: of equally good ones, that with most positive exponents.
 
     The choice is a convention, so that the same data always give the same first parameters.
 
     Args:
+        space: parameter space.
         minima: sum of squares in units of the variance of the residuals, and unknowns, best first.
     """
     exponents = [place for place, each in enumerate(space.varied) if each.is_exponent]
-    equal = [i for i, (error, _) in enumerate(minima) if error - minima[0][0] < _EQUAL]
+    equal = [i for i, (error, _) in enumerate(minima) if error - minima[0][0] < SETTINGS.equal_rise]
     return max(equal, key=lambda i: (int(np.sum(minima[i][1][exponents] > 0)), -i))
 
 
@@ -102,8 +105,8 @@ def find_alternatives(law: Law, parameters: Mapping[str, float], minima: Sequenc
         if minimum.rise >= SETTINGS.rise or not law.mu0(other) > 0:
             continue
         known = [parameters, *(one.parameters_of_law for one in found)]
-        if all(_largest_difference(law, one, other, stretches)[0] > SETTINGS.difference for one in known):
-            _, test, stretch, (own, theirs) = _largest_difference(law, parameters, other, stretches)
+        if all(_find_largest_stress_difference(law, one, other, stretches)[0] > SETTINGS.difference for one in known):
+            _, test, stretch, (own, theirs) = _find_largest_stress_difference(law, parameters, other, stretches)
             found.append(Alternative(
                 parameters=minimum.parameters, parameters_of_law=dict(other), R2=minimum.R2, rise=minimum.rise,
                 separated_by=test, at=stretch, stress_Pa=own, alternative_stress_Pa=theirs))
@@ -123,8 +126,8 @@ def describe_alternatives(alternatives: Sequence[Alternative], symbols: Mapping[
     return "; ".join(parts)
 
 
-def without_errors_of(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
-                      alternatives: Sequence[Alternative]) -> Uncertainty:
+def without_misleading_errors(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
+                              alternatives: Sequence[Alternative]) -> Uncertainty:
     """Replace misleading standard errors by infinity.
 
     These are the standard errors of parameters that differ between equally good optima, and of parameters with two
@@ -144,10 +147,13 @@ def without_errors_of(space: ParameterSpace, spread: Uncertainty, theta: np.ndar
     return replace(spread, standard_errors=errors)
 
 
-def _largest_difference(law: Law, one: Mapping[str, float], other: Mapping[str, float],
-                        stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
-    """Largest relative difference of the nominal stresses of two materials over several tests, the test in words, its
-    stretch or shear strain, and both stresses there, Pa."""
+def _find_largest_stress_difference(law: Law, one: Mapping[str, float], other: Mapping[str, float],
+                                    stretches: tuple[float, float]) -> tuple[float, str, float, tuple[float, float]]:
+    """Return the largest relative difference of the nominal stresses of two materials over several tests.
+
+    Returns:
+        The difference, the test in words, its stretch or shear strain, and both stresses there, Pa.
+    """
     low = max(stretches[0], SETTINGS.lowest_stretch)
     high = min(stretches[1], 1.0 / SETTINGS.lowest_stretch)
     tests = [(f"simple shear to {high - 1.0 / high:.3g}", "simple_shear", high - 1.0 / high)]
@@ -158,6 +164,6 @@ def _largest_difference(law: Law, one: Mapping[str, float], other: Mapping[str, 
         with np.errstate(all="ignore"):
             pair = tuple(float(law.nominal_stress(place, values, mode)) for values in (one, other))
         smaller = min(map(abs, pair))
-        share = abs(pair[0] - pair[1]) / smaller if smaller > 0 and np.isfinite(pair).all() else np.inf
-        rated.append((share, words, place, (pair[0], pair[1])))
+        difference = abs(pair[0] - pair[1]) / smaller if smaller > 0 and np.isfinite(pair).all() else np.inf
+        rated.append((difference, words, place, (pair[0], pair[1])))
     return max(rated, key=lambda item: item[0])

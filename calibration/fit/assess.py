@@ -8,27 +8,28 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.alternatives import find_alternatives, without_errors_of
-from calibration.fit.determination import Determination, determine
+from calibration.fit.alternatives import find_alternatives, without_misleading_errors
+from calibration.fit.determination import Determination, determine_modulus
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import Fit, Profile
-from calibration.fit.identifiability import not_identifiable
-from calibration.fit.population import differing_specimens, find_specimens
+from calibration.fit.identifiability import find_undetermined_parameters
+from calibration.fit.population import describe_differing_specimens, find_specimens
 from calibration.fit.population_records import Covariance
 from calibration.fit.profiles import ProfileSide
-from calibration.fit.self_weight import sags
+from calibration.fit.self_weight import compute_sags
 from calibration.fit.trust_region import Descent
-from calibration.fit.usability import Evidence, judge, losses, test_misfits
+from calibration.fit.usability import Evidence, compute_misfits, describe_instability, judge_usability
+from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import correlation, information_criteria
+from calibration.statistics.statistics import correlation_matrix, information_criteria
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.laws import Stability, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
 
 
-def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
-           sides: Sequence[ProfileSide], campaign: Campaign) -> Fit:
+def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
+               sides: Sequence[ProfileSide], campaign: Campaign, limits: UsabilitySettings = USABILITY) -> Fit:
     """Return the `Fit` of an estimate, without computing effort and rank.
 
     Args:
@@ -38,6 +39,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         descents: descents from all starts.
         sides: sides of the profile likelihoods.
         campaign: campaign.
+        limits: limits of the usability rule.
     """
     problem, space = estimate.problem, estimate.problem.space
     law = find_law(space.law)
@@ -45,7 +47,7 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     values = space.values(theta)
     free = slice(0, len(space.free))
     specimens = find_specimens(space, theta, spread.covariance[free, free], spread.standard_errors[free])
-    moduli = space.of_law(specimens.typical(space, values))
+    moduli = space.of_law(specimens.representative_values(space, values))
     reached = {test.name: test.stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
@@ -54,14 +56,15 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
     units = {each.name: each.declaration.unit for each in space.unknowns}
     alternatives = find_alternatives(law, space.of_law(values), [(minimum, space.of_law(minimum.parameters))
                                                    for minimum in estimate.minima], stretches)
-    clauses, status, unusable = judge(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
-                                               _determination(estimate, spread, mu0, campaign), space.symbols, units))
-    loose = not_identifiable(space, spread)
-    spread = without_errors_of(space, spread, theta, alternatives)
+    determination = _determine_shear_modulus(estimate, spread, mu0, campaign)
+    clauses, status, unusable = judge_usability(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
+                                                         determination, space.symbols, units, limits))
+    loose = find_undetermined_parameters(space, spread)
+    spread = without_misleading_errors(space, spread, theta, alternatives)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}
-    profiles, intervals, notes = _profiles(estimate, spread, sides)
+    profiles, intervals, notes = _collect_profiles(estimate, spread, sides)
     aic, bic = information_criteria(*spread.criteria, problem.bounds[0].size)
     order = list(space.names)
     covariance = np.zeros((len(order), len(order)))
@@ -71,26 +74,29 @@ def assess(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descen
         "law": law.name, "formula": law.formula(), "parameters": values, "symbols": space.symbols,
         "units": units, "alternatives": alternatives, "clauses": clauses,
         "standard_errors": {name: errors[name] for name in order},
-        "derivatives": _derivatives(estimate, theta), "covariance": Covariance(order=order, matrix=covariance.tolist()),
-        "correlation": correlation(covariance).tolist(), "covariance_from": spread.basis, "intervals95": intervals,
-        "not_identifiable": loose, "noise_ratio": spread.ratio, "AIC": aic, "BIC": bic, "E0": law.E0(moduli),
+        "derivatives": _describe_derivatives(estimate, theta),
+        "covariance": Covariance(order=order, matrix=covariance.tolist()),
+        "correlation": correlation_matrix(covariance).tolist(), "covariance_from": spread.basis,
+        "intervals95": intervals, "not_identifiable": loose,
+        "noise_ratio": spread.ratio, "AIC": aic, "BIC": bic, "E0": law.E0(moduli),
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
         "stability": stability.describe(), "stretch_range": (float(stretches[0]), float(stretches[1])),
         "minima": list(estimate.minima), "starts": len(descents),
-        "misfits": test_misfits(estimate)[0], "status": status, "unusable": unusable, "cpu_s": 0.0,
+        "misfits": compute_misfits(estimate)[0], "status": status, "unusable": unusable, "cpu_s": 0.0,
         "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
         "population": specimens.population, "material_of": list(specimens.material_of),
         "left_out_specimens": dict(specimens.left_out),
         "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population else None}
-    lost = [*law.at_limit(moduli), *_other_losses(stability, reached, stretches), *differing_specimens(estimate),
-            *specimens.warnings(unusable)]
+    lost = [*law.at_limit(moduli), *_describe_unmeasured_instability(stability, reached, stretches),
+            *describe_differing_specimens(estimate), *specimens.warnings(unusable)]
     found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
     fit = Fit(**shared | estimator.describe(found))
-    return replace(fit, sag_mm=sags(fit, campaign))
+    return replace(fit, sag_mm=compute_sags(fit, campaign))
 
 
-def _determination(estimate: Estimate, spread: Uncertainty, mu0: float, campaign: Campaign) -> Determination | None:
+def _determine_shear_modulus(estimate: Estimate, spread: Uncertainty, mu0: float,
+                             campaign: Campaign) -> Determination | None:
     """Return how well the tests determine the shear modulus.
 
     None if the modulus is not positive, or if each specimen has its own moduli, which the clause `population` judges.
@@ -100,10 +106,10 @@ def _determination(estimate: Estimate, spread: Uncertainty, mu0: float, campaign
         return None
     law = find_law(space.law)
     stated = {each.name for each in space.varied if each.path in campaign.fit.bounds}
-    return determine(estimate, spread, lambda theta: law.mu0(space.of_law(space.values(theta))), stated)
+    return determine_modulus(estimate, spread, lambda theta: law.mu0(space.of_law(space.values(theta))), stated)
 
 
-def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
+def _describe_derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
     """Return free parameter -> ``"difference"`` if any test uses finite differences for it, otherwise ``"exact"``."""
     problem, names = estimate.problem, set()
     for test in problem.tests:
@@ -111,16 +117,16 @@ def _derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
     return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
-def _other_losses(stability: Stability, reached: Mapping[str, StretchRange],
-                  stretches: tuple[float, float]) -> list[str]:
+def _describe_unmeasured_instability(stability: Stability, reached: Mapping[str, StretchRange],
+                                     stretches: tuple[float, float]) -> list[str]:
     """Return a warning if the law is unstable in other modes of loading within the measured stretches."""
     measured = {one.mode for one in reached.values()}
     found = [loss for mode in stability.limits if mode not in measured
-             if (loss := losses(stability, mode, stretches))]
+             if (loss := describe_instability(stability, mode, stretches))]
     return [f"not stable {' and '.join(found)}, which was not measured"] if found else []
 
 
-def _profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSide]):
+def _collect_profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSide]):
     """Return profiles, 95 % intervals and notes on the intervals, each by name of the parameter."""
     space, theta = estimate.problem.space, estimate.theta
     values = space.values(theta[: len(space.free)])

@@ -8,16 +8,13 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, default_contact_deviation
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Problem
 from calibration.forward.forms import build_test, mesh_uncertainty
 from calibration.forward.meshes import FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
-
-#: First value of the zero's standard deviation as a fraction of the largest force; it is kept if no test has two
-#: recordings.
-FIRST_ZERO = 0.002
 
 
 def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
@@ -33,21 +30,22 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
     space = ParameterSpace.of(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
-    jitter = first_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
+    jitter = guess_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
     tests = tuple(build_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
     # With the error of the fast mesh in the covariance, offsets do not compensate for this error.
     return Problem(space, tests, solves, jitter, tuple(mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
 
 
-def first_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
+def guess_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
     """Return the stated jitter, and first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
     largest = float(np.median([np.abs(curve.force).max() for curve in curves]))
     if fit.offset == "fit":
-        contact, zero = fit.offset_prior, fit.zero_prior or 5.0 * max(curve.noise.deviation for curve in curves)
+        noisiest = max(curve.noise.deviation for curve in curves)
+        contact, zero = fit.offset_prior, fit.zero_prior or OFFSET_DEFAULTS.zero_prior * noisiest
     if contact is None:
         contact, freedom = default_contact_deviation(curves), 0
     if zero is None:
-        zero, freedom = FIRST_ZERO * largest, 0
+        zero, freedom = OFFSET_DEFAULTS.first_zero * largest, 0
     return Jitter(contact, zero, freedom)

@@ -6,7 +6,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.problem import Problem
-from calibration.fit.starts import starts
+from calibration.fit.starts import generate_starts
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 from tissue_sim.laws import check_stability, find_law
@@ -33,7 +33,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
         raise InputError(f"{law.name} has {len(space.free)} unknown parameters and the tests only {problem.samples} "
                          "points; widen max_strain or take a simpler law", file=campaign.path,
                          field=f"fit.laws[{number}]")
-    theta = starts(space, 1)[0]
+    theta = generate_starts(space, 1)[0]
     values = space.values(theta)
     stated = [name for name in space.of_law(values) if name in campaign.fit.start or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"

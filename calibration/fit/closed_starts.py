@@ -3,26 +3,39 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from itertools import combinations_with_replacement
 
 import numpy as np
 from scipy.optimize import nnls
 
-from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
+from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_if_feasible
 from calibration.fit.variables import LongTerm
 from tissue_sim.laws import find_law
 
 #: Grid of exponents and other dimensionless parameters. The grid includes 0, the limit of a power law: in simple shear
 #: the stress is even in the exponent, so that descents approach 0 slowly.
 EXPONENTS = (-20.0, -10.0, -5.0, -2.0, -0.5, 0.0, 1.0, 2.0, 4.0, 8.0, 15.0, 25.0)
-#: Largest number of elastic starts.
-MAX_STARTS = 12
+
+
+@dataclass(frozen=True)
+class ClosedStartSettings:
+    """Numbers of starting values of fits with closed forms.
+
+    Attributes:
+        max_starts: largest number of elastic starts. A larger value finds more minima and costs more descents.
+        times_per_decade: relaxation times per decade of the grid for Prony terms.
+        relaxing_starts: number of sets of exponents that are refined for a law with Prony terms.
+    """
+
+    max_starts: int = 12
+    times_per_decade: int = 3
+    relaxing_starts: int = 3
+
+
+_SETTINGS = ClosedStartSettings()
 #: Contact offsets of additional starts, as fractions of the bound.
 _TRIAL_OFFSETS = (-0.5, -0.1, -0.01, 0.01, 0.1, 0.5)
-#: Relaxation times per decade of the grid for Prony terms.
-TIMES_PER_DECADE = 3
-#: Number of sets of exponents that are refined for a law with Prony terms.
-RELAXING_STARTS = 3
 
 
 def closed_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
@@ -51,7 +64,7 @@ def closed_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     return found
 
 
-def _grids(count: int) -> Iterator[tuple[float, ...]]:
+def _iterate_exponents(count: int) -> Iterator[tuple[float, ...]]:
     """Yield combinations of exponents that are not all equal."""
     for grid in combinations_with_replacement(EXPONENTS, count):
         if len(set(grid)) >= min(count, 2):
@@ -80,14 +93,14 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     guess = max(largest / max(strain, 1e-3), 1e-9) / 6.0 / max(len(moduli), 1)
     low, high = problem.bounds
     candidates = []
-    for grid in _grids(len(kinds)):
+    for grid in _iterate_exponents(len(kinds)):
         unknowns = np.zeros(low.size)
         for index, name in enumerate(space.free):
             unknowns[index] = guess if of_law[index] else space.start.get(name, 0.0)
         unknowns[exponents] = [grid[kinds.index(path)] for path in paths]
         tried = [np.clip(unknowns, low, high)]
         for solved_on in solves if moduli else ():
-            evaluation = feasible(solved_on, tried[-1])
+            evaluation = evaluate_if_feasible(solved_on, tried[-1])
             if evaluation is None:
                 break
             step = np.linalg.lstsq(evaluation.rates[:, moduli], -evaluation.residual, rcond=1e-9)[0]
@@ -95,14 +108,15 @@ def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
             solved[moduli] = np.clip(solved[moduli] + step, low[moduli], high[moduli])
             tried.append(solved)
         # With unsuitable exponents all moduli are zero, and such a start is omitted.
-        evaluations = [(feasible(problem, trial), trial) for trial in tried if not moduli or trial[moduli].any()]
+        evaluations = [(evaluate_if_feasible(problem, trial), trial) for trial in tried
+                       if not moduli or trial[moduli].any()]
         candidates += sorted(((e.error, i, trial) for i, (e, trial) in enumerate(evaluations) if e is not None),
                              key=lambda item: item[:2])[:1]
     candidates.sort(key=lambda item: item[0])
-    return [trial for *_, trial in candidates[:MAX_STARTS]]
+    return [trial for *_, trial in candidates[:_SETTINGS.max_starts]]
 
 
-class _Relaxing:
+class _RelaxationModel:
     """Stress of all recordings as P_elastic + sum r_i P_relaxing(tau_i), with r_i = g_i / (1 - sum g).
 
     The stress is bilinear in the long-term moduli and the ratios r_i, so linear least squares for moduli and ratios
@@ -120,7 +134,7 @@ class _Relaxing:
         self.data = problem.data / problem.area
         self.histories = [(problem.tests[t].kind.sign, problem.tests[t].history(r)) for t, r in problem.places]
 
-    def parts(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def compute_stresses(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Return elastic and relaxing stresses, positive under load, Pa, shape (n, 1 + terms).
 
         Args:
@@ -147,13 +161,13 @@ class _Relaxing:
             for index in np.flatnonzero(self.moduli):
                 alone = np.where(self.moduli, 0.0, values)
                 alone[index] = 1.0
-                columns.append(self.parts(alone, grid) @ np.append(1.0, ratios))
+                columns.append(self.compute_stresses(alone, grid) @ np.append(1.0, ratios))
             matrix = np.column_stack(columns)
             if not np.isfinite(matrix).all():
                 return None
             values = np.array(values)
             values[self.moduli] = np.linalg.lstsq(matrix, self.data, rcond=1e-9)[0]
-            matrix = self.parts(values, grid)
+            matrix = self.compute_stresses(values, grid)
             if not np.isfinite(matrix).all():
                 return None
             weights, misfit = nnls(matrix, self.data)
@@ -166,21 +180,21 @@ class _Relaxing:
 
 def _relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.ndarray]:
     """Return starts of a law with Prony terms, by the misfit of a fit with a grid of relaxation times."""
-    model = _Relaxing(problem)
+    model = _RelaxationModel(problem)
     terms = variables.g.size
     shortest, longest = problem.time_range
-    count = int(np.clip(TIMES_PER_DECADE * np.log10(longest / shortest), terms + 1, 16))
+    count = int(np.clip(_SETTINGS.times_per_decade * np.log10(longest / shortest), terms + 1, 16))
     grid = np.geomspace(shortest, longest, count)
     candidates = []
-    for exponents in _grids(int((~model.moduli).sum())):
+    for exponents in _iterate_exponents(int((~model.moduli).sum())):
         values = np.ones(model.moduli.size)
         values[~model.moduli] = exponents
         if (solved := model.solve(values, grid)) is not None:
             candidates.append(solved)
     candidates.sort(key=lambda item: item[0])
     found = []
-    for _, values, ratios in candidates[:RELAXING_STARTS]:
-        for r, log_tau in (_clusters(grid, ratios, terms), _equal_bins(grid, ratios, terms)):
+    for _, values, ratios in candidates[:_SETTINGS.relaxing_starts]:
+        for r, log_tau in (_merge_relaxation_times(grid, ratios, terms), _bin_relaxation_times(grid, ratios, terms)):
             order, factor = np.argsort(log_tau), 1.0 + r.sum()
             unknowns = np.empty(len(problem.space.free))
             unknowns[[problem.space.free.index(name) for name in model.law.parameters]] = np.where(
@@ -190,7 +204,7 @@ def _relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.n
     return found
 
 
-def _clusters(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+def _merge_relaxation_times(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     """Merge neighbouring relaxation times with positive ratios, and return the largest `terms` groups.
 
     Args:
@@ -214,8 +228,11 @@ def _clusters(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndar
     return r, log_tau
 
 
-def _equal_bins(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
-    """Divide the grid of relaxation times into equal bins, and sum the ratios in each bin; see `_clusters`."""
+def _bin_relaxation_times(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+    """Divide the grid of relaxation times into equal bins, and sum the ratios in each bin.
+
+    Arguments and results are those of `_merge_relaxation_times`.
+    """
     nearest = np.arange(grid.size) * terms // grid.size
     log_tau = np.array([np.log(grid[nearest == i]).mean() for i in range(terms)])
     return np.array([max(ratios[nearest == i].sum(), 1e-2) for i in range(terms)]), log_tau

@@ -1,4 +1,4 @@
-"""Whether the recordings determine contact well enough for the shear modulus."""
+"""Check that the recordings determine contact well enough for the shear modulus."""
 
 from __future__ import annotations
 
@@ -11,14 +11,15 @@ from tissue_sim.recording.contact_error import contact_error
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 
 
-def unknown_contacts(estimate: Estimate) -> str:
-    """The recordings whose contact is not known well enough, in words; empty where all are.
+def describe_unknown_contacts(estimate: Estimate) -> str:
+    """Describe the recordings whose contact is not known well enough; empty if there are none.
 
-    A contact offset that is fitted has its uncertainty in the standard errors of the parameters.
+    The standard errors of the parameters include the uncertainty of a fitted contact offset.
     """
     if _fits_contact(estimate.problem):
         return ""
-    errors = [(curve, error) for curve in estimate.problem.measured if (error := _error(curve)) > MODULUS_TOLERANCE]
+    errors = [(curve, error) for curve in estimate.problem.measured
+              if (error := _relative_modulus_error(curve)) > MODULUS_TOLERANCE]
     if not errors:
         return ""
     curve, error = max(errors, key=lambda each: each[1])
@@ -31,12 +32,14 @@ def unknown_contacts(estimate: Estimate) -> str:
 
 
 def _fits_contact(problem: Any) -> bool:
+    """Return whether contact offsets are unknowns of the fit."""
     if isinstance(problem, OrdinaryProblem):
         return bool(problem.shifted)
     return "contact" in problem.kinds
 
 
-def _error(curve: MeasuredCurve) -> float:
+def _relative_modulus_error(curve: MeasuredCurve) -> float:
+    """Return the relative change of the shear modulus within the interval of contact; 0 if contact is recorded."""
     contact = None if curve.whole is None else curve.whole.segmentation.contact
     if contact is None or curve.test.contact != "find":
         return 0.0

@@ -18,10 +18,21 @@ from calibration.statistics.bands import KNOWN_VARIANCE, Scatter, prediction_ban
 from calibration.statistics.jitter import Jitter
 from calibration.statistics.uncertainty import Uncertainty
 
-#: Number of points of a curve.
-POINTS = 101
-#: Number of recordings from which the observed scatter replaces the scatter of contact and zero.
-MIN_RECORDINGS = 3
+
+@dataclass(frozen=True)
+class CurveSettings:
+    """Settings of the curves of an estimate.
+
+    Attributes:
+        points: number of points of a curve; a path-dependent curve has four times as many.
+        min_recordings: number of recordings from which the observed scatter replaces the scatter of contact and zero.
+    """
+
+    points: int = 101
+    min_recordings: int = 3
+
+
+_SETTINGS = CurveSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +85,7 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     along = estimate.evaluation.force
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
-        path = _path(test)
+        path = _build_path(test)
         time = path.time if test.is_path_dependent else None
         try:
             predictor = others.get(test.name, own)
@@ -85,10 +96,11 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
             gaps = [curve.force - force for curve, (force, *_) in zip(test.measured, seen, strict=True)]
             known, count = all(curve.name in fitted for curve in test.measured), len(test.measured)
             # With enough recordings their observed scatter is used, which includes more than contact and zero.
-            used = scatter if not known or count < MIN_RECORDINGS or (scatter and scatter.freedom is None) else None
+            is_observed = known and count >= _SETTINGS.min_recordings and not (scatter and scatter.freedom is None)
+            used = None if is_observed else scatter
             deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
                 if known else None
-            force, error, bands = _along(problem.solves, predictor, test, path, mesh_error, used, deviations)
+            force, error, bands = _evaluate_path(problem.solves, predictor, test, path, mesh_error, used, deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
             bands = force, force
@@ -98,14 +110,14 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     return found
 
 
-def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve, mesh_error: float,
-           scatter: Jitter | None, deviations: Deviations | None):
+def _evaluate_path(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve,
+                   mesh_error: float, scatter: Jitter | None, deviations: Deviations | None):
     """Return the force along a path, its standard error, and the half widths of both prediction bands."""
     # The test is evaluated for one recording that follows the path.
     seen: ForwardTest = replace(test, measured=(path,))
     answer = seen.solve(predictor.space, predictor.theta, solves)
     force, rates, contact = seen.evaluate(answer, 0, 0.0)
-    first, *sampled = predictor.scatters(rates)
+    first, *sampled = predictor.predict_scatter(rates)
     unsure = [Scatter(np.column_stack([first.columns, mesh_error * force])), *sampled]
     found = deviations or Deviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
     scatters, count = list(found.scatters), len(test.measured)
@@ -127,19 +139,19 @@ def _along(solves: SimulationCache, predictor: Predictor, test: ForwardTest, pat
     return force, error, prediction_bands(bias, scatters, found.noise, float(samples))
 
 
-def _path(test: ForwardTest) -> MeasuredCurve:
+def _build_path(test: ForwardTest) -> MeasuredCurve:
     """Return the path of the model as a recording without force: the motion of the first recording, or one loading."""
     first, segment = test.measured[0], None
     time: np.ndarray | None = None
     reached = np.concatenate([curve.displacement for curve in test.measured])
     if test.is_path_dependent:
-        even = np.linspace(first.clock[0], first.clock[-1], 4 * POINTS)
+        even = np.linspace(first.clock[0], first.clock[-1], 4 * _SETTINGS.points)
         time, displacement = even, np.interp(even, first.clock, first.displacement)
         segment = np.full(displacement.size, "")
     else:
         # A gripped specimen may be loaded in both directions.
         start = min(0.0, float(reached.min())) if first.test.kind.gripped else 0.0
-        displacement = np.linspace(start, max(0.0, float(reached.max())), POINTS)
+        displacement = np.linspace(start, max(0.0, float(reached.max())), _SETTINGS.points)
         if first.time is not None:
             order = np.argsort(first.displacement, kind="stable")
             time = np.interp(displacement, first.displacement[order], first.clock[order])

@@ -71,10 +71,10 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
         # A common offset, and offsets far beyond the scatter, are errors of the model and stay in the deviations.
         own = np.clip(own - own.mean(axis=0) if len(own) > 1 else own,
                       -SETTINGS.max_scatter, SETTINGS.max_scatter)
-        gaps = [gap - _columns(contact, scatter) @ weights
+        gaps = [gap - _compute_offset_columns(contact, scatter) @ weights
                 for gap, contact, weights in zip(gaps, contacts, own, strict=True)]
-    segments = [_segments(curve) for curve in measured]
-    path_segments, count = _segments(path, measured[0]), len(measured)
+    segments = [_label_segments(curve) for curve in measured]
+    path_segments, count = _label_segments(path, measured[0]), len(measured)
     bias, noise = np.zeros(path_segments.size), np.empty(path_segments.size)
     spread = np.zeros((path_segments.size, count))
     for name in dict.fromkeys(path_segments.tolist()):
@@ -87,13 +87,13 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
             if not part.any():
                 amplitudes.append(np.zeros(modes))
                 continue
-            columns = _shapes(curve, part, name, modes)
+            columns = _chebyshev_polynomials(curve, part, name, modes)
             found = np.linalg.lstsq(columns, gap[part], rcond=1e-9)[0]
             amplitudes.append(found)
             covariance += np.linalg.pinv(columns.T @ columns, hermitian=True) / count
             squares += float(np.sum((gap[part] - columns @ found)**2))
             freedom += int(part.sum()) - modes
-        columns = _shapes(path, here, name, modes)
+        columns = _chebyshev_polynomials(path, here, name, modes)
         mean = np.mean(amplitudes, axis=0)
         bias[here] = columns @ mean
         rest = squares / max(freedom, 1)
@@ -115,18 +115,18 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
     return Deviations(bias, [Scatter(spread, count - 1.0)], noise)
 
 
-def _columns(contact: np.ndarray, scatter: Jitter) -> np.ndarray:
+def _compute_offset_columns(contact: np.ndarray, scatter: Jitter) -> np.ndarray:
     """Return the change of the force per standard deviation of contact offset and zero, N, shape (n, 2)."""
     return np.column_stack([scatter.contact * contact, np.full(contact.size, scatter.zero)])
 
 
 def _fit_offsets(gap: np.ndarray, contact: np.ndarray, curve: MeasuredCurve, scatter: Jitter) -> np.ndarray:
     """Return the most probable contact offset and zero of a recording in units of their scatter, shape (2,)."""
-    columns = _columns(contact, scatter) / curve.noise.deviation
+    columns = _compute_offset_columns(contact, scatter) / curve.noise.deviation
     return np.linalg.solve(np.eye(2) + columns.T @ columns, columns.T @ gap / curve.noise.deviation)
 
 
-def _segments(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.ndarray:
+def _label_segments(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.ndarray:
     """Return the segment of each sample of a curve, shape (n,); taken from `first` at the same time if given."""
     labelled = curve if first is None else first
     if labelled.segment is None:
@@ -136,7 +136,7 @@ def _segments(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.nd
     return labelled.segment[np.clip(np.searchsorted(first.clock, curve.clock), 0, first.clock.size - 1)]
 
 
-def _shapes(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
+def _chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
     """Return Chebyshev polynomials along a part of a curve, shape (n, count).
 
     Unlike cosines, they have large slopes at the ends of a segment, where models often deviate most.

@@ -16,14 +16,26 @@ from calibration.forward.forms import mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.statistics.jitter import Jitter, estimate_jitter
 
-#: Expected relative change of the parameters by a further mesh correction at which the iteration ends.
-PARAMETER_TOLERANCE = 5e-4
-#: Safety factor of the expected change, which is the last change times the relative mesh difference.
-SAFETY = 5.0
-#: Relative change of the jitter at which the iteration ends.
-JITTER_TOLERANCE = 0.05
-#: Maximum number of mesh corrections.
-MAX_REFRESHES = 8
+
+@dataclass(frozen=True)
+class MeshIterationSettings:
+    """Settings of the fixed-point iteration of parameters, mesh correction and jitter.
+
+    Attributes:
+        parameter_tolerance: expected relative change of the parameters by a further mesh correction at which the
+            iteration ends. A smaller value needs more simulations on the accurate mesh.
+        safety: safety factor of the expected change, which is the last change times the relative mesh difference.
+        jitter_tolerance: relative change of the jitter at which the iteration ends.
+        max_refreshes: maximum number of mesh corrections.
+    """
+
+    parameter_tolerance: float = 5e-4
+    safety: float = 5.0
+    jitter_tolerance: float = 0.05
+    max_refreshes: int = 8
+
+
+_SETTINGS = MeshIterationSettings()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -63,7 +75,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         past: see `calibration.fit.trust_region.descend`.
         listen: see `calibration.fit.trust_region.descend`.
     """
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     history: list[Iteration] = []
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
@@ -74,7 +86,7 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         theta = descent.theta
     refreshes = 0
     while True:
-        differences = _refine(problem, theta, warnings)
+        differences = _update_mesh_corrections(problem, theta, warnings)
         refreshes += 1
         jitter = problem.jitter
         if None in (stated.contact_jitter, stated.zero_jitter):
@@ -90,17 +102,17 @@ def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, p
         # The correction is nearly proportional to the parameters, so the next change is about this one times the
         # relative difference of the meshes.
         largest = max((difference for difference in differences if np.isfinite(difference)), default=0.0)
-        if moved.max(initial=0.0) * min(1.0, SAFETY * largest) < PARAMETER_TOLERANCE and _is_close(jitter,
-                                                                                                  problem.jitter):
+        expected = moved.max(initial=0.0) * min(1.0, _SETTINGS.safety * largest)
+        if expected < _SETTINGS.parameter_tolerance and _are_jitters_equal(jitter, problem.jitter):
             break
-        if refreshes == MAX_REFRESHES:
-            warnings.append(f"the parameters still changed after {MAX_REFRESHES} mesh corrections")
+        if refreshes == _SETTINGS.max_refreshes:
+            warnings.append(f"the parameters still changed after {_SETTINGS.max_refreshes} mesh corrections")
             break
     return Estimate(start, theta, descent.error, descent.converged, descent.failure, tuple(history), *spent(),
                     problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
-def _refine(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
+def _update_mesh_corrections(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
     """Update the mesh correction of each test, and return the relative differences of the meshes.
 
     A test whose accurate mesh fails has no correction and the larger error of the fast mesh.
@@ -126,12 +138,12 @@ def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None
     if all(len(test.measured) < 2 for test in problem.tests):
         return
     problem.reset_nuisances()
-    replicates = problem.replicates(theta)
+    replicates = problem.linearise_replicates(theta)
     problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
     problem.reset_nuisances()
 
 
-def _is_close(one: Jitter, other: Jitter) -> bool:
-    """Return whether two jitters agree within `JITTER_TOLERANCE`."""
-    return all(abs(a - b) <= JITTER_TOLERANCE * max(a, b) for a, b in ((one.contact, other.contact),
+def _are_jitters_equal(one: Jitter, other: Jitter) -> bool:
+    """Return whether two jitters agree within `MeshIterationSettings.jitter_tolerance`."""
+    return all(abs(a - b) <= _SETTINGS.jitter_tolerance * max(a, b) for a, b in ((one.contact, other.contact),
                                                                      (one.zero, other.zero)))

@@ -101,7 +101,7 @@ class Estimator(ABC):
         """Return the fields of `Fit` with messages, and those that only this method computes."""
 
     @abstractmethod
-    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """Return the forward model of a held-out test, and the relative error of its mesh.
 
         Args:
@@ -110,6 +110,6 @@ class Estimator(ABC):
             predictor: parameters for the prediction.
         """
 
-    def scatter(self, estimate: Estimate) -> Jitter | None:
+    def find_jitter(self, estimate: Estimate) -> Jitter | None:
         """Return the scatter of contact and zero between recordings; None: unknown."""
         return None

@@ -215,10 +215,10 @@ class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
         """Contact and zero with their units, such as ``30 µm`` and ``5 mN``."""
         if self.stressed:
             return f"{self.contact_mm * 1e-3:.2g} of strain", f"{self.zero_N:.2g} Pa"
-        return _in_digits(self.contact_mm, "mm", "µm", "nm"), _in_digits(self.zero_N, "N", "mN", "µN", "nN", "pN")
+        return _format_value(self.contact_mm, "mm", "µm", "nm"), _format_value(self.zero_N, "N", "mN", "µN", "nN", "pN")
 
 
-def _in_digits(value: float, *units: str) -> str:
+def _format_value(value: float, *units: str) -> str:
     """Format a value with two digits in the first unit in which it is at least 0.001.
 
     Args:

@@ -3,39 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
-from calibration.fit.alternatives import PROMISING, mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
+from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import Estimate, settle
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
-from calibration.fit.identifiability import condition, suggest_tests, weak_directions
+from calibration.fit.identifiability import condition_number, suggest_tests, weak_directions
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.run_context import RunContext
-from calibration.fit.starts import starts
-from calibration.fit.trust_region import MIN_GAIN_OF_A_START, Descent, Listener, descend, distinct
+from calibration.fit.starts import generate_starts
+from calibration.fit.trust_region import DESCENT, Descent, Listener, descend, distinct_minima
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import build_test, mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.statistics.jitter import Jitter
-from calibration.statistics.statistics import MODEL_ERROR_RATIO, r_squared
+from calibration.statistics.statistics import NOISE_RATIOS, r_squared
 from calibration.statistics.uncertainty import Uncertainty
 
-#: Relative difference of parameters below which two minima are identical.
-_SAME = 1e-2
-#: Nuisance, in standard deviations, above which a warning is given.
-SUSPECT = 4.0
-#: Degrees of freedom below which an estimated scatter of 0 gives a warning.
-FEW = 6
+
+@dataclass(frozen=True)
+class InverseWarningSettings:
+    """Limits above which an inverse fit warns.
+
+    Attributes:
+        suspect_nuisance: nuisance, in standard deviations, above which a warning is given. A smaller value warns about
+            recordings that are right.
+        few_degrees_of_freedom: degrees of freedom below which an estimated scatter of 0 gives a warning.
+    """
+
+    suspect_nuisance: float = 4.0
+    few_degrees_of_freedom: int = 6
+
+
+INVERSE_WARNINGS = InverseWarningSettings()
 
 
 class Generalised(Estimator):
@@ -56,7 +67,7 @@ class Generalised(Estimator):
         """Fit laws: descents from all starts of all laws in parallel, then all mesh corrections in parallel."""
         problems = {law: self.problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
-                for number, theta in enumerate(starts(problems[law].space, self.campaign.fit.starts), 1)]
+                for number, theta in enumerate(generate_starts(problems[law].space, self.campaign.fit.starts), 1)]
         ends = context.run_descents(run_start, [law for law, *_ in keys],
                               [(problems[law], number, theta) for law, number, theta in keys],
                               f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
@@ -64,15 +75,16 @@ class Generalised(Estimator):
         for (law, *_), end in zip(keys, ends, strict=True):
             descents[law].append(end)
         self._add_mirrored(laws, problems, descents, context)
-        best = {law: _best_of(descents[law], problems[law]) for law in laws}
+        best = {law: _select_best_descent(descents[law], problems[law]) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
-        settled = context.run_descents(run_settle, usable, [(problems[law], best[law], self.stated(problems[law]))
-                                                      for law in usable], "the difference of the accurate mesh")
+        settled = context.run_descents(
+            run_estimate, usable, [(problems[law], best[law], self.stated_jitter(problems[law])) for law in usable],
+            "the difference of the accurate mesh")
         found: dict[str, tuple[list[Descent], Estimate | str]] = {
             law: (descents[law], best[law].failure) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):
             estimate.problem.solves = self.solves
-            estimate = replace(estimate, minima=tuple(_minima(descents[law], problems[law])))
+            estimate = replace(estimate, minima=tuple(_collect_minima(descents[law], problems[law])))
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
 
@@ -83,7 +95,8 @@ class Generalised(Estimator):
         for law in laws:
             best = min(descents[law], key=lambda end: end.error)
             if np.isfinite(best.error):
-                keys += [(law, len(descents[law]) + number, theta, PROMISING * max(best.error, problems[law].samples))
+                limit = ALTERNATIVES.promising_ratio * max(best.error, problems[law].samples)
+                keys += [(law, len(descents[law]) + number, theta, limit)
                          for number, theta in enumerate(mirrored_starts(problems[law].space, best.theta), 1)]
         if keys:
             ends = context.run_descents(run_mirrored, [law for law, *_ in keys],
@@ -92,7 +105,7 @@ class Generalised(Estimator):
             for (law, *_), end in zip(keys, ends, strict=True):
                 descents[law].append(end)
 
-    def stated(self, problem: Problem) -> Noise:
+    def stated_jitter(self, problem: Problem) -> Noise:
         """Return the stated jitter, or the priors of fitted offsets; None values are estimated."""
         if self.campaign.fit.offset == "fit":
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
@@ -111,7 +124,7 @@ class Generalised(Estimator):
         regions = judge_regions(problem, evaluation)
         directions = weak_directions(space, spread)
         held = [f"{space.symbols[name]} ended on its bound {found.values[name]:.6g}" for name in on_bound]
-        warnings = [*estimate.warnings, *held, *found.lost, *_warnings(problem, evaluation, spread)]
+        warnings = [*estimate.warnings, *held, *found.lost, *_collect_warnings(problem, evaluation, spread)]
         stressed = [curve for curve in problem.measured if curve.test.specimen is None]
         residual = evaluation.force - problem.data
         root = float(np.sqrt(np.mean(residual**2)))
@@ -131,18 +144,18 @@ class Generalised(Estimator):
         return {
             "R2": r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
             "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,
-            "nuisances": _nuisances(problem, evaluation), "warnings": warnings,
+            "nuisances": _build_nuisance_records(problem, evaluation), "warnings": warnings,
             "message": "; ".join([*parts, *warnings]), "history": history, "regions": regions,
-            "condition": condition(spread), "directions": directions,
+            "condition": condition_number(spread), "directions": directions,
             "suggestions": suggest_tests(problem, estimate.theta, spread)
             if (found.loose or directions) and not on_bound else [],
-            "jitter": _jitter(problem),
+            "jitter": _build_jitter_record(problem),
             "mesh": [MeshCorrection(test=test.name, remainder_percent=100.0 * error, refreshes=estimate.refreshes,
                                     largest_percent=100.0 * difference if np.isfinite(difference) else None)
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
                                                         strict=True)]}
 
-    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """Return a held-out test with its mesh correction, and its relative mesh error."""
         problem = estimate.problem
         found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
@@ -154,20 +167,20 @@ class Generalised(Estimator):
             error = FAST_MESH_ERRORS
         return found, mesh_uncertainty(found, error)
 
-    def scatter(self, estimate: Estimate) -> Jitter | None:
+    def find_jitter(self, estimate: Estimate) -> Jitter | None:
         """Return the marginalised jitter."""
         return estimate.problem.jitter
 
 
 def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
     """Run a descent from one start on the fast mesh."""
-    return descend(problem, theta, start=number, enough=MIN_GAIN_OF_A_START, listen=listen)
+    return descend(problem, theta, start=number, enough=DESCENT.min_gain_of_start, listen=listen)
 
 
 def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
                  listen: Listener | None = None) -> Descent:
     """Run a descent from one start, unless the sum of squares at the start exceeds `limit`."""
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     try:
         error = problem.evaluate(theta).error
     except InfeasibleError as failure:
@@ -177,33 +190,33 @@ def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
     return run_start(problem, number, theta, listen)
 
 
-def _best_of(descents: Sequence[Descent], problem: Problem) -> Descent:
+def _select_best_descent(descents: Sequence[Descent], problem: Problem) -> Descent:
     """Return the best descent; among equally good ones that with most positive exponents."""
     ordered = sorted(descents, key=lambda end: end.error)
     if not np.isfinite(ordered[0].error):
         return ordered[0]
     finite = [end for end in ordered if np.isfinite(end.error)]
-    scale = _scale(finite[0].error, problem)
+    scale = _residual_variance(finite[0].error, problem)
     return finite[prefer_positive_exponents(problem.space, [(end.error / scale, end.theta) for end in finite])]
 
 
-def _scale(error: float, problem: Problem) -> float:
+def _residual_variance(error: float, problem: Problem) -> float:
     """Return the variance of the residuals in units of the noise, at least 1."""
     return max(1.0, error / max(problem.samples - len(problem.space.free), 1))
 
 
-def run_settle(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
+def run_estimate(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
     """Compute the estimate from the best minimum; see `calibration.fit.estimate.settle`."""
     return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
 
 
-def _jitter(problem: Problem) -> JitterStatement:
+def _build_jitter_record(problem: Problem) -> JitterStatement:
     """Return the record of the jitter."""
     return JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
                            freedom=problem.jitter.freedom, stressed=all(curve.stressed for curve in problem.measured))
 
 
-def _warnings(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
+def _collect_warnings(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
     """Return warnings on unused samples, jitter, large residuals and large nuisances."""
     warnings, jitter = [], problem.jitter
     if later := sum(curve.later for curve in problem.measured):
@@ -211,32 +224,32 @@ def _warnings(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> 
         warnings.append(f"samples after the loading in {', '.join(names)} are not fitted ({later} samples), because an "
                         'elastic material has no relaxation and no hysteresis; name "viscoelastic.terms[0].g" and '
                         '".tau_s", or "softening.loss", in fit.start to use them')
-    few = jitter.freedom is not None and 0 < jitter.freedom < FEW
+    few = jitter.freedom is not None and 0 < jitter.freedom < INVERSE_WARNINGS.few_degrees_of_freedom
     if few and not (jitter.contact and jitter.zero):
         kind = "contact" if not jitter.contact else "zero"
         warnings.append(f"the estimated scatter of the {kind} from few recordings is 0, which may be chance: state "
                         f"{'contact_jitter_mm' if kind == 'contact' else 'zero_jitter_N'}")
     if jitter.freedom == 0:
-        assumed = _jitter(problem)
+        assumed = _build_jitter_record(problem)
         of_strain = " (1000 times strain, and Pa)" if assumed.stressed else ""
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
                         f"contact {assumed.sizes[0]}, zero {assumed.sizes[1]}; state contact_jitter_mm and "
                         f"zero_jitter_N{of_strain}")
-    if spread.ratio > MODEL_ERROR_RATIO:
+    if spread.ratio > NOISE_RATIOS.model_error:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model is incomplete, and the standard "
                         "errors are rough estimates")
-    sizes = np.abs(evaluation.nuisances)
+    sizes, limit = np.abs(evaluation.nuisances), INVERSE_WARNINGS.suspect_nuisance
     if stuck := [curve.name for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)
-                 if sizes[columns].max(initial=0.0) > SUSPECT]:
-        warnings.append(f"contact or zero of {', '.join(stuck)} is more than {SUSPECT:g} times the stated or estimated "
+                 if sizes[columns].max(initial=0.0) > limit]:
+        warnings.append(f"contact or zero of {', '.join(stuck)} is more than {limit:g} times the stated or estimated "
                         "scatter away: check the contact of these recordings, or the model")
-    if sizes[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > SUSPECT:
-        warnings.append(f"the fitted mesh error is more than {SUSPECT:g} times its standard deviation: it compensates "
-                        "an error of the model")
+    if sizes[len(problem.offset_columns) * len(problem.kinds):].max(initial=0.0) > limit:
+        warnings.append(f"the fitted mesh error is more than {limit:g} times its standard deviation: it "
+                        "compensates an error of the model")
     return warnings
 
 
-def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
+def _build_nuisance_records(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
     """Return contact offset and zero of each recording with their conditional standard errors."""
     if not problem.kinds:
         return []
@@ -256,12 +269,12 @@ def _nuisances(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
     return found
 
 
-def _minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
+def _collect_minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
     """Return the distinct minima of all starts on the fast mesh."""
     total = float(np.sum((problem.data - problem.data.mean())**2))
-    kept = distinct([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
-                    lambda one, other: np.abs(one - other) <= _SAME * problem.sizes(one))
+    kept = distinct_minima([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
+                           lambda one, other: np.abs(one - other) <= DESCENT.same_minimum * problem.sizes(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
-                    rise=(descent.error - kept[0][0].error) / _scale(kept[0][0].error, problem))
+                    rise=(descent.error - kept[0][0].error) / _residual_variance(kept[0][0].error, problem))
             for descent, count in kept]

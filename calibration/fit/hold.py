@@ -10,7 +10,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve, with_noise
 from calibration.campaign.parameters import SHARED, NamedParameter
-from calibration.fit.assess import assess
+from calibration.fit.assess import assess_fit
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary import Ordinary, fit_law
 from calibration.forward.simulation_cache import SimulationCache
@@ -20,10 +20,22 @@ from tissue_sim.material.parts import find_declaration
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.recording.recording import Recording
 
-#: Largest change of the displacement during a hold, relative to the displacement.
-MAX_DRIFT = 0.05
-#: Shear strain at which a Neo-Hookean solid is linear in floating-point precision.
-_SMALL = 1e-6
+
+@dataclass(frozen=True)
+class HoldSettings:
+    """Settings of the fit of a hold.
+
+    Attributes:
+        max_drift: largest change of the displacement during a hold, relative to the displacement. A larger value admits
+            holds whose force also follows the displacement.
+        shear_strain: shear strain at which a Neo-Hookean solid is linear in floating-point precision.
+    """
+
+    max_drift: float = 0.05
+    shear_strain: float = 1e-6
+
+
+_SETTINGS = HoldSettings()
 #: Law of the equivalent solid.
 _LAW = "neo_hooke"
 
@@ -76,13 +88,13 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     channel = "nominal stress" if "nominal stress" in recording and "force" not in recording else "force"
     force, time = recording.channel(channel), recording.time
     if "displacement" in recording and \
-            np.ptp(recording.displacement) > MAX_DRIFT * np.abs(recording.displacement).max():
+            np.ptp(recording.displacement) > _SETTINGS.max_drift * np.abs(recording.displacement).max():
         raise InputError("displacement must be constant during the hold; select the samples of the hold, "
                          "recording.select(recording.labels['segment'] == 'hold')", field="displacement")
     if force.size <= 1 + 2 * terms:
         raise InputError(f"{force.size} samples cannot determine {1 + 2 * terms} unknowns; give more samples or fewer "
                          "terms", field="recording")
-    strain = np.full(force.size, _SMALL)
+    strain = np.full(force.size, _SETTINGS.shear_strain)
     if ramp:
         time, force, strain = np.append(time[0] - ramp, time), np.append(0.0, force), np.append(0.0, strain)
     paths = [(f"viscoelastic.terms[{i}].g", f"viscoelastic.terms[{i}].tau") for i in range(terms)]
@@ -98,9 +110,9 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     if not isinstance(estimate, Estimate):
         raise ConvergenceError("no start gives a finite force over the hold; check the units of force and time")
     spread = estimator.uncertainty(estimate.problem, estimate.evaluation)
-    fit = assess(estimator, estimate, spread, descents, (), campaign)
+    fit = assess_fit(estimator, estimate, spread, descents, (), campaign)
     material = estimate.problem.space.material(fit.parameters)
-    size = 2.0 * _SMALL
+    size = 2.0 * _SETTINGS.shear_strain
     error = fit.standard_errors["C10"]
     errors = {"force": None if error is None else size * error, **{name: fit.standard_errors[name] for name in start}}
     message = fit.message.replace("C10", "force")

@@ -63,7 +63,7 @@ _SETTINGS = SuggestionSettings()
 _SPECIMEN = Cylinder(0.040, 0.070)
 
 
-def condition(spread: Uncertainty) -> float | None:
+def condition_number(spread: Uncertainty) -> float | None:
     """Return the condition number of the scaled Fisher information; None if it is singular."""
     free = ~spread.on_bound
     if not free.any():
@@ -87,7 +87,7 @@ def weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Directio
     return found
 
 
-def not_identifiable(space: ParameterSpace, spread: Uncertainty) -> list[str]:
+def find_undetermined_parameters(space: ParameterSpace, spread: Uncertainty) -> list[str]:
     """Return the names of parameters whose standard error exceeds their size."""
     return [name for name, error, size in zip(space.free, spread.standard_errors, spread.sizes, strict=False)
             if not error <= size and not np.isnan(error)]
@@ -114,8 +114,8 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     about = problem.space.varied[free[np.argmax(np.abs(axis))]]
     acting = [test for test in problem.tests if about.acts_in(test.name, None)] or list(problem.tests)
     of = next((test for test in acting if test.specimen is not None), acting[0])
-    for words, experiment in _candidates(problem, theta, of):
-        gained = _information(problem, theta, experiment, of.name, spread, noise, jitter)
+    for words, experiment in _build_candidate_tests(problem, theta, of):
+        gained = _compute_information(problem, theta, experiment, of.name, spread, noise, jitter)
         if gained is None:
             continue
         together = information + gained[np.ix_(free, free)]
@@ -129,7 +129,7 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     return [suggestion for gain, suggestion in rated[:_SETTINGS.max_suggestions] if gain > existing]
 
 
-def _candidates(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
+def _build_candidate_tests(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
     """Return possible further tests on the specimen of a test: descriptions and experiments."""
     specimen = of.specimen or _SPECIMEN
     if specimen.is_prism and not (specimen.is_round or isinstance(of, SimulatedTest)):
@@ -145,12 +145,12 @@ def _candidates(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequenc
                 (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
                 (f"bonded compression to {millimetres}", Plate(), "bonded"),
                 (f"needle indentation (flat, radius {needle.radius * 1e3:.3g} mm) to {millimetres}", needle, "bonded")):
-            for ending, protocol in _protocols(depth, ageing):
+            for ending, protocol in _build_protocols(depth, ageing):
                 found.append((words + ending, Experiment(specimen, protocol, tool, friction, friction)))
     return found
 
 
-def _protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
+def _build_protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
     """Return motions to a depth, m, with the end of their description; with holds for a material with memory."""
     points, hold = _SETTINGS.points, _SETTINGS.hold
     if not ageing:
@@ -162,8 +162,8 @@ def _protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
                 text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=points))]
 
 
-def _information(problem: Problem, theta: np.ndarray, experiment: Experiment, test: str, spread: Uncertainty,
-                 noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
+def _compute_information(problem: Problem, theta: np.ndarray, experiment: Experiment, test: str, spread: Uncertainty,
+                         noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
     """Return the scaled information of a further test with the jitter marginalised, shape (p, p).
 
     Args:

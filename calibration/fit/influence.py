@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,34 +15,49 @@ from calibration.fit.trust_region import descend
 from calibration.statistics.uncertainty import inverse_root
 from tissue_sim.recording.recording import MIN_POINTS
 
-#: Smallest number of recordings among which an outlier can be identified.
-MIN_RECORDINGS = 3
-#: Significance level of the test for outlying recordings, over all recordings and parameters.
-LEVEL = 0.05
-#: Smallest relative deviation of an outlying recording.
-MIN_DEVIATION = 0.05
+
+@dataclass(frozen=True)
+class InfluenceSettings:
+    """Settings of the test for outlying recordings and of the fits in windows.
+
+    Attributes:
+        min_recordings: smallest number of recordings among which an outlier can be identified.
+        level: significance level of the test for outlying recordings, over all recordings and parameters.
+        min_deviation: smallest relative deviation of an outlying recording. A smaller value also names recordings
+            without consequence for the parameters.
+        window_gain: predicted decrease of the sum of squares at which the descent in a window ends; windows differ by
+            little.
+        window_solves: maximum number of evaluations in a window; more are needed only if the window does not determine
+            the parameters.
+    """
+
+    min_recordings: int = 3
+    level: float = 0.05
+    min_deviation: float = 0.05
+    window_gain: float = 1e-4
+    window_solves: int = 30
+
+
+_SETTINGS = InfluenceSettings()
 #: Fractions of the largest displacement for which the parameters are estimated again.
 WINDOWS = (0.4, 0.6, 0.8)
-#: Predicted decrease of the sum of squares at which the descent in a window ends; windows differ by little.
-_GAIN = 1e-4
-#: Maximum number of evaluations in a window; more are needed only if the window does not determine the parameters.
-_MAX_SOLVES = 30
 
 
 def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fit:
     """Return the fit with the influence of recordings and windows, and with a warning for outlying recordings."""
     influence = leave_recordings_out(problem, evaluation)
-    odd = name_odd_ones(influence, fit)
-    words = [f"{', '.join(odd)} disagree{'s' if len(odd) == 1 else ''} with the other recordings: without "
-             f"{'it' if len(odd) == 1 else 'the first of them'} {_changes(fit, influence[odd[0]])}"] if odd else []
-    return replace(fit, influence=influence, odd_recordings=odd, windows=narrow_windows(problem, evaluation.theta),
+    odd = name_outlying_recordings(influence, fit)
+    single = len(odd) == 1
+    words = [f"{', '.join(odd)} disagree{'s' if single else ''} with the other recordings: without "
+             f"{'it' if single else 'the first of them'} {_describe_changes(fit, influence[odd[0]])}"] if odd else []
+    return replace(fit, influence=influence, odd_recordings=odd, windows=fit_windows(problem, evaluation.theta),
                    warnings=[*fit.warnings, *words], message="; ".join([fit.message, *words]))
 
 
-def _changes(fit: Fit, without: Mapping[str, float]) -> str:
+def _describe_changes(fit: Fit, without: Mapping[str, float]) -> str:
     """Describe the parameters without a recording, such as ``C10 is 1400 instead of 1600 Pa``."""
     changes = (f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} {fit.unit(name)}"
-               for name, value in without.items() if _moved(fit.parameters[name], value))
+               for name, value in without.items() if _is_changed(fit.parameters[name], value))
     return ", ".join(map(str.rstrip, changes))
 
 
@@ -64,7 +80,7 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
     if not free:
         return found
     for rows, curve, (number, _) in zip(problem.rows, problem.measured, problem.places, strict=True):
-        if len(problem.tests[number].measured) < MIN_RECORDINGS:
+        if len(problem.tests[number].measured) < _SETTINGS.min_recordings:
             continue
         rest, gap = np.delete(design, np.r_[rows], axis=0), np.delete(residual, np.r_[rows])
         root, _ = inverse_root(rest.T @ rest)
@@ -74,7 +90,7 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
     return found
 
 
-def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
+def name_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
     """Return the names of recordings whose parameters disagree with those of the other recordings.
 
     The value of a recording is the jackknife pseudo-value n theta - (n - 1) theta_(-i). It is compared with mean
@@ -91,13 +107,13 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
     asked: dict[tuple[str, str], list[str]] = {}
     for name, parameters in influence.items():
         for parameter, value in parameters.items():
-            if _moved(fit.parameters[parameter], value):
+            if _is_changed(fit.parameters[parameter], value):
                 asked.setdefault((name.rpartition("/")[0], parameter), []).append(name)
-    asked = {place: names for place, names in asked.items() if len(names) >= MIN_RECORDINGS}
+    asked = {place: names for place, names in asked.items() if len(names) >= _SETTINGS.min_recordings}
     questions, odd = sum(map(len, asked.values())), []
     for (_, parameter), names in asked.items():
         count = len(names)
-        quantile = -special.stdtrit(count - 2, 0.5 * LEVEL / questions)
+        quantile = -special.stdtrit(count - 2, 0.5 * _SETTINGS.level / questions)
         without = np.array([influence[name][parameter] for name in names])
         value = fit.parameters[parameter]
         # Deviations are relative to the largest parameter of the same unit, since a small modulus contributes little.
@@ -106,17 +122,18 @@ def name_odd_ones(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> lis
         for i, name in enumerate(names):
             others = np.delete(own, i)
             deviation, scatter = own[i] - others.mean(), others.std(ddof=1) * np.sqrt(1.0 + 1.0 / others.size)
-            if abs(deviation) > quantile * scatter and abs(deviation) > MIN_DEVIATION * size and name not in odd:
+            limit = max(quantile * scatter, _SETTINGS.min_deviation * size)
+            if abs(deviation) > limit and name not in odd:
                 odd.append(name)
     return odd
 
 
-def _moved(value: float, without: float) -> bool:
+def _is_changed(value: float, without: float) -> bool:
     """Return whether a recording influences a parameter."""
     return abs(without - value) > 1e-9 * abs(value)
 
 
-def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
+def fit_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
     """Estimate the parameters from the samples up to fractions of the largest displacement, smallest fraction first.
 
     The last window contains all samples. The list is empty if a test is path-dependent.
@@ -134,10 +151,11 @@ def narrow_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
 
     found = []
     for fraction in WINDOWS:
-        narrow = problem.within(fraction)
+        narrow = problem.restrict_to_fraction(fraction)
         if min(curve.force.size for curve in narrow.measured) < MIN_POINTS or narrow.samples <= theta.size:
             continue
-        descent = descend(narrow, theta, corrected=True, enough=_GAIN, max_solves=_MAX_SOLVES)
+        descent = descend(narrow, theta, corrected=True, enough=_SETTINGS.window_gain,
+                          max_solves=_SETTINGS.window_solves)
         if descent.converged:
             found.append(window(fraction, descent.theta))
     return [*found, window(1.0, theta)]

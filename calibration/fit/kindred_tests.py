@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.replicates import common_range, split_stiffnesses, stiffnesses
+from calibration.fit.replicates import common_range, compute_mean_forces, split_stiffnesses
 
 
 @dataclass(frozen=True)
@@ -17,9 +17,11 @@ class TestDisagreement:
     """Tests of one kind in two groups of different stiffness.
 
     Attributes:
-        kind: name of the kind of test. secants: test -> mean secant modulus, Pa (stiffness, N/m, without a closed
-            form). has_modulus: whether `secants` are moduli. low, high: strains, or displacements in m, between which
-            the tests are compared.
+        kind: name of the kind of test.
+        secants: test -> mean secant modulus, Pa (stiffness, N/m, without a closed form).
+        has_modulus: whether `secants` are moduli.
+        low: smallest strain, or displacement in m, at which the tests are compared.
+        high: largest strain, or displacement in m, at which the tests are compared.
     """
 
     kind: str
@@ -47,12 +49,12 @@ def find_test_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> 
     groups: dict[tuple, dict[str, Sequence[MeasuredCurve]]] = {}
     for name, curves in measured.items():
         if curves:
-            groups.setdefault(_key(curves[0].test), {})[name] = curves
-    return [found for tests in groups.values() if len(tests) > 1 and (found := _disagreement(tests)) is not None]
+            groups.setdefault(_comparison_key(curves[0].test), {})[name] = curves
+    return [found for tests in groups.values() if len(tests) > 1 and (found := _find_disagreement(tests)) is not None]
 
 
-def _key(test: Test) -> tuple:
-    """Tests with equal keys have comparable stiffnesses: one kind, and without a closed form one tool and one size."""
+def _comparison_key(test: Test) -> tuple:
+    """Return a key that tests with comparable stiffnesses share: the kind, and without a closed form tool and size."""
     specimen = test.specimen
     if _is_homogeneous(test):
         return test.kind.name, True
@@ -62,37 +64,40 @@ def _key(test: Test) -> tuple:
 
 
 def _is_homogeneous(test: Test) -> bool:
+    """Return whether nominal strain and stress of the test are homogeneous."""
     return test.kind.closed_form is not None and (test.specimen is None or test.specimen.is_prism)
 
 
-def _disagreement(tests: Mapping[str, Sequence[MeasuredCurve]]) -> TestDisagreement | None:
+def _find_disagreement(tests: Mapping[str, Sequence[MeasuredCurve]]) -> TestDisagreement | None:
+    """Return the disagreement of the tests of one kind; None if there is none."""
     first = next(iter(tests.values()))[0].test
-    scaled = {name: [_scaled(curve) for curve in curves] for name, curves in tests.items()}
+    scaled = {name: [_convert_to_stress(curve) for curve in curves] for name, curves in tests.items()}
     every = [pair for pairs in scaled.values() for pair in pairs]
-    span, forces = common_range([motion for motion, _ in every]), stiffnesses(every)
+    span, forces = common_range([motion for motion, _ in every]), compute_mean_forces(every)
     if span is None or forces is None:
         return None
     index = np.repeat(np.arange(len(tests)), [len(pairs) for pairs in scaled.values()])
     means = np.array([forces[index == number].mean() for number in range(len(tests))])
-    if split_stiffnesses(first.kind.name, list(tests), means, _scatter(forces, index)) is None:
+    if split_stiffnesses(first.kind.name, list(tests), means, _estimate_log_scatter(forces, index)) is None:
         return None
     middle = 0.5 * (span[0] + span[1])
     return TestDisagreement(first.kind.name, dict(zip(tests, (means / middle).tolist(), strict=True)),
                             _is_homogeneous(first), *span)
 
 
-def _scaled(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
-    """Nominal strain and stress of a homogeneous test, otherwise displacement, m, and force, N."""
+def _convert_to_stress(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
+    """Return nominal strain and stress of a homogeneous test, otherwise displacement, m, and force, N."""
     specimen = curve.test.specimen
     if specimen is None or not _is_homogeneous(curve.test):
         return curve.displacement, curve.force
     return curve.displacement / specimen.height, curve.force / specimen.area
 
 
-def _scatter(forces: np.ndarray, index: np.ndarray) -> float:
-    """Standard deviation of the logarithms of the forces within the tests; 0 with one recording in each test.
+def _estimate_log_scatter(forces: np.ndarray, index: np.ndarray) -> float:
+    """Return the standard deviation of the logarithms of the forces within the tests; 0 with one recording in each.
 
     Args:
+        forces: mean force of each recording, shape (R,).
         index: number of the test of each recording, shape (R,).
     """
     count = int(index.max()) + 1

@@ -14,10 +14,21 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.problem import LeastSquares
 from tissue_sim.recording.segmentation import label_motion
 
-#: Points at which recordings of one test are compared.
-_POINTS = 64
-#: Fewer moving samples than this give no coefficient of determination.
-_FEWEST = 8
+
+@dataclass(frozen=True)
+class LackOfFitSettings:
+    """Settings of the lack of fit.
+
+    Attributes:
+        points: number of points at which recordings of one test are compared.
+        min_samples: smallest number of moving samples for a coefficient of determination.
+    """
+
+    points: int = 64
+    min_samples: int = 8
+
+
+_SETTINGS = LackOfFitSettings()
 
 
 @dataclass(frozen=True)
@@ -25,26 +36,28 @@ class LackOfFit:
     """Lack of fit in one test, over the samples in which the displacement moves.
 
     Attributes:
-        R2: share of the variance of the force that the law explains, noise and scatter between recordings taken out;
+        R2: fraction of the variance of the force that the law explains, without noise and scatter between recordings;
             None with fewer than 8 such samples.
-        share: root mean square lack of fit, relative to the largest force.
+        relative_error: root mean square lack of fit, relative to the largest force.
     """
 
     R2: float | None
-    share: float
+    relative_error: float
 
 
-def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:
-    """Lack of fit in test `number` of a problem.
+def compute_lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:
+    """Compute the lack of fit in one test of a problem.
 
     Args:
+        problem: least-squares problem.
         gap: model minus data at all samples, N, shape (N,).
+        number: index of the test in the problem.
     """
     rows = [(rows, problem.tests[number].measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
             if t == number]
     largest = max(float(np.abs(curve.force).max()) for _, curve in rows)
-    parts = [(curve, gap[place], moving_samples(curve)) for place, curve in rows]
-    parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _FEWEST]
+    parts = [(curve, gap[place], find_moving_samples(curve)) for place, curve in rows]
+    parts = [(curve, mine, moving) for curve, mine, moving in parts if moving.sum() >= _SETTINGS.min_samples]
     if not parts:
         return LackOfFit(None, 0.0)
     if len(parts) == 1:
@@ -52,26 +65,28 @@ def lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFi
         squares = float(np.mean(mine[moving]**2)) - curve.noise.deviation**2
         variance = float(np.var(curve.force[moving]))
     else:
-        squares, variance = _of_mean(parts, problem.tests[number].is_path_dependent)
+        squares, variance = _compare_mean_recording(parts, problem.tests[number].is_path_dependent)
     squares = max(squares, 0.0)
     R2 = 1.0 - squares / variance if variance > 0 else None
     return LackOfFit(R2, float(np.sqrt(squares)) / largest)
 
 
-def moving_samples(curve: MeasuredCurve) -> np.ndarray:
-    """Samples in which the displacement moves, bool, shape (n,): holds are left out."""
+def find_moving_samples(curve: MeasuredCurve) -> np.ndarray:
+    """Return which samples are not in a hold, bool, shape (n,)."""
     if curve.time is None or np.ptp(curve.clock) == 0 or bool(np.any(np.diff(curve.clock) < 0)):
         return np.ones(curve.force.size, bool)
     moving = label_motion(curve.clock, curve.displacement) != "hold"
     return moving if moving.any() else np.ones(curve.force.size, bool)
 
 
-def _of_mean(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]], timed: bool) -> tuple[float, float]:
-    """Mean square lack of fit of the mean recording, N^2, and the variance of its force."""
+def _compare_mean_recording(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]],
+                            timed: bool) -> tuple[float, float]:
+    """Return the mean square lack of fit of the mean recording, N^2, and the variance of its force, N^2."""
     gaps, forces = [], []
     courses = [curve.clock[moving] - curve.clock[0] if timed else curve.displacement[moving]
                for curve, _, moving in parts]
-    grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses), _POINTS)
+    grid = np.linspace(max(course.min() for course in courses), min(course.max() for course in courses),
+                       _SETTINGS.points)
     for course, (curve, mine, moving) in zip(courses, parts, strict=True):
         order = np.argsort(course, kind="stable")
         gaps.append(np.interp(grid, course[order], mine[moving][order]))

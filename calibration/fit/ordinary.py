@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -12,46 +12,58 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.alternatives import PROMISING, mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
+from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
 from calibration.fit.closed_starts import closed_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.failure import Failure, attempt
 from calibration.fit.fit import Minimum, Nuisance
-from calibration.fit.ordinary_problem import OrdinaryProblem, feasible
+from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_if_feasible
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import Descent, descend, distinct
+from calibration.fit.trust_region import DESCENT, Descent, descend, distinct_minima
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import build_analytical_test
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
-from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO, r_squared
+from calibration.statistics.statistics import NOISE_RATIOS, r_squared
 from calibration.statistics.uncertainty import Uncertainty, sandwich_covariance
 from tissue_sim.errors import InputError
 
-#: Approximate number of samples of a thinned problem, on which all starts are refined.
-THINNED_POINTS = 200
-#: Number of distinct minima of the thinned problem that are refined on all samples.
-MAX_MINIMA = 2
-#: Maximum number of evaluations per start of the thinned problem.
-THINNED_SOLVES = 300
-#: Relative tolerance of descents of the thinned problem.
-THINNED_TOLERANCE = 1e-8
-#: Maximum number of evaluations per minimum on all samples.
-SOLVES = 80
-#: Relative tolerance of descents on all samples.
-TOLERANCE = 1e-10
-#: Maximum number of evaluations per start of a law with Prony terms, which is fitted to all samples at once.
-RELAXING_SOLVES = 100
-#: Relative tolerance of descents of a law with Prony terms.
-RELAXING_TOLERANCE = 1e-9
-#: Relative difference of parameters below which two minima are identical.
-_SAME = 1e-2
-#: Correlation of neighbouring residuals above which they are reported as a model error.
-CORRELATED = 0.5
+
+@dataclass(frozen=True)
+class AnalyticalFitSettings:
+    """Settings of the descents of an analytical fit.
+
+    Attributes:
+        thinned_points: approximate number of samples of a thinned problem, on which all starts are refined. A smaller
+            value is faster and may miss a minimum.
+        max_minima: number of distinct minima of the thinned problem that are refined on all samples.
+        thinned_solves: maximum number of evaluations per start of the thinned problem.
+        thinned_tolerance: relative tolerance of descents of the thinned problem.
+        solves: maximum number of evaluations per minimum on all samples.
+        tolerance: relative tolerance of descents on all samples.
+        relaxing_solves: maximum number of evaluations per start of a law with Prony terms, which is fitted to all
+            samples at once.
+        relaxing_tolerance: relative tolerance of descents of a law with Prony terms.
+        correlated_residuals: correlation of neighbouring residuals above which they are reported as a model error.
+    """
+
+    thinned_points: int = 200
+    max_minima: int = 2
+    thinned_solves: int = 300
+    thinned_tolerance: float = 1e-8
+    solves: int = 80
+    tolerance: float = 1e-10
+    relaxing_solves: int = 100
+    relaxing_tolerance: float = 1e-9
+    correlated_residuals: float = 0.5
+
+
+_SETTINGS = AnalyticalFitSettings()
 
 
 class Ordinary(Estimator):
@@ -66,27 +78,27 @@ class Ordinary(Estimator):
 
     def problem(self, law: str) -> OrdinaryProblem:
         """Return the least-squares problem of one law over all tests that are not held out."""
-        tests = [self._test(test) for test in self.campaign.tests if not test.hold_out]
-        return OrdinaryProblem.of(self._space(law), tests, self.campaign.fit, self.solves)
+        tests = [self._build_test(test) for test in self.campaign.tests if not test.hold_out]
+        return OrdinaryProblem.of(self._build_space(law), tests, self.campaign.fit, self.solves)
 
     @property
     def pooled_noise(self) -> float | None:
         """Pooled noise of the nominal stress over all samples, Pa."""
         return self.problem(self.campaign.fit.laws[0]).noise
 
-    def _space(self, law: str) -> ParameterSpace:
+    def _build_space(self, law: str) -> ParameterSpace:
         """Return the parameter space of a law."""
         return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
                                                       for name, curves in self.measured.items()})
 
-    def _test(self, test: Test) -> ClosedFormTest:
+    def _build_test(self, test: Test) -> ClosedFormTest:
         """Return the closed form of a test."""
         return build_analytical_test(test, self.measured[test.name], self.campaign.fit)
 
     def check(self, law: str, number: int) -> None:
         """Check that the tests have more samples than the law has parameters."""
         samples = sum(curve.force.size for curve in self.fitted)
-        unknowns = len(self._space(law).names)
+        unknowns = len(self._build_space(law).names)
         if samples <= unknowns:
             raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
                              "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
@@ -110,7 +122,7 @@ class Ordinary(Estimator):
         """Return messages and fields of an analytical fit; see `Estimator.describe`."""
         problem, spread = found.estimate.problem, found.spread
         on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
-        nuisances = _nuisances(problem, found.estimate.theta, spread)
+        nuisances = _build_nuisance_records(problem, found.estimate.theta, spread)
         held = {f"{n.replicate}: {name}": getattr(n, name) for n in nuisances for name in n.on_bound}
         warnings = [f"{name} ended on its bound {value:.6g}" for name, value in (
             *((problem.space.symbols[name], found.values[name]) for name in on_bound), *held.items())]
@@ -124,16 +136,17 @@ class Ordinary(Estimator):
             "RMSE_N": float(np.sqrt(np.mean((stress * problem.area)**2))) if all(recorded) else None,
             "RMSE_Pa": float(np.sqrt(np.mean(stress**2))), "on_bound": [*on_bound, *held],
             "nuisances": nuisances, "warnings": warnings,
-            "message": "; ".join([*self._remarks(found), *_relaxation(problem, found), *warnings])}
+            "message": "; ".join([*self._describe_convergence(found), *_describe_relaxation(problem, found),
+                                  *warnings])}
 
-    def _remarks(self, found: Findings) -> list[str]:
+    def _describe_convergence(self, found: Findings) -> list[str]:
         """Return remarks on convergence, noise, standard errors and undetermined parameters."""
         spread, count = found.spread, len(found.descents)
         parts = [f"converged from {count} start{'s' if count != 1 else ''}" if found.unusable is None
                  else found.unusable]
-        if spread.ratio > MODEL_ERROR_RATIO:
+        if spread.ratio > NOISE_RATIOS.model_error:
             parts.append(f"residuals are {spread.ratio:.3g} times the noise: model error dominates")
-        elif spread.ratio < CURVATURE_RATIO and any(curve.noise.source == "estimated" for curve in self.fitted):
+        elif spread.ratio < NOISE_RATIOS.curvature and any(curve.noise.source == "estimated" for curve in self.fitted):
             parts.append(f"residuals are {spread.ratio:.2g} times the estimated noise, so that is too large")
         if spread.basis == "replicates":
             parts.append(f"standard errors follow the scatter of the {len(self.fitted)} replicates")
@@ -143,15 +156,15 @@ class Ordinary(Estimator):
             parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
         return parts
 
-    def scatter(self, estimate: Estimate) -> Jitter | None:
+    def find_jitter(self, estimate: Estimate) -> Jitter | None:
         """Return the stated jitter; None if none is stated."""
         noise = self.campaign.noise
         stated = noise.contact_jitter or noise.zero_jitter
         return Jitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
 
-    def held_out(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
         """Return the closed form of a held-out test, whose mesh error is 0."""
-        return self._test(test), 0.0
+        return self._build_test(test), 0.0
 
 
 def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
@@ -163,24 +176,25 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     Returns:
         All descents, and the estimate or the reason of the failure.
     """
-    spent, law = problem.solves.meter(), problem.space.law
+    spent, law = problem.solves.start_meter(), problem.space.law
     # The stress of a material with memory depends on the whole motion, so its samples are not thinned.
-    stride = 1 if problem.remembers else -(-problem.samples // THINNED_POINTS)
-    thin = problem if stride == 1 else problem.thinned(stride)
+    stride = 1 if problem.remembers else -(-problem.samples // _SETTINGS.thinned_points)
+    thin = problem if stride == 1 else problem.with_fewer_samples(stride)
 
-    def end_of(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
-               tolerance: float = TOLERANCE) -> Descent:
+    def run_descent(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
+                    tolerance: float = _SETTINGS.tolerance) -> Descent:
         return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
                        max_solves=most)
 
-    def near(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-        return (np.abs(one - other) <= _SAME * np.abs(other) + 1e-9)[: len(problem.space.free)]
+    def are_equal(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+        return (np.abs(one - other) <= DESCENT.same_minimum * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
-    limits = (RELAXING_SOLVES, RELAXING_TOLERANCE) if problem.relaxing else (THINNED_SOLVES, THINNED_TOLERANCE)
-    descents = [end_of(thin, start, number, *limits) for number, start in enumerate(closed_starts(thin), 1)]
-    ends = distinct([(d, 1) for d in descents if np.isfinite(d.error)], near)
-    refined = ends if problem.relaxing else [(end_of(problem, end.theta, end.start, SOLVES), count)
-                                             for end, count in ends[:MAX_MINIMA]]
+    limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.relaxing else \
+        (_SETTINGS.thinned_solves, _SETTINGS.thinned_tolerance)
+    descents = [run_descent(thin, start, number, *limits) for number, start in enumerate(closed_starts(thin), 1)]
+    ends = distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], are_equal)
+    refined = ends if problem.relaxing else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves), count)
+                                             for end, count in ends[:_SETTINGS.max_minima]]
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
     if not refined:
         hint = "" if all(test.specimen is None for test in problem.tests) else \
@@ -189,10 +203,10 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     for start in mirrored_starts(problem.space, refined[0][0].theta):
         if problem.relaxing and not _is_promising(problem, start, refined[0][0].error):
             continue
-        descents.append(end_of(thin, start, len(descents) + 1, *limits))
+        descents.append(run_descent(thin, start, len(descents) + 1, *limits))
         if np.isfinite(descents[-1].error):
-            refined.append((end_of(problem, descents[-1].theta, descents[-1].start, SOLVES), 1))
-    refined = distinct([item for item in refined if np.isfinite(item[0].error)], near)
+            refined.append((run_descent(problem, descents[-1].theta, descents[-1].start, _SETTINGS.solves), 1))
+    refined = distinct_minima([item for item in refined if np.isfinite(item[0].error)], are_equal)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
     best = refined[prefer_positive_exponents(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
     stress = problem.data / problem.area
@@ -209,9 +223,9 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
 
 
 def _is_promising(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:
-    """Return whether the sum of squares at a start is below `PROMISING` times the best one."""
-    evaluation = feasible(problem, start)
-    return evaluation is not None and evaluation.error < PROMISING * max(best, problem.samples)
+    """Return whether the sum of squares at a start is close enough to the best one to follow the start."""
+    evaluation = evaluate_if_feasible(problem, start)
+    return evaluation is not None and evaluation.error < ALTERNATIVES.promising_ratio * max(best, problem.samples)
 
 
 def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: Noise) -> Uncertainty:
@@ -246,7 +260,7 @@ def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> f
     return float(residual[:-1][same] @ residual[1:][same]) / squares if squares else 0.0
 
 
-def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
+def _describe_relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
     """Return remarks on the relaxation times and the smoothness of the residuals of a material with memory."""
     if not problem.remembers:
         return []
@@ -255,13 +269,13 @@ def _relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
              f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
     correlation = neighbour_correlation(problem, found.estimate.evaluation)
-    if correlation > CORRELATED:
+    if correlation > _SETTINGS.correlated_residuals:
         notes.append(f"the residuals are smooth (neighbours correlate by {correlation:.2f}): they are a model error, "
                      "not noise, and the criteria favour too many terms")
     return notes
 
 
-def _nuisances(problem: OrdinaryProblem, theta: np.ndarray, spread: Uncertainty) -> list[Nuisance]:
+def _build_nuisance_records(problem: OrdinaryProblem, theta: np.ndarray, spread: Uncertainty) -> list[Nuisance]:
     """Return contact offset and zero of each recording that has them."""
     free, names = len(problem.space.free), np.array(["contact_offset_mm", "zero_offset_N"])
     values = problem.offsets(theta)[problem.shifted]

@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import FitSettings, Noise
 from calibration.campaign.measured import MeasuredCurve
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.fit.variables import LongTerm, Variables
@@ -19,12 +20,8 @@ from calibration.statistics.statistics import pooled_noise
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
 
-#: Default prior standard deviation of a zero, in units of the force noise.
-_ZERO_PRIOR = 5.0
-#: Default bound of a zero, in prior standard deviations.
-_ZERO_BOUND = 10.0
 #: Distance to a bound at which an unknown counts as on the bound, relative to the distance of its bounds.
-ON_BOUND = 1e-6
+_BOUND_DISTANCE = 1e-6
 
 
 @dataclass(eq=False)
@@ -54,8 +51,8 @@ class OrdinaryProblem(LeastSquares):
                                     for (t, _), curve in zip(self.places, self.measured, strict=True)])
         self.shifted = [i for i, curve in enumerate(self.measured) if self.settings.offset == "fit"
                         and not curve.stressed]
-        zero_prior = self.settings.zero_prior or _ZERO_PRIOR * self.force_noise
-        zero_bound = self.settings.zero_bound or _ZERO_BOUND * zero_prior
+        zero_prior = self.settings.zero_prior or OFFSET_DEFAULTS.zero_prior * self.force_noise
+        zero_bound = self.settings.zero_bound or OFFSET_DEFAULTS.zero_bound * zero_prior
         count = len(self.shifted)
         high = np.tile([self.settings.offset_bound, zero_bound], count)
         self.bounds = np.append(self.space.low, -high), np.append(self.space.high, high)
@@ -112,26 +109,27 @@ class OrdinaryProblem(LeastSquares):
         return LongTerm(own[moduli], own[np.logical_not(moduli)], np.array([index_of[g] for g, _ in terms]),
                         np.array([index_of[tau] for _, tau in terms]), self.time_range)
 
-    def thinned(self, stride: int) -> OrdinaryProblem:
+    def with_fewer_samples(self, stride: int) -> OrdinaryProblem:
         """Return the problem with every `stride`-th sample, for cheaper descents.
 
         The recordings of a test are merged to one if they have no individual unknowns.
         """
-        def thin(curve: MeasuredCurve) -> MeasuredCurve:
+        def thin_recording(curve: MeasuredCurve) -> MeasuredCurve:
             time = None if curve.time is None else curve.time[::stride]
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
 
-        def pool(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
+        def pool_recordings(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
             if self.shifted or self.remembers or any(each.recording is not None for each in self.space.unknowns):
                 return curves
             return [replace(curves[0], time=None, displacement=np.concatenate([curve.displacement for curve in curves]),
                             force=np.concatenate([curve.force for curve in curves]))]
 
-        return replace(self, tests=tuple(replace(test, measured=tuple(pool(list(map(thin, test.measured)))))
-                                         for test in self.tests))
+        return replace(self, tests=tuple(
+            replace(test, measured=tuple(pool_recordings(list(map(thin_recording, test.measured)))))
+            for test in self.tests))
 
-    def without(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquares.without`."""
+    def without_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquares.without_test`."""
         free = len(self.space.free)
         kept = [self.places[i][0] != number for i in self.shifted]
         tests = [test for i, test in enumerate(self.tests) if i != number]
@@ -156,9 +154,9 @@ class OrdinaryProblem(LeastSquares):
         """Return which unknowns are on a bound, bool, shape (k,)."""
         variables = self.relaxing
         low, high = self.bounds if variables is None else variables.bounds
-        u = theta if variables is None else variables.of(theta)
+        u = theta if variables is None else variables.from_unknowns(theta)
         reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
-        return (u - low <= ON_BOUND * reach) | (high - u <= ON_BOUND * reach)
+        return (u - low <= _BOUND_DISTANCE * reach) | (high - u <= _BOUND_DISTANCE * reach)
 
     def offsets(self, theta: np.ndarray) -> np.ndarray:
         """Return contact offset, m, and zero, N, of each recording, shape (recordings, 2)."""
@@ -166,7 +164,8 @@ class OrdinaryProblem(LeastSquares):
         values[self.shifted] = theta[len(self.space.free):].reshape(-1, 2)
         return values
 
-    def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return unweighted residuals of the nominal stress; see `LeastSquares._weighted_residuals`."""
         free = len(self.space.free)
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
         answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
@@ -199,7 +198,7 @@ class OrdinaryProblem(LeastSquares):
         return columns / self.area[:, None]
 
 
-def feasible(problem: OrdinaryProblem, theta: np.ndarray) -> Evaluation | None:
+def evaluate_if_feasible(problem: OrdinaryProblem, theta: np.ndarray) -> Evaluation | None:
     """Return the evaluation of a problem; None if the model is infeasible or its values are not finite."""
     try:
         evaluation = problem.evaluate(theta)

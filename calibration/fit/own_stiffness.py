@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.fit.lack_of_fit import lack_of_fit
+from calibration.fit.lack_of_fit import compute_lack_of_fit
 from calibration.fit.problem import LeastSquares
 
 #: Ratio of two stiffnesses above which the tests differ.
@@ -18,7 +18,9 @@ def describe_own_stiffnesses(problem: LeastSquares, model: np.ndarray, smallest_
     variance of the force in every test.
 
     Args:
-        model: force of the law at all samples, N, shape (N,). smallest_R2: share of the variance to be explained.
+        problem: least-squares problem.
+        model: force of the law at all samples, N, shape (N,).
+        smallest_R2: fraction of the variance that the scaled force must explain.
     """
     if len(problem.tests) < 2 or len({test.measured[0].test.kind.name for test in problem.tests}) > 1:
         return ""
@@ -28,7 +30,7 @@ def describe_own_stiffnesses(problem: LeastSquares, model: np.ndarray, smallest_
                                                                                    strict=True) if t == number])
         squares = float(model[rows] @ model[rows])
         factor = float(model[rows] @ problem.data[rows]) / squares if squares > 0 else 0.0
-        R2 = lack_of_fit(problem, factor * model - problem.data, number).R2
+        R2 = compute_lack_of_fit(problem, factor * model - problem.data, number).R2
         if factor <= 0 or R2 is None or smallest_R2 > R2:
             return ""
         factors[test.name] = factor

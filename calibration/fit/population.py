@@ -12,12 +12,24 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate
 from calibration.fit.population_records import Covariance, PopulationStatement
 from calibration.statistics.adequacy import orthonormal_basis
-from calibration.statistics.population import MIN_SPECIMENS, estimate_population
+from calibration.statistics.population import POPULATION, estimate_population
 
-#: Smallest fraction of the residual sum of squares that differences between specimens explain, for a warning.
-_MIN_FRACTION = 0.3
-#: Largest p value of these differences, for a warning.
-_MAX_P = 1e-3
+
+@dataclass(frozen=True)
+class SpecimenDifferenceSettings:
+    """Limits of the warning that specimens with shared parameters differ.
+
+    Attributes:
+        min_fraction: smallest fraction of the residual sum of squares that differences between specimens explain, for a
+            warning.
+        max_p: largest p value of these differences, for a warning. A larger value gives more false warnings.
+    """
+
+    min_fraction: float = 0.3
+    max_p: float = 1e-3
+
+
+_SETTINGS = SpecimenDifferenceSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,13 +54,13 @@ class Specimens:
     @property
     def missing_population(self) -> str | None:
         """Reason why several specimens have no population mean; None if they have one, or if there is one specimen."""
-        if self.population is not None or len(self.names) < MIN_SPECIMENS:
+        if self.population is not None or len(self.names) < POPULATION.min_specimens:
             return None
         first = self.material_of[0]
         alone = "" if first in self.left_out else f", or fit {first} in a separate campaign"
-        return (f"no population: of {len(self.names)} specimens these are not determined: {in_words(self.left_out)}; "
-                f"so no material file is written, and E0 and mu0 are those of {first} alone: widen fit.bounds, give "
-                f"undetermined parameters the scope 'shared'{alone}")
+        return (f"no population: of {len(self.names)} specimens these are not determined: "
+                f"{describe_left_out(self.left_out)}; so no material file is written, and E0 and mu0 are those of "
+                f"{first} alone: widen fit.bounds, give undetermined parameters the scope 'shared'{alone}")
 
     def warnings(self, unusable: str | None) -> list[str]:
         """Return warnings on the specimens that the material represents.
@@ -60,14 +72,14 @@ class Specimens:
         if missing is not None:
             return [] if missing == unusable else [missing]
         if self.population is not None and self.left_out:
-            return [f"no part of the population: {in_words(self.left_out)}; mean, spread and material are those of "
-                    f"the other {len(self.material_of)} specimens"]
+            return [f"no part of the population: {describe_left_out(self.left_out)}; mean, spread and material are "
+                    f"those of the other {len(self.material_of)} specimens"]
         if self.population is None and self.names:
             return [f"the material is that of {self.names[0]}: a single specimen says nothing about the scatter "
                     "between specimens"]
         return []
 
-    def typical(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
+    def representative_values(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
         """Return parameter values in which each specimen has those of the representative material.
 
         Args:
@@ -98,7 +110,7 @@ def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndar
     left_out = {specimen: "; ".join(reasons) for specimen, row in rows.items()
                 if (reasons := _undetermined_reasons(space, theta, errors, row))}
     determined = [specimen for specimen in rows if specimen not in left_out]
-    if len(determined) < MIN_SPECIMENS:
+    if len(determined) < POPULATION.min_specimens:
         return Specimens(None, tuple(determined or list(rows)[:1]), left_out)
     table = np.array([rows[specimen] for specimen in determined])
     # The errors of shared parameters are common to all specimens. Given the shared parameters, the errors of different
@@ -146,12 +158,12 @@ def _undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors: np.n
     return [f"{', '.join(symbols)} {why}" for why, symbols in reasons.items()]
 
 
-def in_words(left_out: Mapping[str, str]) -> str:
+def describe_left_out(left_out: Mapping[str, str]) -> str:
     """Describe specimens that are not included in a mean, such as ``animal_2 (C20 on its bound 0 Pa)``."""
     return ", ".join(f"{name} ({why})" for name, why in left_out.items())
 
 
-def differing_specimens(estimate: Estimate) -> list[str]:
+def describe_differing_specimens(estimate: Estimate) -> list[str]:
     """Return a warning if specimens that share the parameters of a law differ significantly.
 
     The test needs no second fit: the decrease of the sum of squares by individual parameters is, to first order, the
@@ -160,7 +172,7 @@ def differing_specimens(estimate: Estimate) -> list[str]:
     problem, evaluation, space = estimate.problem, estimate.evaluation, estimate.problem.space
     shared = [index for index, each in enumerate(space.varied) if each.of_law and each.tests is None]
     specimens = [None if curve.test.specimen is None else curve.test.specimen.name for curve in problem.measured]
-    if not shared or None in specimens or len(set(specimens)) < MIN_SPECIMENS:
+    if not shared or None in specimens or len(set(specimens)) < POPULATION.min_specimens:
         return []
     residual, design = evaluation.design
     modes = np.zeros((residual.size, len(set(specimens)) * len(shared)))
@@ -172,7 +184,7 @@ def differing_specimens(estimate: Estimate) -> list[str]:
     modes -= fitted @ (fitted.T @ modes)
     found = orthonormal_basis(modes)
     decrease, total = float(np.sum((found.T @ residual)**2)), float(residual @ residual)
-    if decrease < _MIN_FRACTION * total or special.chdtrc(found.shape[1], decrease) > _MAX_P:
+    if decrease < _SETTINGS.min_fraction * total or special.chdtrc(found.shape[1], decrease) > _SETTINGS.max_p:
         return []
     names = space.in_symbols([space.free[index] for index in shared])
     return [f"the specimens differ: individual values of {names} would explain {decrease / total:.0%} of the residual "

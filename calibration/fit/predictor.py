@@ -39,19 +39,19 @@ class Predictor:
         free = len(space.free)
         return cls(space, theta[:free], spread.covariance[:free, :free])
 
-    def scatters(self, rates: np.ndarray) -> list[Scatter]:
+    def predict_scatter(self, rates: np.ndarray) -> list[Scatter]:
         """Return the scatter of a predicted force by the uncertainty of the parameters.
 
         Args:
             rates: derivatives of the force with the free parameters, shape (n, p).
         """
         if self.sampled is None:
-            return [Scatter(rates @ _root(self.covariance))]
-        return [Scatter(rates @ _root(self.covariance - self.sampled)),
-                Scatter(rates @ _root(self.sampled), max(len(self.mean_of) - 1.0, 1.0))]
+            return [Scatter(rates @ _covariance_root(self.covariance))]
+        return [Scatter(rates @ _covariance_root(self.covariance - self.sampled)),
+                Scatter(rates @ _covariance_root(self.sampled), max(len(self.mean_of) - 1.0, 1.0))]
 
 
-def _root(covariance: np.ndarray) -> np.ndarray:
+def _covariance_root(covariance: np.ndarray) -> np.ndarray:
     """Return R with R R' = covariance."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.clip(values, 0.0, None))
@@ -81,11 +81,11 @@ def predict_by_mean(space: ParameterSpace, theta: np.ndarray, population: Popula
     covariance[np.ix_(own, own)] += np.array(population.between)[np.ix_(of_mean, of_mean)]
     # The conditional covariance given the shared parameters is due to the choice of the specimens.
     cross, shared = together[:len(own), len(own):], together[len(own):, len(own):]
-    sampled[np.ix_(own, own)] = covariance[np.ix_(own, own)] - cross @ _inverse(shared) @ cross.T
+    sampled[np.ix_(own, own)] = covariance[np.ix_(own, own)] - cross @ _invert_covariance(shared) @ cross.T
     return Predictor(space, theta, covariance, tuple(population.specimens), sampled)
 
 
-def _inverse(covariance: np.ndarray) -> np.ndarray:
+def _invert_covariance(covariance: np.ndarray) -> np.ndarray:
     """Return the pseudo-inverse of a covariance of parameters with different units."""
     sizes = np.sqrt(np.diag(covariance))
     return np.linalg.pinv(covariance / np.outer(sizes, sizes), rcond=1e-12, hermitian=True) / np.outer(sizes, sizes)

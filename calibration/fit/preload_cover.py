@@ -7,6 +7,7 @@ modulus is then wrong.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,21 @@ from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Fit
 from calibration.fit.ordinary_problem import OrdinaryProblem
 
-#: The fitted contact offset covers a preload if it is this fraction of the distance from contact, or more ...
-_LEAST = 0.8
-#: ... and no more than this fraction.
-_MOST = 1.25
+
+@dataclass(frozen=True)
+class PreloadCoverSettings:
+    """Range of a fitted contact offset that covers a preload, as a fraction of the distance from contact.
+
+    Attributes:
+        min_fraction: smallest fraction; a smaller offset leaves a part of the preload unexplained.
+        max_fraction: largest fraction; a larger offset has another cause.
+    """
+
+    min_fraction: float = 0.8
+    max_fraction: float = 1.25
+
+
+_SETTINGS = PreloadCoverSettings()
 
 
 def fitted_contacts(estimate: Estimate) -> Mapping[str, float]:
@@ -47,7 +59,7 @@ def notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
     if preload is None or curve.stressed or curve.name not in contacts:
         return notes
     contact = contacts[curve.name]
-    if _LEAST <= -contact / preload.shift <= _MOST:
+    if _is_covered(contact, preload.shift):
         notes["preload"] = (f"the displacement was zeroed at a preload of {preload.force:.3g} N; the fitted contact "
                             f"offset of {1e3 * contact:.3g} mm covers it")
     return notes
@@ -56,4 +68,9 @@ def notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
 def covers_preload(curve: MeasuredCurve, contact: float) -> bool:
     """Return whether a fitted contact offset, m, explains the load at the zero of the displacement."""
     preload = curve.screening.preload
-    return preload is None or preload.is_settled or _LEAST <= -contact / preload.shift <= _MOST
+    return preload is None or preload.is_settled or _is_covered(contact, preload.shift)
+
+
+def _is_covered(contact: float, shift: float) -> bool:
+    """Return whether a contact offset, m, equals the distance of a preload from contact, m, within the limits."""
+    return _SETTINGS.min_fraction <= -contact / shift <= _SETTINGS.max_fraction

@@ -171,7 +171,7 @@ class LeastSquares(ABC):
         """
         theta = np.array(theta, dtype=float)
         if self._last is None or not np.array_equal(self._last.theta, theta):
-            residual, rates, columns, nuisances, force = self._weighted(theta)
+            residual, rates, columns, nuisances, force = self._weighted_residuals(theta)
             prior = np.flatnonzero(np.isfinite(self.prior_deviation))
             deviation = self.prior_deviation[prior]
             prior_rates = np.zeros((prior.size, theta.size))
@@ -181,12 +181,12 @@ class LeastSquares(ABC):
         return self._last
 
     @abstractmethod
-    def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
         """Return residual, rates, columns, nuisances and force of an `Evaluation`."""
 
-    def within(self, fraction: float) -> LeastSquares:
+    def restrict_to_fraction(self, fraction: float) -> LeastSquares:
         """Return the problem with the samples of each test up to a fraction of its largest displacement."""
-        def cut(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
+        def cut_recording(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
             kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
             return replace(curve, displacement=curve.displacement[kept], force=curve.force[kept],
                            time=None if curve.time is None else curve.time[kept],
@@ -196,11 +196,11 @@ class LeastSquares(ABC):
         tests = []
         for test in self.tests:
             reach = fraction * max(float(np.abs(curve.displacement).max()) for curve in test.measured)
-            tests.append(replace(test, measured=tuple(cut(curve, reach) for curve in test.measured)))
+            tests.append(replace(test, measured=tuple(cut_recording(curve, reach) for curve in test.measured)))
         return replace(self, tests=tuple(tests))
 
     @abstractmethod
-    def without(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
+    def without_test(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
         """Return the problem without one test, and its unknowns.
 
         Args:
@@ -241,13 +241,14 @@ class Problem(LeastSquares):
             self.shared.append(columns if size > 0 else slice(end, end))
         self.nuisances = end
 
-    def without(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquares.without`."""
+    def without_test(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquares.without_test`."""
         kept = [i for i in range(len(self.tests)) if i != number]
         return Problem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
                        tuple(self.mesh_error[i] for i in kept)), theta
 
-    def _weighted(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+    def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return residuals whitened by noise, jitter and mesh error; see `LeastSquares._weighted_residuals`."""
         try:
             self.space.material(self.space.values(theta))
         except InputError as error:
@@ -370,7 +371,7 @@ class Problem(LeastSquares):
         along = 2.0 * measured.displacement / np.abs(measured.displacement).max() - 1.0
         return self.mesh_error[number] * np.column_stack([force, along * force])
 
-    def replicates(self, theta: np.ndarray) -> list[list[WhitenedReplicate]]:
+    def linearise_replicates(self, theta: np.ndarray) -> list[list[WhitenedReplicate]]:
         """Return the linearised replicates of each test for `calibration.statistics.jitter.estimate_jitter`.
 
         Args:

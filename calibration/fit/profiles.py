@@ -80,7 +80,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
 
     Source: Venzon and Moolgavkar, Appl. Statist. 37 (1988) 87.
     """
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     space, quantile = problem.space, float(spread.quantile[index])
     bound = space.high[index] if side > 0 else space.low[index]
     deviation = spread.standard_errors[index]
@@ -92,7 +92,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
         """Return the square root of the rise at a distance of the parameter from the estimate."""
         trial = np.clip(theta + side * distance * direction, space.low, space.high)
         trial[index] = theta[index] + side * distance
-        lowest = _constrained_minimum(problem, trial, index)
+        lowest = _minimise_with_fixed_parameter(problem, trial, index)
         rise = float(np.sqrt(max(lowest - error, 0.0) / spread.inflation))
         points.append((distance, rise))
         if lowest < error - _SETTINGS.lower * spread.inflation:
@@ -112,7 +112,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
                 break
             if abs(rise - quantile) < _SETTINGS.tolerance:
                 break
-            distance = _crossing(points, quantile)
+            distance = _estimate_crossing(points, quantile)
         else:
             note = "the end was not found; the interval may be wider"
     except InfeasibleError as failure:
@@ -134,7 +134,7 @@ def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Unce
     return ProfileSide(index, side, theta[index] + side * distances, rises**2, float(end), note, *spent())
 
 
-def _crossing(points: list[tuple[float, float]], quantile: float) -> float:
+def _estimate_crossing(points: list[tuple[float, float]], quantile: float) -> float:
     """Return the distance at which the square root of the rise is expected to equal the quantile.
 
     The distance is interpolated linearly between points on both sides of the quantile, or extrapolated.
@@ -154,7 +154,7 @@ def _crossing(points: list[tuple[float, float]], quantile: float) -> float:
     return float(distances[-1] + min(1.05 * step, 2.0 * distances[-1]))
 
 
-def _constrained_minimum(problem: Problem, trial: np.ndarray, index: int) -> float:
+def _minimise_with_fixed_parameter(problem: Problem, trial: np.ndarray, index: int) -> float:
     """Return the smallest sum of squares with one parameter fixed, by Gauss-Newton.
 
     The decrease of the last step is predicted from the quadratic approximation without a further evaluation.

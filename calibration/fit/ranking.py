@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -11,20 +12,31 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
 from calibration.fit.regions import name_misfits
-from calibration.statistics.statistics import CURVATURE_RATIO, MODEL_ERROR_RATIO
+from calibration.statistics.statistics import NOISE_RATIOS
 
-#: Relative difference of prediction errors below which they do not decide between two laws.
-ALIKE = 0.1
-#: Prediction error above which a law counts as not predictive, %.
-FAR_OFF = 10.0
-#: Ratio of the error to its expected value up to which the error of a further specimen is scatter between specimens.
-SCATTER = 2.0
 
+@dataclass(frozen=True)
+class RankingSettings:
+    """Limits of the sentences that explain a ranking.
+
+    Attributes:
+        equal_error: relative difference of prediction errors below which they do not decide between two laws.
+        max_error: prediction error above which a law counts as not predictive, %.
+        scatter_ratio: ratio of the error to its expected value up to which the error of a further specimen is scatter
+            between specimens.
+    """
+
+    equal_error: float = 0.1
+    max_error: float = 10.0
+    scatter_ratio: float = 2.0
+
+
+_SETTINGS = RankingSettings()
 #: Fit of a law, its predictions, and its curves.
 Fitted = tuple[Fit, list[Prediction], Sequence[TestCurves]]
 
 
-def rank(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
+def rank_laws(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[str, Sequence[TestCurves]]]:
     """Sort laws: usable fits first, then fits without parameters on bounds, then fits with a material.
 
     Within these groups the root mean square prediction error in % decides: over the held-out tests if there are any,
@@ -37,31 +49,32 @@ def rank(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], dict[st
         Fits, predictions, and law -> curves, best law first.
     """
     predicted = {p.test for _, predictions, _ in fitted for p in predictions if p.percent is not None}
-    fitted = [(replace(fit, left_out=_score([p for p in predictions if p.test in predicted])), predictions, curves)
-              for fit, predictions, curves in fitted]
+    fitted = [(replace(fit, left_out=_mean_prediction_error([p for p in predictions if p.test in predicted])),
+               predictions, curves) for fit, predictions, curves in fitted]
 
-    def order(item: Fitted):
+    def sort_key(item: Fitted):
         fit = item[0]
-        return (fit.unusable is not None, bool(fit.held), fit.material_file is None, fit.left_out is None, _figure(fit))
+        return (fit.unusable is not None, bool(fit.held), fit.material_file is None, fit.left_out is None,
+                _ranking_criterion(fit))
 
-    fitted = sorted(fitted, key=order)
+    fitted = sorted(fitted, key=sort_key)
     return ([fit for fit, _, _ in fitted], [p for _, predictions, _ in fitted for p in predictions],
             {fit.law: curves for fit, _, curves in fitted})
 
 
-def _figure(fit: Fit) -> float:
+def _ranking_criterion(fit: Fit) -> float:
     """Return the criterion of the ranking: prediction error, %, or BIC without predictions."""
     return fit.BIC if fit.left_out is None else fit.left_out
 
 
-def _score(predictions: Sequence[Prediction]) -> float | None:
+def _mean_prediction_error(predictions: Sequence[Prediction]) -> float | None:
     """Return the root mean square prediction error, %; a test that only other laws can predict counts as 100 %."""
     held_out = [p for p in predictions if not p.fitted]
     errors = [100.0 if p.percent is None else p.percent for p in held_out or predictions]
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
-def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted: Sequence[MeasuredCurve]) -> str:
+def describe_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted: Sequence[MeasuredCurve]) -> str:
     """Explain the ranking and its limits.
 
     Args:
@@ -77,15 +90,17 @@ def rank_message(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted:
         parts.append(f"{best.law} is held by the bounds of {best.in_symbols(best.held)}: widen them in fit.bounds, or "
                      "do not trust it")
     if best.left_out is None:
-        parts.append(f"Best of the laws that are usable over the data: {best.law}{_worth(fits, fitted)}")
+        parts.append(f"Best of the laws that are usable over the data: {best.law}{_describe_reliability(fits, fitted)}")
         tests = {curve.test.name for curve in fitted}
         single = "with a single test there is nothing to predict" if len(tests) == 1 else "no test could be predicted"
         parts.append(f"{single}, so BIC ranks, and this does not say which law is right: add a test of another kind"
                      if len(fits) > 1 else f"{single}, so nothing is known of how it predicts another")
     else:
-        parts += [*_predicting(fits, predictions), *filter(None, [_doubted_noise(best, fitted)])]
-    if passed := [_passed(fit) for fit in fits if (fit.unusable is not None or (fit.held and not best.held))
-                  and (fit.left_out is None) == (best.left_out is None) and _figure(fit) < _figure(best)]:
+        parts += [*_describe_predictions(fits, predictions), *filter(None, [_describe_unreliable_noise(best, fitted)])]
+    if passed := [_describe_unusable_law(fit) for fit in fits
+                  if (fit.unusable is not None or (fit.held and not best.held))
+                  and (fit.left_out is None) == (best.left_out is None)
+                  and _ranking_criterion(fit) < _ranking_criterion(best)]:
         parts.append(f"{'lower BIC' if best.left_out is None else 'less wrong'}, but not usable: {', '.join(passed)}")
     if bad := name_misfits(best.regions):
         parts.append(f"a smooth misfit remains in {bad}, so the model is incomplete")
@@ -102,40 +117,40 @@ def ranked_by_held_out(predictions: Sequence[Prediction]) -> bool:
     return any(not p.fitted and p.percent is not None for p in predictions)
 
 
-def _passed(fit: Fit) -> str:
+def _describe_unusable_law(fit: Fit) -> str:
     """Describe a law with a better criterion that is ranked lower, with the reason."""
     return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.in_symbols(fit.held)}'})"
 
 
-def _predicting(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:
+def _describe_predictions(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:
     """Describe the predictions of the first law, and other laws with similar prediction errors."""
     best = fits[0]
     mine = [p for p in predictions if p.law == best.law]
     held_out = ranked_by_held_out(predictions)
-    words = ", ".join(_words(p) for p in mine if bool(p.fitted) != held_out)
+    words = ", ".join(_describe_prediction(p) for p in mine if bool(p.fitted) != held_out)
     what = "held-out tests" if held_out else "each test from the others"
-    if (best.left_out or 0.0) > FAR_OFF and not all(_is_scatter(p) for p in mine if bool(p.fitted) != held_out
-                                                    and (p.percent is None or p.percent > FAR_OFF)):
+    large = [p for p in mine if bool(p.fitted) != held_out and (p.percent is None or p.percent > _SETTINGS.max_error)]
+    if (best.left_out or 0.0) > _SETTINGS.max_error and not all(map(_is_specimen_scatter, large)):
         parts = [f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else
                  f"{best.law} does not predict {what}: {words}"]
     else:
         parts = [f"{best.law} predicts {what} best: {words}" if len(fits) > 1 else
                  f"{best.law} predicts {what}: {words}"]
     rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.held and fit.left_out is not None
-              and fit.left_out <= (1 + ALIKE) * (best.left_out or 0.0)]
+              and fit.left_out <= (1 + _SETTINGS.equal_error) * (best.left_out or 0.0)]
     if rivals:
-        parts.append(f"{', '.join(rivals)} within {ALIKE:.0%} of its prediction error, so these tests do not "
-                     "decide between them")
+        parts.append(f"{', '.join(rivals)} within {_SETTINGS.equal_error:.0%} of its prediction error, so these tests "
+                     "do not decide between them")
     return parts
 
 
-def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
+def _describe_reliability(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
     """Describe the reliability of a ranking by BIC, as the end of a sentence."""
     best = fits[0]
-    if best.noise_ratio > MODEL_ERROR_RATIO:
+    if best.noise_ratio > NOISE_RATIOS.model_error:
         return (f"; its residuals are {best.noise_ratio:.3g} times the noise, so model error dominates and the ranking "
                 "says which law is least wrong over this range, not which one is right")
-    if doubt := _doubted_noise(best, fitted):
+    if doubt := _describe_unreliable_noise(best, fitted):
         return f"; {doubt}"
     rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.held and fit.BIC - best.BIC < 10]
     if rivals:
@@ -143,17 +158,17 @@ def _worth(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) -> str:
     return f"; its residuals are {best.noise_ratio:.2g} times the noise"
 
 
-def _doubted_noise(best: Fit, fitted: Sequence[MeasuredCurve]) -> str:
+def _describe_unreliable_noise(best: Fit, fitted: Sequence[MeasuredCurve]) -> str:
     """Describe why the estimated noise is unreliable; empty if it is reliable or stated."""
     guessed = [curve for curve in fitted if curve.noise.source == "estimated"]
-    if best.noise_ratio >= CURVATURE_RATIO or not guessed:
+    if best.noise_ratio >= NOISE_RATIOS.curvature or not guessed:
         return ""
     key = "nominal_stress_Pa" if guessed[0].stressed else "force_N"
     return (f"its residuals are {best.noise_ratio:.2g} times the noise, which could not be estimated from samples so "
             f"coarse or smooth: state {key} in [noise]")
 
 
-def _words(prediction: Prediction) -> str:
+def _describe_prediction(prediction: Prediction) -> str:
     """Describe a prediction, such as ``needle within 0.02 N, 3.1 %``."""
     if prediction.percent is None:
         return f"{prediction.test} not ({prediction.note})"
@@ -164,7 +179,8 @@ def _words(prediction: Prediction) -> str:
     return f"{prediction.test} within {force}{float(f'{prediction.percent:.2g}'):g} %{chance}"
 
 
-def _is_scatter(prediction: Prediction) -> bool:
+def _is_specimen_scatter(prediction: Prediction) -> bool:
     """Return whether the error of a prediction by a mean is compatible with the scatter between specimens."""
     rmse, expected = prediction.RMSE_N, prediction.expected_N
-    return bool(prediction.mean_of) and rmse is not None and expected is not None and rmse <= SCATTER * expected
+    return (bool(prediction.mean_of) and rmse is not None and expected is not None
+            and rmse <= _SETTINGS.scatter_ratio * expected)

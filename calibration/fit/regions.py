@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,14 +15,27 @@ from calibration.statistics.sensor_noise import whiten
 
 #: Names of the parts of a single loading, by displacement.
 THIRDS = ("first third", "middle third", "last third")
-#: Number of cosine modes in a third of a loading.
-THIRD_MODES = 3
-#: Number of cosine modes in a segment.
-SEGMENT_MODES = 5
-#: Adjusted p value below which a region is inadequate.
-LEVEL = 0.05
-#: Smallest number of samples of a region.
-_MIN_SAMPLES = 8
+
+
+@dataclass(frozen=True)
+class RegionSettings:
+    """Settings of the tests for smooth misfit.
+
+    Attributes:
+        third_modes: number of cosine modes in a third of a loading. More modes detect shorter waves of the residuals
+            and long ones less reliably.
+        segment_modes: number of cosine modes in a segment.
+        level: adjusted p value up to which a region is inadequate.
+        min_samples: smallest number of samples of a region.
+    """
+
+    third_modes: int = 3
+    segment_modes: int = 5
+    level: float = 0.05
+    min_samples: int = 8
+
+
+_SETTINGS = RegionSettings()
 
 
 def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
@@ -33,7 +47,7 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
     """
     residual, design = evaluation.design
     found = []
-    for number, segment, modes, parts in _regions(problem):
+    for number, segment, modes, parts in _iterate_regions(problem):
         test, columns, shapes = problem.tests[number], np.zeros((residual.size, modes)), []
         own = [rows for rows, (t, _) in zip(problem.rows, problem.places, strict=True) if t == number]
         for rows, curve, (inside, along) in zip(own, test.measured, parts, strict=True):
@@ -53,7 +67,7 @@ def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
             statistic=answer.statistic, freedom=answer.freedom, misfit_N=float(np.sqrt(np.mean(smooth**2))),
             largest_N=float(smooth[worst]), at=float(displacement[worst]), adequate=True))
     adjusted = adjust_holm(np.array([region.p for region in found]))
-    return [replace(region, p=float(p), adequate=bool(p > LEVEL))
+    return [replace(region, p=float(p), adequate=bool(p > _SETTINGS.level))
             for region, p in zip(found, adjusted, strict=True)]
 
 
@@ -68,7 +82,7 @@ def name_misfits(regions: Sequence[Region]) -> str:
     return ", ".join(found)
 
 
-def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
+def _iterate_regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
     """Yield the regions of all tests.
 
     Yields:
@@ -79,8 +93,9 @@ def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.nd
         segments = dict.fromkeys(name for curve in test.measured if curve.segment is not None
                                  for name in curve.segment.tolist())
         if len(segments) > 1:
-            regions = [(segment, SEGMENT_MODES, [(inside := curve.segment == segment, _along(curve.time, inside))
-                                                 for curve in test.measured]) for segment in segments]
+            regions = [(segment, _SETTINGS.segment_modes,
+                        [(inside := curve.segment == segment, _relative_time(curve.time, inside))
+                         for curve in test.measured]) for segment in segments]
         else:
             deepest = max(curve.displacement.max() for curve in test.measured)
             # Loading begins at rest, or at the largest compression of a gripped specimen.
@@ -88,14 +103,14 @@ def _regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.nd
                 if test.measured[0].test.kind.gripped else 0.0
             positions = [np.clip((curve.displacement - lowest) / (deepest - lowest), 0.0, 1.0) * 3
                          for curve in test.measured]
-            regions = [(name, THIRD_MODES, [(((s > third) | (third == 0)) & (s - third <= 1),
-                                             np.clip(s - third, 0.0, 1.0)) for s in positions])
+            regions = [(name, _SETTINGS.third_modes, [(((s > third) | (third == 0)) & (s - third <= 1),
+                                                       np.clip(s - third, 0.0, 1.0)) for s in positions])
                        for third, name in enumerate(THIRDS)]
         yield from ((number, *region) for region in regions
-                    if sum(inside.sum() for inside, _ in region[2]) >= _MIN_SAMPLES)
+                    if sum(inside.sum() for inside, _ in region[2]) >= _SETTINGS.min_samples)
 
 
-def _along(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
+def _relative_time(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
     """Return the relative time of all samples between first and last sample of a segment, 0 to 1, shape (n,)."""
     if time is None or inside.sum() < 2:
         return np.zeros(inside.size)

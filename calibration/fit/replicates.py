@@ -18,20 +18,20 @@ class ReplicateSettings:
         ratio: two groups of recordings disagree where their stiffnesses differ by more than this factor ...
         scatter: ... and the gap between the groups is more than this many standard deviations of the stiffnesses within
             them (logarithms).
-        compared: recordings are compared over this upper share of the displacement that all of them reach, where an
+        compared: recordings are compared over this upper fraction of the displacement that all of them reach, where an
             offset of the contact matters least.
         unit: a ratio within this many decades of 1000 is named as a factor of units.
+        points: number of points at which recordings are compared.
     """
 
     ratio: float = 1.5
     scatter: float = 3.0
     compared: float = 0.5
     unit: float = 0.1
+    points: int = 32
 
 
 SETTINGS = ReplicateSettings()
-#: Points at which recordings are compared.
-_POINTS = 32
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,10 @@ class Disagreement:
     """Two groups of recordings of one test with different stiffnesses.
 
     Attributes:
-        test: its name. odd: names of the smaller group. others: of the larger one.
-        ratio: stiffness of the smaller group over that of the larger one, negative where the signs differ.
+        test: name of the test.
+        odd: names of the recordings in the smaller group.
+        others: names of the recordings in the larger group.
+        ratio: stiffness of the smaller group divided by that of the larger one; negative if the signs differ.
     """
 
     test: str
@@ -57,12 +59,12 @@ class Disagreement:
             times = ratio if ratio >= 1 else 1.0 / ratio
             what = f"are {times:.3g} times {'stiffer' if ratio > 1 else 'softer'} than"
         odd = ", ".join(self.odd)
-        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_names(self.others)}"
+        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_list_names(self.others)}"
         unit = " (a factor of 1000 is that of N to mN or of m to mm)" if \
             ratio > 0 and abs(abs(np.log10(ratio)) - 3.0) < SETTINGS.unit else ""
         verb = what if len(self.odd) > 1 else what.replace("have", "has", 1).replace("are", "is", 1)
-        return (f"recordings of {self.test} disagree: {odd} {verb} {_names(self.others)}; check unit{unit}, sign and "
-                f"size of the specimen of {suspects}; recordings of another material belong in another campaign")
+        return (f"recordings of {self.test} disagree: {odd} {verb} {_list_names(self.others)}; check unit{unit}, sign "
+                f"and size of the specimen of {suspects}; recordings of another material belong in another campaign")
 
 
 def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[Disagreement]:
@@ -71,28 +73,32 @@ def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[
     Args:
         measured: test -> its recordings.
     """
-    return [found for name, curves in measured.items() if (found := _disagreement(name, curves)) is not None]
+    return [found for name, curves in measured.items() if (found := _find_disagreement(name, curves)) is not None]
 
 
-def _disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | None:
+def _find_disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | None:
+    """Return the disagreement of the recordings of one test; None if there is none."""
     if len(curves) < 2:
         return None
-    sizes = stiffnesses([(curve.displacement, curve.force) for curve in curves])
+    sizes = compute_mean_forces([(curve.displacement, curve.force) for curve in curves])
     if sizes is None:
         return None
     return split_stiffnesses(test, [curve.name for curve in curves], sizes)
 
 
 def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatter: float = 0.0) -> Disagreement | None:
-    """Two groups of stiffnesses with a gap between them.
+    """Split stiffnesses into two groups with a gap between them; None if there is no such gap.
 
     Args:
-        sizes: the stiffnesses, shape (n,). scatter: standard deviation of the logarithm of each by itself.
+        test: name of the test.
+        names: names of the recordings, shape (n,).
+        sizes: stiffnesses of the recordings, shape (n,).
+        scatter: known standard deviation of the logarithm of each stiffness.
     """
     negative = sizes <= 0
     if negative.any() and not negative.all():
         odd, others = (negative, ~negative) if negative.sum() <= (~negative).sum() else (~negative, negative)
-        return Disagreement(test, _of(names, odd), _of(names, others), -1.0)
+        return Disagreement(test, _select_names(names, odd), _select_names(names, others), -1.0)
     if negative.all():
         return None
     logs = np.log(sizes)
@@ -107,12 +113,13 @@ def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatte
     below = np.isin(np.arange(logs.size), order[:cut])
     odd = below if below.sum() <= (~below).sum() else ~below
     ratio = float(np.exp(logs[odd].mean() - logs[~odd].mean()))
-    return Disagreement(test, _of(names, odd), _of(names, ~odd), ratio)
+    return Disagreement(test, _select_names(names, odd), _select_names(names, ~odd), ratio)
 
 
-def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
-    """Mean force of each recording over displacements that all of them reach, N, shape (R,); None where there are
-    none.
+def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
+    """Return the mean force of each recording over displacements that all recordings reach, N, shape (R,).
+
+    None if there are no such displacements.
 
     Args:
         curves: displacement and force of each recording, shapes (n,).
@@ -120,7 +127,7 @@ def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray |
     found = common_range([displacement for displacement, _ in curves])
     if found is None:
         return None
-    grid, means = np.linspace(*found, _POINTS), []
+    grid, means = np.linspace(*found, SETTINGS.points), []
     for displacement, force in curves:
         end = int(np.argmax(displacement)) + 1
         order = np.argsort(displacement[:end], kind="stable")
@@ -129,18 +136,19 @@ def stiffnesses(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray |
 
 
 def common_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
-    """Upper part of the displacements that all recordings reach; None where there is none."""
+    """Return lower and upper end of the displacements at which recordings are compared, m; None if there are none."""
     reach = min(float(each.max()) for each in displacements)
     low = max((1.0 - SETTINGS.compared) * reach, *(float(each.min()) for each in displacements))
     return (low, reach) if 0 < low < reach else None
 
 
-def _of(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
+def _select_names(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
+    """Return the names at which `mask`, bool, shape (n,), is true."""
     return tuple(name for name, inside in zip(names, mask.tolist(), strict=True) if inside)
 
 
-def _names(names: Iterable[str]) -> str:
-    """Up to three names, and how many more."""
+def _list_names(names: Iterable[str]) -> str:
+    """List up to three names and the number of the others."""
     several = list(names)
     more = f" and {len(several) - 3} more" if len(several) > 3 else ""
     return ", ".join(several[:3]) + more

@@ -12,7 +12,7 @@ import msgspec
 from calibration.campaign.campaign import Campaign
 from calibration.fit.agreement import compare_methods
 from calibration.fit.fit import Fit, Prediction, SensorStatement
-from calibration.fit.self_weight import statement
+from calibration.fit.self_weight import describe_self_weight
 from calibration.output_folder import FIT_FILE, TABLES
 from tissue_sim.decode import read_json
 
@@ -33,6 +33,7 @@ class CalibrationResult:
         noise_source: ``"stated"``, ``"estimated"``, ``"resolution"`` (of the sensor) or ``"mixed"``.
         noise: noise of each test of an inverse fit.
         failures: law -> reason why it has no fit.
+        usability_settings: name -> value of the limits of the usability rule that differ from the defaults.
         resumed: whether the result was read from an earlier run.
     """
 
@@ -46,6 +47,7 @@ class CalibrationResult:
     noise_source: str = "stated"
     noise: tuple[SensorStatement, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict)
+    usability_settings: Mapping[str, float] = field(default_factory=dict)
     resumed: bool = False
 
     @property
@@ -54,7 +56,7 @@ class CalibrationResult:
         return self.fits[0]
 
 
-def agreement(results: Sequence[CalibrationResult]) -> list[str]:
+def describe_agreement(results: Sequence[CalibrationResult]) -> list[str]:
     """Return a sentence for each law on the agreement of methods with the same recordings."""
     return compare_methods([(result.campaign, result.fits) for result in results])
 
@@ -66,14 +68,15 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     Each ``material_file`` is relative to it, so that ``fit.json`` remains valid if the folder moves.
     """
     if len(results) != 1:
-        return {"campaigns": [to_json([result]) for result in results], "agreement": agreement(results)}
+        return {"campaigns": [to_json([result]) for result in results], "agreement": describe_agreement(results)}
     result = results[0]
     return {
         "campaign": result.campaign.name, "method": result.campaign.fit.method,
         "fits": list(msgspec.to_builtins(result.fits)), "best": result.best.law, "failures": dict(result.failures),
         "predictions": list(msgspec.to_builtins(result.predictions)), "noise_Pa": result.noise_Pa,
         "noise_source": result.noise_source, "noise": list(msgspec.to_builtins(result.noise)),
-        "message": result.message, "self_weight": statement(result.campaign, result.best),
+        "message": result.message, "self_weight": describe_self_weight(result.campaign, result.best),
+        "usability_settings": dict(result.usability_settings),
         "output": str(result.output), "work": result.digest,
     }
 
@@ -101,6 +104,7 @@ def read_back(campaign: Campaign, folder: Path, digest: str) -> CalibrationResul
             msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, digest,
             found["noise_Pa"], found["noise_source"],
             msgspec.convert(tuple(found["noise"]), tuple[SensorStatement, ...]),
-            msgspec.convert(found.get("failures", {}), dict[str, str]), resumed=True)
+            msgspec.convert(found.get("failures", {}), dict[str, str]),
+            msgspec.convert(found.get("usability_settings", {}), dict[str, int | float]), resumed=True)
     except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):
         return None

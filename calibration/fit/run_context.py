@@ -55,20 +55,20 @@ class RunContext:
             arguments: arguments of each task.
             what: description for progress messages.
         """
-        def send(law: str, iteration: Iteration) -> None:
+        def send_iteration(law: str, iteration: Iteration) -> None:
             if self.listen is not None:
                 self.listen(self.campaign, law, iteration)
 
         if not self.tasks.parallel:
             # A listener cannot be sent to another process.
-            arguments = [(*given, partial(send, law)) for law, given in zip(laws, arguments, strict=True)]
+            arguments = [(*given, partial(send_iteration, law)) for law, given in zip(laws, arguments, strict=True)]
             return self.run_all(function, arguments, what)
 
-        def replay(index: int, answer: Any) -> None:
+        def send_history(index: int, answer: Any) -> None:
             for iteration in answer.history:
-                send(laws[index], iteration)
+                send_iteration(laws[index], iteration)
 
-        return self.run_all(function, arguments, what, replay)
+        return self.run_all(function, arguments, what, send_history)
 
     def run_all(self, function: Callable, arguments: Sequence[tuple], what: str,
                on_done: OnDone | None = None, names: Sequence[str] = ()) -> list:
@@ -86,15 +86,15 @@ class RunContext:
         """
         done: list[int] = []
 
-        def report() -> None:
+        def report_state() -> None:
             running = len(done) < len(names) and not self.tasks.parallel
             self.report_progress(f"{what}: {names[len(done)]}" if running else what, len(done), len(arguments))
 
-        def complete(index: int, answer: Any) -> None:
+        def finish_task(index: int, answer: Any) -> None:
             if on_done is not None:
                 on_done(index, answer)
             done.append(index)
-            report()
+            report_state()
 
-        report()
-        return self.tasks.run(function, arguments, complete)
+        report_state()
+        return self.tasks.run(function, arguments, finish_task)

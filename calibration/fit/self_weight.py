@@ -17,32 +17,32 @@ from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 WATER_DENSITY = 1000.0
 
 
-def sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
+def compute_sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
     """Return specimen with self-weight -> its sag with the fitted law, mm.
 
     Specimens without equilibrium under their weight are omitted.
     """
-    found = {specimen.name: _sag(specimen, fit, campaign) for specimen in _columns(campaign)
+    found = {specimen.name: _compute_sag(specimen, fit, campaign) for specimen in _find_compressed_columns(campaign)
              if specimen.specific_weight}
     return {name: 1e3 * sag for name, sag in found.items() if sag is not None}
 
 
-def statement(campaign: Campaign, fit: Fit) -> str:
+def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
     """Describe the assumptions of a campaign about gravity, with the sag of compressed columns for a fit."""
     alike: dict[str, dict[str, float | None]] = {}
-    columns = _columns(campaign)
+    columns = _find_compressed_columns(campaign)
     for specimen in dict.fromkeys([*columns, *(test.specimen for test in campaign.tests if test.specimen is not None
                                                and test.specimen.specific_weight)]):
-        words, sag = _sentence(specimen, fit, campaign, column=specimen in columns)
+        words, sag = _format_sentence(specimen, fit, campaign, column=specimen in columns)
         alike.setdefault(words, {})[specimen.name] = sag
     several = sum(map(len, alike.values())) > 1
     sentences = [f"Self-weight{' of ' if several else ''}{', '.join(found) if several else ''}"
-                 f"{words.format(*(_range(found.values(), digits) for digits in (2, 3)))}"
+                 f"{words.format(*(_format_sag_range(found.values(), digits) for digits in (2, 3)))}"
                  for words, found in alike.items()]
     return " ".join(sentences) or "Self-weight is not included."
 
 
-def _sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool) -> tuple[str, float | None]:
+def _format_sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool) -> tuple[str, float | None]:
     """Return the sentence after "Self-weight of NAME", with placeholders for the sag in two or three digits.
 
     Args:
@@ -62,29 +62,29 @@ def _sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool)
         return (f": {specimen.density:g} kg/m3 at {specimen.gravity:g} m/s2, settled before the "
                 f"test; height {height}{settled}."), sag
     density = specimen.density or WATER_DENSITY
-    sag = _sag(replace(specimen, density=density, gravity=STANDARD_GRAVITY), fit, campaign)
+    sag = _compute_sag(replace(specimen, density=density, gravity=STANDARD_GRAVITY), fit, campaign)
     of_water = "" if specimen.density else " (water)"
     would = "" if sag is None else f"; standing at {density:g} kg/m3{of_water} it would sag {{0}} mm"
     return (f" is not included: the height, {height}, is taken for the undeformed one{would}.",
             None if sag is None else 1e3 * sag)
 
 
-def _range(sags: Collection[float | None], digits: int) -> str:
+def _format_sag_range(compute_sags: Collection[float | None], digits: int) -> str:
     """Format the sags of several specimens, such as ``2.8`` or ``2.5 to 3.1``."""
-    known = sorted(sag for sag in sags if sag is not None)
+    known = sorted(sag for sag in compute_sags if sag is not None)
     return " to ".join(dict.fromkeys(f"{sag:.{digits}g}" for sag in known[:1] + known[-1:]))
 
 
-def _columns(campaign: Campaign) -> list[Specimen]:
+def _find_compressed_columns(campaign: Campaign) -> list[Specimen]:
     """Return the specimens that a plate compresses between frictionless faces, without repetition."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
                               if test.kind.settles and test.specimen is not None and test.specimen.is_prism))
 
 
-def _sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
+def _compute_sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
     """Return the sag of a specimen, m; None without equilibrium or with unknown parameters."""
     law, material = find_law(fit.law), typical_material(fit)
-    values = {path: _own_number(path, specimen, fit, campaign, material.parameters.get(path))
+    values = {path: _find_specimen_parameter(path, specimen, fit, campaign, material.parameters.get(path))
               for path in law.parameters}
     try:
         return None if None in values.values() else Column(specimen).settle(law, law.as_array(values)).sag
@@ -92,7 +92,8 @@ def _sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
         return None
 
 
-def _own_number(path: str, specimen: Specimen, fit: Fit, campaign: Campaign, typical: float | None) -> float | None:
+def _find_specimen_parameter(path: str, specimen: Specimen, fit: Fit, campaign: Campaign,
+                             typical: float | None) -> float | None:
     """Return a parameter of the law for a specimen: its own, that of its first test or recording, or the shared one."""
     tests = [test.name for test in campaign.tests if test.specimen is not None and test.specimen.name == specimen.name]
     for mark in (specimen.name, *tests):

@@ -13,22 +13,41 @@ from calibration.fit.fit import Iteration
 from calibration.fit.problem import Evaluation, LeastSquares, Problem
 from calibration.forward.contract import InfeasibleError
 
-#: Relative decrease of the sum of squares, and relative step, at which SciPy ends a descent (ftol, xtol).
-TOLERANCE = 1e-7
-#: Predicted decrease of the sum of squares, in units of the variance of the noise or the residuals, below which a
-#: descent ends. The remaining step is about sqrt(MIN_GAIN) = 3 % of a standard error.
-MIN_GAIN = 1e-3
-#: The same for a descent from one of several starts, which only has to distinguish its minimum from others.
-MIN_GAIN_OF_A_START = 3e-2
-#: Maximum number of evaluations of the model per descent.
-MAX_SOLVES = 60
-#: Distance to a bound at which an unknown counts as on the bound, relative to the unknown.
-_ON_BOUND = 1e-3
-#: Relative rounding error of the conversion of unknowns to variables and back.
-_ROUNDING = 1e-12
-#: Tolerance of SciPy's test of the gradient (gtol); effectively off, since the predicted gain decides.
-GRADIENT = 1e-14
 
+@dataclass(frozen=True)
+class DescentSettings:
+    """Tolerances and limits of a descent by the trust region reflective method.
+
+    Attributes:
+        tolerance: relative decrease of the sum of squares, and relative step, at which SciPy ends a descent (``ftol``,
+            ``xtol``).
+        min_gain: predicted decrease of the sum of squares, in units of the variance of the noise or the residuals,
+            below which a descent ends. The remaining step is about sqrt(min_gain) = 3 % of a standard error. A smaller
+            value needs more evaluations.
+        min_gain_of_start: the same for a descent from one of several starts, which only has to distinguish its minimum
+            from others.
+        max_solves: maximum number of evaluations of the model per descent.
+        bound_distance: distance to a bound at which an unknown counts as on the bound, relative to the unknown.
+        rounding: relative rounding error of the conversion of unknowns to variables and back.
+        same_minimum: relative difference of parameters below which two minima are identical. A larger value merges
+            different materials; a smaller one reports one minimum several times.
+        gradient: tolerance of SciPy's test of the gradient (``gtol``); effectively off, since the predicted decrease
+            decides.
+
+    Source: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1.
+    """
+
+    tolerance: float = 1e-7
+    min_gain: float = 1e-3
+    min_gain_of_start: float = 3e-2
+    max_solves: int = 60
+    bound_distance: float = 1e-3
+    rounding: float = 1e-12
+    same_minimum: float = 1e-2
+    gradient: float = 1e-14
+
+
+DESCENT = DescentSettings()
 #: Function that receives each iteration of a descent.
 Listener = Callable[[Iteration], None]
 
@@ -72,14 +91,14 @@ class _ReducedProblem:
     #: Number of residuals; known after the first evaluation.
     size = 1
 
-    def __init__(self, problem: LeastSquares, theta: np.ndarray, note: Callable, enough: float,
+    def __init__(self, problem: LeastSquares, theta: np.ndarray, record_iteration: Callable, enough: float,
                  stalled: tuple[int, float] | None):
-        self.problem, self.note, self.enough, self.stalled = problem, note, enough, stalled
+        self.problem, self.note, self.enough, self.stalled = problem, record_iteration, enough, stalled
         # Sums of squares of all evaluations, and the unknowns of the smallest one.
         self.errors: list[float] = []
         self.best = theta
         self.variables = problem.variables(theta)
-        self.start = np.clip(self.variables.of(theta), *self.variables.bounds)
+        self.start = np.clip(self.variables.from_unknowns(theta), *self.variables.bounds)
         self.first = theta
         self.failure = ""
 
@@ -88,8 +107,8 @@ class _ReducedProblem:
 
         For the start the original values are returned, without rounding errors, so that cached simulations are found.
         """
-        unknowns = self.variables.unknowns(u)
-        same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=_ROUNDING, atol=0.0)
+        unknowns = self.variables.to_unknowns(u)
+        same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=DESCENT.rounding, atol=0.0)
         return self.first if same else unknowns
 
     def residual(self, u: np.ndarray) -> np.ndarray:
@@ -126,21 +145,21 @@ class _ReducedProblem:
         residual, jacobian = evaluation.projected
         jacobian = self.variables.transform_jacobian(jacobian, u)
         if self.enough:
-            bound = self._bound(u, jacobian.T @ residual)
+            bound = self._find_crossed_bounds(u, jacobian.T @ residual)
             inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
             if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
-                raise self._settled(np.where(np.isfinite(bound), bound, u), evaluation)
+                raise self._end_on_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
         return jacobian
 
-    def _bound(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    def _find_crossed_bounds(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
         """Return the bound that each variable is close to and would cross, shape (k,); NaN: none."""
         low, high = self.variables.bounds
-        near = _ON_BOUND * np.maximum(np.abs(u), _ON_BOUND)
+        near = DESCENT.bound_distance * np.maximum(np.abs(u), DESCENT.bound_distance)
         return np.where((u - low <= near) & (gradient > 0), low, np.where(
             (high - u <= near) & (gradient < 0), high, np.nan))
 
-    def _settled(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
+    def _end_on_bounds(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
         """Return the end of the descent: with variables moved onto the bounds `u` unless this increases the error."""
         try:
             on_bounds = self.problem.evaluate(np.clip(self.unknowns(u), *self.problem.bounds))
@@ -164,9 +183,9 @@ class _SettledError(Exception):
 
 
 def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
-            enough: float = MIN_GAIN, tolerance: float = TOLERANCE, gradient: float = GRADIENT,
-            max_solves: int = MAX_SOLVES, stalled: tuple[int, float] | None = None, listen: Listener | None = None,
-            past: int = 0) -> Descent:
+            enough: float = DESCENT.min_gain, tolerance: float = DESCENT.tolerance, gradient: float = DESCENT.gradient,
+            max_solves: int = DESCENT.max_solves, stalled: tuple[int, float] | None = None,
+            listen: Listener | None = None, past: int = 0) -> Descent:
     """Minimise the sum of squares from a start by the trust region reflective method.
 
     The descent ends early if the predicted decrease of a Gauss-Newton step is below `enough`. If forces are
@@ -192,50 +211,50 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     Source: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1, as in scipy.optimize.least_squares.
     """
     space = problem.space
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     history: list[Iteration] = []
 
-    def note(evaluation: Evaluation) -> None:
-        if history and history[-1].parameters == named(evaluation):
+    def record_iteration(evaluation: Evaluation) -> None:
+        if history and history[-1].parameters == name_values(evaluation):
             return
         rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
-        history.append(Iteration(start=start, run=past + len(history) + 1, parameters=named(evaluation),
+        history.append(Iteration(start=start, run=past + len(history) + 1, parameters=name_values(evaluation),
                                  error=evaluation.error, RMSE_N=rmse, corrected=corrected))
         if listen is not None:
             listen(history[-1])
 
-    def named(evaluation: Evaluation) -> dict[str, float]:
+    def name_values(evaluation: Evaluation) -> dict[str, float]:
         return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
-    def done(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
+    def build_descent(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
         return Descent(start, theta, error, converged, failure, tuple(history), *spent())
 
     theta = np.clip(theta, *problem.bounds)
     try:
-        note(problem.evaluate(theta))
+        record_iteration(problem.evaluate(theta))
         if not corrected and enough:
-            theta = _rescaled(problem, theta)
+            theta = _rescale_moduli(problem, theta)
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
-        return done(theta, np.inf, False, str(error))
+        return build_descent(theta, np.inf, False, str(error))
     if not theta.size:
-        return done(theta, evaluation.error, True, "")
-    reduced = _ReducedProblem(problem, theta, note, enough, stalled)
+        return build_descent(theta, evaluation.error, True, "")
+    reduced = _ReducedProblem(problem, theta, record_iteration, enough, stalled)
     try:
         # Scaling by the columns of the Jacobian makes the method independent of the units of the unknowns.
         result = least_squares(
             reduced.residual, reduced.start, reduced.jacobian, x_scale="jac", bounds=reduced.variables.bounds,
             ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=max_solves)
     except _SettledError as settled:
-        return done(settled.theta, settled.error, True, "")
+        return build_descent(settled.theta, settled.error, True, "")
     theta = reduced.unknowns(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {max_solves} solves{f'; {reduced.failure}' if reduced.failure else ''}"
-    return done(theta, float(2 * result.cost), result.status > 0, failure)
+    return build_descent(theta, float(2 * result.cost), result.status > 0, failure)
 
 
-def distinct(ends: Iterable[tuple[Descent, int]],
-             near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
+def distinct_minima(ends: Iterable[tuple[Descent, int]],
+                    near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
     """Return the distinct minima, best first, each with the number of starts that ended in it.
 
     Args:
@@ -252,7 +271,7 @@ def distinct(ends: Iterable[tuple[Descent, int]],
     return kept
 
 
-def _rescaled(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
+def _rescale_moduli(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
     """Return the unknowns with all moduli multiplied by the best common factor; unchanged if this is impossible."""
     space = problem.space
     moduli = np.array([each.is_modulus for each in space.varied])

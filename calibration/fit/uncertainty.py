@@ -2,16 +2,30 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import special
 
 from calibration.fit.problem import Evaluation, Problem
-from calibration.statistics.uncertainty import RESIDUAL_RATIO, Uncertainty, inverse_root
+from calibration.statistics.uncertainty import COVARIANCE, Uncertainty, inverse_root
 
-#: Distance to a bound at which a parameter counts as on the bound, relative to its scale.
-ON_BOUND = 1e-6
-#: Factor of the jitter's variance in the central difference of logarithms.
-_VARIANCE_FACTOR = 1.2
+
+@dataclass(frozen=True)
+class MarginalCovarianceSettings:
+    """Settings of the covariance with marginalised nuisances.
+
+    Attributes:
+        bound_distance: distance to a bound at which a parameter counts as on the bound, relative to its scale.
+        variance_factor: factor of the jitter's variance in the central difference of logarithms. A value nearer to 1
+            has more rounding errors, a larger one a larger truncation error.
+    """
+
+    bound_distance: float = 1e-6
+    variance_factor: float = 1.2
+
+
+_SETTINGS = MarginalCovarianceSettings()
 
 
 def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
@@ -30,14 +44,14 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     space = problem.space
     _, jacobian = evaluation.projected
     sizes = problem.sizes(evaluation.theta)
-    near = ON_BOUND * sizes
+    near = _SETTINGS.bound_distance * sizes
     on_bound = (evaluation.theta - space.low <= near) | (space.high - evaluation.theta <= near)
     scaled = jacobian * sizes
     information = scaled.T @ scaled
     freedom = max(problem.samples + evaluation.prior_residual.size - len(space.free), 1)
     chi_square = evaluation.error
     inflation, basis, quantile = 1.0, "noise", np.full(len(space.free), special.ndtri(0.975))
-    if chi_square > RESIDUAL_RATIO**2 * freedom:
+    if chi_square > COVARIANCE.residual_ratio**2 * freedom:
         inflation, basis = chi_square / freedom, "residuals"
     inside = np.flatnonzero(~on_bound)
     covariance = np.zeros_like(information)
@@ -47,7 +61,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     errors[inside[undetermined]] = np.inf
     if problem.jitter.freedom and inside.size:
         basis = "residuals" if basis == "residuals" else "replicates"
-        quantile[inside] = special.stdtrit(_freedom(problem, evaluation, sizes, inside), 0.975)
+        quantile[inside] = special.stdtrit(_degrees_of_freedom(problem, evaluation, sizes, inside), 0.975)
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
     # The log determinant is part of the likelihood: it differs between laws with different estimates of the jitter.
     criteria = evaluation.error + evaluation.log_determinant, float(problem.samples)
@@ -55,7 +69,7 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
                        information)
 
 
-def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _degrees_of_freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """Return Satterthwaite's degrees of freedom of the parameters' variances for an estimated jitter.
 
     Each variance component s_k of the jitter has the relative variance 2 / f with its degrees of freedom f. The
@@ -78,7 +92,7 @@ def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside
     # The columns of one kind of jitter are every len(kinds)-th of the first columns.
     own = len(problem.places) * len(problem.kinds)
 
-    def variances(kind: int, factor: float) -> np.ndarray:
+    def scaled_variances(kind: int, factor: float) -> np.ndarray:
         columns = evaluation.columns.copy()
         columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
         cross = columns.T @ rates
@@ -87,7 +101,8 @@ def _freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside
         information = rates.T @ rates - absorbed + priors.T @ priors
         return np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 1e-300)
 
-    factor = _VARIANCE_FACTOR
-    squares = sum(((np.log(variances(kind, factor)) - np.log(variances(kind, 1 / factor))) / (2 * np.log(factor)))**2
-                  for kind in range(len(problem.kinds)))
+    factor = _SETTINGS.variance_factor
+    slopes = ((np.log(scaled_variances(kind, factor)) - np.log(scaled_variances(kind, 1 / factor)))
+              / (2 * np.log(factor)) for kind in range(len(problem.kinds)))
+    squares = sum(slope**2 for slope in slopes)
     return problem.jitter.freedom / np.maximum(squares, 1e-9)

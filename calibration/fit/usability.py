@@ -14,48 +14,23 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.alternatives import describe_alternatives
-from calibration.fit.contact_cover import unknown_contacts
+from calibration.fit.contact_cover import describe_unknown_contacts
 from calibration.fit.determination import SETTINGS as DETERMINATION
 from calibration.fit.determination import Determination
 from calibration.fit.estimate import Estimate
 from calibration.fit.kindred_tests import find_test_disagreements
-from calibration.fit.lack_of_fit import lack_of_fit
+from calibration.fit.lack_of_fit import compute_lack_of_fit
 from calibration.fit.own_stiffness import describe_own_stiffnesses
 from calibration.fit.population import Specimens
 from calibration.fit.preload_cover import covers_preload, fitted_contacts
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.usability_records import Alternative, Clause
+from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import MODEL_ERROR_RATIO
 from tissue_sim.laws import Stability
 
-
-@dataclass(frozen=True)
-class UsabilitySettings:
-    """Limits of the clauses.
-
-    Attributes:
-        largest_residual: root mean square residual of a test, relative to its largest force.
-        smallest_R2: share of the variance of the force (of the displacement where the force is controlled) that a law
-            must explain in each test, over the samples in which the controlled quantity moves; docs/calibration.md
-            compares the limit with measured data.
-        noise_ratio: residuals below this many times the noise fail no clause on residuals.
-    """
-
-    largest_residual: float = 0.10
-    smallest_R2: float = 0.95
-    noise_ratio: float = MODEL_ERROR_RATIO
-
-
-SETTINGS = UsabilitySettings()
 #: Status of a usable fit.
 USABLE = "converged"
-#: Samples whose mean is the force at the start of a recording.
-_START_SAMPLES = 3
-#: A force against the load at the start counts above this fraction of the range of the force ...
-_START_FRACTION = 0.02
-#: ... and above this many times the noise.
-_START_NOISE = 5.0
 #: Remedy of a misfit where neither the recordings nor their zero are at fault.
 _OTHER_LAW = "end the test before something else begins, such as failure (max_strain), or take another law"
 
@@ -65,10 +40,16 @@ class Evidence:
     """Data on which the clauses are evaluated.
 
     Attributes:
-        estimate: the minimum. stability, reached, mu0: of the law there; see `check_stability` and `StretchRange`.
-        specimens: of the population. alternatives: other parameters that fit as well.
-        determination: of the shear modulus by the tests; None where there is no such modulus.
-        symbols, units: of the parameters, for sentences.
+        estimate: minimum of the sum of squares.
+        stability: stability of the law at the minimum, see `tissue_sim.laws.check_stability`.
+        reached: test -> range of stretches that its recordings reach.
+        mu0: shear modulus at rest, Pa.
+        specimens: specimens with individual parameters.
+        alternatives: other parameters that fit equally well.
+        determination: determination of the shear modulus by the tests; None if there is no such modulus.
+        symbols: name of a parameter -> its symbol in messages.
+        units: name of a parameter -> its unit.
+        limits: limits of the clauses.
     """
 
     estimate: Estimate
@@ -80,13 +61,16 @@ class Evidence:
     determination: Determination | None
     symbols: Mapping[str, str]
     units: Mapping[str, str]
+    limits: UsabilitySettings = USABILITY
 
 
-def judge(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
-    """Clauses in the order of their weight, status, and the reasons why the fit is not usable (None: it is)."""
-    clauses = [_physical(evidence), _converged(evidence), _stable(evidence), _recorded(evidence), _contact(evidence),
-               _replicates(evidence), _residuals(evidence), _explained(evidence), _displacement(evidence),
-               _bounds(evidence), _determined(evidence), _unique(evidence), _population(evidence)]
+def judge_usability(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
+    """Evaluate the usability rule.
+
+    Returns:
+        All clauses in the order of their weight, the status, and the reasons why the fit is not usable (None: it is).
+    """
+    clauses = [check(evidence) for check in _CHECKS]
     failed = [clause for clause in clauses if not clause.holds]
     if not failed:
         return clauses, USABLE, None
@@ -100,47 +84,51 @@ def judge(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
     return clauses, first[0].status, "; ".join([*(clause.reason for clause in first), *specific])
 
 
-def _clause(name: str, status: str, reason: str, remedy: str = "") -> Clause:
+def _build_clause(name: str, status: str, reason: str, remedy: str = "") -> Clause:
     """Return a clause, which holds if `reason` is empty."""
     return Clause(name=name, holds=not reason, status=status, reason=reason, remedy=remedy if reason else "")
 
 
-def _physical(evidence: Evidence) -> Clause:
+def _check_shear_modulus(evidence: Evidence) -> Clause:
+    """Check that the shear modulus is positive."""
     if evidence.mu0 > 0:
-        return _clause("physical", "not_physical", "")
+        return _build_clause("physical", "not_physical", "")
     remedy = "no material has that, so no material file is written: set bounds or use another law"
-    falling = [curve.name for curve in evidence.estimate.problem.measured if _falls(curve)]
+    falling = [curve.name for curve in evidence.estimate.problem.measured if _is_falling(curve)]
     if falling:
         remedy = (f"the force of {', '.join(falling)} falls while the displacement grows: check the sign of both "
                   "columns, and which of them is the force")
-    return _clause("physical", "not_physical", f"its shear modulus at rest is {evidence.mu0:.4g} Pa", remedy)
+    return _build_clause("physical", "not_physical", f"its shear modulus at rest is {evidence.mu0:.4g} Pa", remedy)
 
 
-def _falls(curve: MeasuredCurve) -> bool:
+def _is_falling(curve: MeasuredCurve) -> bool:
     """Return whether force and displacement of a recording are negatively correlated."""
     centred = curve.displacement - curve.displacement.mean()
     return float(centred @ curve.force) < 0
 
 
-def _converged(evidence: Evidence) -> Clause:
+def _check_convergence(evidence: Evidence) -> Clause:
+    """Check that the minimisation converged."""
     estimate = evidence.estimate
-    return _clause("converged", "not_converged",
-                   "" if estimate.converged else estimate.failure or "it did not converge",
-                   "the optimiser ran out of evaluations in a flat valley where other parameters fit as well: fix one, "
-                   "or use a law with fewer")
+    return _build_clause("converged", "not_converged",
+                         "" if estimate.converged else estimate.failure or "it did not converge",
+                         "the optimiser ran out of evaluations in a flat valley where other parameters fit as well: "
+                         "fix one, or use a law with fewer")
 
 
-def _stable(evidence: Evidence) -> Clause:
+def _check_stability(evidence: Evidence) -> Clause:
+    """Check Drucker stability of the law inside the measured stretches of each mode of loading."""
     ranges: dict[str, tuple[float, float]] = {}
     for one in evidence.reached.values():
         if one.mode:
             low, high = ranges.get(one.mode, (one.low, one.high))
             ranges[one.mode] = min(low, one.low), max(high, one.high)
-    lost = [loss for mode, stretches in ranges.items() if (loss := losses(evidence.stability, mode, stretches))]
-    return _clause("stable", "unstable", f"not stable {' and '.join(lost)}, where there are data" if lost else "")
+    lost = [loss for mode, stretches in ranges.items()
+            if (loss := describe_instability(evidence.stability, mode, stretches))]
+    return _build_clause("stable", "unstable", f"not stable {' and '.join(lost)}, where there are data" if lost else "")
 
 
-def losses(stability: Stability, mode: str, stretches: tuple[float, float]) -> str:
+def describe_instability(stability: Stability, mode: str, stretches: tuple[float, float]) -> str:
     """Describe where one mode of loading loses Drucker stability inside these stretches; empty if it is stable."""
     (low, high), (lower, upper) = stretches, stability.limits[mode]
     if lower == upper == 1.0:
@@ -150,8 +138,8 @@ def losses(stability: Stability, mode: str, stretches: tuple[float, float]) -> s
     return f"in {mode} loading {' and '.join(ends)}" if ends else ""
 
 
-def _recorded(evidence: Evidence) -> Clause:
-    """Findings of the screening of the recordings by which the moduli of this fit are wrong."""
+def _check_recordings(evidence: Evidence) -> Clause:
+    """Check that the screening of the recordings found nothing that makes the moduli of this fit wrong."""
     problem = evidence.estimate.problem
     space = problem.space
     remembers = space.material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
@@ -161,27 +149,28 @@ def _recorded(evidence: Evidence) -> Clause:
     for curve in problem.measured:
         preload = curve.screening.preload
         covered = preload.sentence if preload is not None and covers_preload(curve, contacts[curve.name]) else None
-        for sentence in contradictions(curve, remembers):
+        for sentence in find_contradictions(curve, remembers):
             if sentence == covered:
                 continue
             found.setdefault(sentence, []).append(curve.name)
     reasons = [f"{names[0]}{f' and {len(names) - 1} more' if len(names) > 1 else ''}: {sentence}"
                for sentence, names in found.items()]
-    return _clause("recordings", "misfit", "; ".join(reasons))
+    return _build_clause("recordings", "misfit", "; ".join(reasons))
 
 
-def _contact(evidence: Evidence) -> Clause:
-    """Contact that is found and not fitted, where the shear modulus depends on its place within the interval."""
-    return _clause("contact", "not_determined", unknown_contacts(evidence.estimate),
-                   "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less noise")
+def _check_contact(evidence: Evidence) -> Clause:
+    """Check that a contact that is found and not fitted determines the shear modulus well enough."""
+    return _build_clause("contact", "not_determined", describe_unknown_contacts(evidence.estimate),
+                         "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less noise")
 
 
-def contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
-    """Sentences of the screening that make the moduli of a fit wrong.
+def find_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
+    """Return the sentences of the screening that make the moduli of a fit wrong.
 
     Relaxation, creep and dissipation contradict a law without memory only.
 
     Args:
+        curve: recording.
         remembers: whether the material of the fit has a memory.
     """
     screening = curve.screening
@@ -189,58 +178,59 @@ def contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
     return [sentence for sentence in screening.contradictions if sentence != of_memory]
 
 
-def _replicates(evidence: Evidence) -> Clause:
+def _check_replicates(evidence: Evidence) -> Clause:
+    """Check that recordings of one test, and tests of one kind, have similar stiffnesses."""
     problem = evidence.estimate.problem
     if any(each.recording is not None for each in problem.space.unknowns):
-        return _clause("replicates", "misfit", "")
+        return _build_clause("replicates", "misfit", "")
     measured = {test.name: test.measured for test in problem.tests}
     found = [each.describe() for each in find_disagreements(measured)]
     # A memory, another effect of the material, or parameters of single tests explain different stiffnesses.
     if all(each.of_law and each.tests is None for each in problem.space.unknowns if each.of_material):
         found += [each.describe() for each in find_test_disagreements(measured)]
-    return _clause("replicates", "misfit", "; ".join(found))
+    return _build_clause("replicates", "misfit", "; ".join(found))
 
 
-def test_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
-    """Root mean square residual of each test, % of its largest force, and as a multiple of the noise."""
+def compute_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
+    """Return the root mean square residual of each test, % of its largest force, and as a multiple of the noise."""
     problem, gap = estimate.problem, estimate.evaluation.force - estimate.problem.data
-    shares, ratios = {}, {}
+    percents, ratios = {}, {}
     for number, test in enumerate(problem.tests):
         mine = [(rows, test.measured[r]) for rows, (t, r) in zip(problem.rows, problem.places, strict=True)
                 if t == number]
         residual = np.concatenate([gap[rows] for rows, _ in mine])
         scaled = np.concatenate([gap[rows] / curve.noise.deviation for rows, curve in mine])
         largest = max(float(np.abs(curve.force).max()) for _, curve in mine)
-        shares[test.name] = 100.0 * float(np.sqrt(np.mean(residual**2))) / largest
+        percents[test.name] = 100.0 * float(np.sqrt(np.mean(residual**2))) / largest
         ratios[test.name] = float(np.sqrt(np.mean(scaled**2)))
-    return shares, ratios
+    return percents, ratios
 
 
-def _residuals(evidence: Evidence) -> Clause:
-    """Residuals in each test: large in both units, those of the force and those of the noise."""
+def _check_residuals(evidence: Evidence) -> Clause:
+    """Check the residuals of each test; too large are those that exceed the limits of force and noise."""
     problem = evidence.estimate.problem
-    shares, ratios = test_misfits(evidence.estimate)
-    missed = [f"its residuals in {test.name} are {shares[test.name]:.2g} % of the largest "
+    percents, ratios = compute_misfits(evidence.estimate)
+    missed = [f"its residuals in {test.name} are {percents[test.name]:.2g} % of the largest "
               f"{'stress' if test.measured[0].stressed else 'force'} and {ratios[test.name]:.3g} times the noise"
-              for test in problem.tests if shares[test.name] > 100 * SETTINGS.largest_residual
-              and ratios[test.name] > SETTINGS.noise_ratio]
-    return _clause("residuals", "misfit", f"does not describe the data: {' and '.join(missed)}" if missed else "",
-                   _misfit_remedy(evidence) if missed else "")
+              for test in problem.tests if percents[test.name] > 100 * evidence.limits.largest_residual
+              and ratios[test.name] > evidence.limits.noise_ratio]
+    return _build_clause("residuals", "misfit", f"does not describe the data: {' and '.join(missed)}" if missed else "",
+                         _find_misfit_remedy(evidence) if missed else "")
 
 
-def _explained(evidence: Evidence) -> Clause:
-    """Share of the variance of the force, over the samples in which the displacement moves."""
-    problem, (_, ratios) = evidence.estimate.problem, test_misfits(evidence.estimate)
+def _check_explained_variance(evidence: Evidence) -> Clause:
+    """Check the explained fraction of the variance of the force, over the samples in which the displacement moves."""
+    problem, (_, ratios) = evidence.estimate.problem, compute_misfits(evidence.estimate)
     gap, missed = evidence.estimate.evaluation.force - problem.data, []
     for number, test in enumerate(problem.tests):
-        R2 = lack_of_fit(problem, gap, number).R2
-        if R2 is not None and SETTINGS.smallest_R2 > R2 and ratios[test.name] > SETTINGS.noise_ratio:
+        R2 = compute_lack_of_fit(problem, gap, number).R2
+        if R2 is not None and evidence.limits.smallest_R2 > R2 and ratios[test.name] > evidence.limits.noise_ratio:
             missed.append(f"R2 in {test.name} is {R2:.3f} over the part in which the displacement moves (noise and "
-                          f"scatter taken out), and the limit is {SETTINGS.smallest_R2:g}")
-    return _clause("explained", "misfit", " and ".join(missed), _misfit_remedy(evidence) if missed else "")
+                          f"scatter taken out), and the limit is {evidence.limits.smallest_R2:g}")
+    return _build_clause("explained", "misfit", " and ".join(missed), _find_misfit_remedy(evidence) if missed else "")
 
 
-def _misfit_remedy(evidence: Evidence) -> str:
+def _find_misfit_remedy(evidence: Evidence) -> str:
     """Return the remedy of a misfit.
 
     The remedy is the zero of the load cell if a recording begins with a force against the load, separate materials if
@@ -249,20 +239,23 @@ def _misfit_remedy(evidence: Evidence) -> str:
     problem = evidence.estimate.problem
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"
-             for curve in problem.measured if (start := _start_against_load(curve)) < 0]
+             for curve in problem.measured if (start := _find_negative_start_force(curve, evidence.limits)) < 0]
     return "; ".join(found) or describe_own_stiffnesses(problem, evidence.estimate.evaluation.force,
-                                                        SETTINGS.smallest_R2) or _OTHER_LAW
+                                                        evidence.limits.smallest_R2) or _OTHER_LAW
 
 
-def _start_against_load(curve: MeasuredCurve) -> float:
-    """Mean force of the first samples where it is significantly below zero, N; otherwise 0."""
-    start = float(np.mean(curve.force[:_START_SAMPLES]))
-    limit = max(_START_FRACTION * float(np.ptp(curve.force)), _START_NOISE * curve.noise.deviation)
+def _find_negative_start_force(curve: MeasuredCurve, limits: UsabilitySettings) -> float:
+    """Return the mean force of the first samples if it is significantly below zero, N; otherwise 0."""
+    start = float(np.mean(curve.force[:limits.start_samples]))
+    limit = max(limits.start_fraction * float(np.ptp(curve.force)), limits.start_noise * curve.noise.deviation)
     return start if start < -limit else 0.0
 
 
-def _displacement(evidence: Evidence) -> Clause:
-    """Misfit of the displacement in recordings whose force is controlled; the residuals of the force do not show it."""
+def _check_displacement(evidence: Evidence) -> Clause:
+    """Check the misfit of the displacement in recordings whose force is controlled.
+
+    The residuals of the force do not show this misfit.
+    """
     problem = evidence.estimate.problem
     model, missed = evidence.estimate.evaluation.force, []
     for rows, curve in zip(problem.rows, problem.measured, strict=True):
@@ -270,20 +263,21 @@ def _displacement(evidence: Evidence) -> Clause:
         if control is None or control.quantity != "force":
             continue
         R2 = displacement_R2(curve, model[rows])
-        if SETTINGS.smallest_R2 > R2:
+        if evidence.limits.smallest_R2 > R2:
             missed.append(f"{curve.name}: the force is controlled, and the law explains {max(R2, 0.0):.1%} of the "
-                          f"variance of the displacement (R2 {R2:.3g}, limit {SETTINGS.smallest_R2:g})")
-    return _clause("displacement", "misfit", "; ".join(missed),
-                   "the displacement creeps under a held force: name viscoelastic.terms[0].g and .tau_s (a second "
-                   "term: terms[1]) in fit.start, or record the test at a controlled displacement")
+                          f"variance of the displacement (R2 {R2:.3g}, limit {evidence.limits.smallest_R2:g})")
+    return _build_clause("displacement", "misfit", "; ".join(missed),
+                         "the displacement creeps under a held force: name viscoelastic.terms[0].g and .tau_s (a "
+                         "second term: terms[1]) in fit.start, or record the test at a controlled displacement")
 
 
 def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
-    """Share of the variance of the displacement that a model explains at the measured force.
+    """Return the fraction of the variance of the displacement that a model explains at the measured force.
 
     The misfit of the force is divided by the secant stiffness of the model.
 
     Args:
+        curve: recording.
         model: force at the samples, N, shape (n,).
     """
     stiffness = float(model @ curve.displacement) / float(curve.displacement @ curve.displacement)
@@ -293,38 +287,47 @@ def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
     return 1.0 - float(np.mean(((model - curve.force) / stiffness)**2)) / variance
 
 
-def _bounds(evidence: Evidence) -> Clause:
-    """Bounds of the program, not of the campaign, on which the shear modulus depends."""
+def _check_bounds(evidence: Evidence) -> Clause:
+    """Check that the shear modulus does not depend on bounds that the campaign does not state."""
     found = evidence.determination
     if found is None or not found.held:
-        return _clause("bounds", "not_determined", "")
+        return _build_clause("bounds", "not_determined", "")
     names = ", ".join(evidence.symbols[name] for name in found.held)
     change = f"changes by about {abs(found.change):.0%}" if np.isfinite(found.change) else "is not determined"
-    return _clause("bounds", "not_determined",
-                   f"the shear modulus mu0 depends on the bounds of {names}, which the campaign does not state: "
-                   f"without these bounds it {change}",
-                   f"state fit.bounds or fit.fixed for {names} if their values are known, or fit a law without them")
+    return _build_clause("bounds", "not_determined",
+                         f"the shear modulus mu0 depends on the bounds of {names}, which the campaign does not state: "
+                         f"without these bounds it {change}",
+                         f"state fit.bounds or fit.fixed for {names} if their values are known, or fit a law without "
+                         "them")
 
 
-def _determined(evidence: Evidence) -> Clause:
-    """Standard error of the shear modulus, not of the single parameters."""
+def _check_determination(evidence: Evidence) -> Clause:
+    """Check the standard error of the shear modulus; single parameters may be undetermined."""
     found = evidence.determination
     if found is None or found.is_determined:
-        return _clause("determined", "not_determined", "")
+        return _build_clause("determined", "not_determined", "")
     error = f"its standard error is {found.relative_error:.0%} of its value" if np.isfinite(found.relative_error) else \
         "the samples contain no information on it"
-    return _clause("determined", "not_determined",
-                   f"the tests do not determine the shear modulus mu0: {error}, and the limit is "
-                   f"{DETERMINATION.relative_error:.0%}",
-                   "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with fewer")
+    return _build_clause("determined", "not_determined",
+                         f"the tests do not determine the shear modulus mu0: {error}, and the limit is "
+                         f"{DETERMINATION.relative_error:.0%}",
+                         "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with fewer")
 
 
-def _unique(evidence: Evidence) -> Clause:
+def _check_uniqueness(evidence: Evidence) -> Clause:
+    """Check that no other parameters fit equally well and describe another material."""
     sentence = describe_alternatives(evidence.alternatives, evidence.symbols, evidence.units)
     remedy = f"add a test such as {evidence.alternatives[0].separated_by}, or bound the parameters in fit.bounds" \
         if evidence.alternatives else ""
-    return _clause("unique", "ambiguous", f"ambiguous: {sentence}" if sentence else "", remedy)
+    return _build_clause("unique", "ambiguous", f"ambiguous: {sentence}" if sentence else "", remedy)
 
 
-def _population(evidence: Evidence) -> Clause:
-    return _clause("population", "no_population", evidence.specimens.missing_population or "")
+def _check_population(evidence: Evidence) -> Clause:
+    """Check that several specimens have a population mean."""
+    return _build_clause("population", "no_population", evidence.specimens.missing_population or "")
+
+
+#: Checks of all clauses, in the order of their weight.
+_CHECKS = (_check_shear_modulus, _check_convergence, _check_stability, _check_recordings, _check_contact,
+           _check_replicates, _check_residuals, _check_explained_variance, _check_displacement, _check_bounds,
+           _check_determination, _check_uniqueness, _check_population)

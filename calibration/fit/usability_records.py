@@ -1,4 +1,4 @@
-"""Records of the rule of usable: its clauses, and other optima of a fit."""
+"""Records of the usability rule: clauses, and other optima of a fit."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ import msgspec
 
 
 class Clause(msgspec.Struct, frozen=True, kw_only=True):
-    """One clause of the rule by which a fit is called usable, see `calibration.fit.usability`.
+    """One clause of the usability rule, see `calibration.fit.usability`.
 
     Attributes:
         name: ``"physical"``, ``"converged"``, ``"stable"``, ``"recordings"``, ``"replicates"``, ``"residuals"``,
             ``"explained"``, ``"displacement"``, ``"bounds"``, ``"determined"``, ``"unique"`` or ``"population"``.
-        holds: whether it holds. status: of the fit where it fails and no clause before it does.
-        reason, remedy: in words; empty where it holds.
+        holds: whether the clause holds.
+        status: status of the fit if this clause is the first one that fails.
+        reason: reason of the failure in words; empty if the clause holds.
+        remedy: remedy in words; empty if the clause holds.
     """
 
     name: str
@@ -23,13 +25,17 @@ class Clause(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Alternative(msgspec.Struct, frozen=True, kw_only=True):
-    """Parameters that fit the recordings as well as those of the fit and are another material.
+    """Parameters that fit the recordings as well as those of the fit and describe another material.
 
     Attributes:
-        parameters: name -> value, SI. parameters_of_law: those of the law by their names in the law.
-        R2, rise: as of a `Minimum`.
-        separated_by: test that tells the two apart best, in words. at: its stretch, or shear strain.
-        stress_Pa, alternative_stress_Pa: nominal stress there of the fit and of this alternative.
+        parameters: name -> value, SI.
+        parameters_of_law: parameters of the law by their names in the law, SI.
+        R2: coefficient of determination, see `calibration.fit.fit.Minimum`.
+        rise: rise of the sum of squares, see `calibration.fit.fit.Minimum`.
+        separated_by: test in which the nominal stresses of both differ most, in words.
+        at: stretch, or shear strain, of that test.
+        stress_Pa: nominal stress of the fit there, Pa.
+        alternative_stress_Pa: nominal stress of this alternative there, Pa.
     """
 
     parameters: dict[str, float]
@@ -43,7 +49,7 @@ class Alternative(msgspec.Struct, frozen=True, kw_only=True):
 
     @property
     def times(self) -> str:
-        """``, 4.2 times``: ratio of the larger stress to the smaller; empty where their signs differ."""
+        """``, 4.2 times``: ratio of the larger stress to the smaller; empty if their signs differ."""
         low, high = sorted((abs(self.stress_Pa), abs(self.alternative_stress_Pa)))
         same = self.stress_Pa * self.alternative_stress_Pa > 0
         return f", {high / low:.3g} times" if same else ""

@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Prediction
-from calibration.fit.identifiability import not_identifiable
+from calibration.fit.identifiability import find_undetermined_parameters
 from calibration.fit.predictor import Predictor, predictor_without
 from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.fit.trust_region import descend
@@ -34,8 +34,8 @@ class LeftOut:
     cpu_s: float
 
 
-def leave_out(problem: LeastSquares, theta: np.ndarray, number: int,
-              uncertainty: Callable[[Any, Evaluation], Uncertainty], scatter: Jitter | None) -> LeftOut:
+def predict_left_out_test(problem: LeastSquares, theta: np.ndarray, number: int,
+                          uncertainty: Callable[[Any, Evaluation], Uncertainty], scatter: Jitter | None) -> LeftOut:
     """Fit all tests except one, starting from the joint estimate, and predict this test.
 
     Args:
@@ -45,25 +45,26 @@ def leave_out(problem: LeastSquares, theta: np.ndarray, number: int,
         uncertainty: function that returns the uncertainty of a problem at its minimum.
         scatter: scatter of contact and zero between recordings; None: unknown.
     """
-    spent = problem.solves.meter()
+    spent = problem.solves.start_meter()
     test = problem.tests[number]
-    rest, theta = problem.without(number, theta)
+    rest, theta = problem.without_test(number, theta)
     names = [other.name for other in rest.tests]
     descent = descend(rest, theta, corrected=True)
     if not np.isfinite(descent.error):
-        return LeftOut(unpredicted(problem, test, names, f"no fit to the others: {descent.failure}"), *spent())
+        failed = build_failed_prediction(problem, test, names, f"no fit to the others: {descent.failure}")
+        return LeftOut(failed, *spent())
     spread = uncertainty(rest, rest.evaluate(descent.theta))
-    unknown = _undetermined(problem.space, spread, test.name, names)
+    unknown = _find_undetermined(problem.space, spread, test.name, names)
     predictor = predictor_without(Predictor.of(problem.space, descent.theta, spread), spread, unknown)
-    answer = unpredicted(problem, test, names, "the other tests do not determine "
-                         f"{problem.space.in_symbols(unknown)}") if predictor is None else \
+    answer = build_failed_prediction(problem, test, names, "the other tests do not determine "
+                                     f"{problem.space.in_symbols(unknown)}") if predictor is None else \
         predict(problem, test, predictor, names, scatter)
     return LeftOut(answer, *spent())
 
 
-def _undetermined(space: ParameterSpace, spread: Uncertainty, test: str, others: Sequence[str]) -> list[str]:
+def _find_undetermined(space: ParameterSpace, spread: Uncertainty, test: str, others: Sequence[str]) -> list[str]:
     """Return the names of parameters that act in a test and that the other tests do not determine."""
-    loose = set(not_identifiable(space, spread))
+    loose = set(find_undetermined_parameters(space, spread))
     # A parameter without data may stay on its bound, where it has no standard error; it is undetermined too.
     return [each.name for index, each in enumerate(space.varied) if each.acts_in(test, None) and (
         each.name in loose or not (np.isfinite(space.prior_deviation[index])
@@ -77,7 +78,8 @@ def predict_held_out(problem: LeastSquares, test: ForwardTest, predictor: Predic
         return predict(problem, test, predictor, [], scatter)
     specimen = test.measured[0].test.specimen
     name = "its specimen" if specimen is None else specimen.name
-    return unpredicted(problem, test, [], f"no test of {name} is fitted, and there is no mean of other specimens")
+    return build_failed_prediction(problem, test, [],
+                                   f"no test of {name} is fitted, and there is no mean of other specimens")
 
 
 def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitted: list[str],
@@ -98,7 +100,7 @@ def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitt
         answer = test.solve(space, predictor.theta, problem.solves)
         seen = [test.evaluate(answer, recording, 0.0) for recording in range(len(test.measured))]
     except InfeasibleError as failure:
-        return unpredicted(problem, test, fitted, str(failure))
+        return build_failed_prediction(problem, test, fitted, str(failure))
     squares, expected, largest, samples = 0.0, 0.0, 0.0, 0
     for measured, (force, rates, contact) in zip(test.measured, seen, strict=True):
         squares += float(np.sum((force - measured.force)**2))
@@ -110,7 +112,7 @@ def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitt
     rmse = float(np.sqrt(squares / samples))
     stressed = test.measured[0].test.specimen is None
     if not np.isfinite(rmse):
-        return unpredicted(problem, test, fitted, "the law gives no finite force")
+        return build_failed_prediction(problem, test, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
                       RMSE_Pa=None if test.area is None else rmse / test.area, percent=100.0 * rmse / largest,
                       expected_N=None if stressed or jitter is None else float(np.sqrt(expected / samples)),
@@ -119,7 +121,7 @@ def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitt
                                                                      strict=True)))
 
 
-def unpredicted(problem: LeastSquares, test: ForwardTest, fitted: list[str], note: str) -> Prediction:
+def build_failed_prediction(problem: LeastSquares, test: ForwardTest, fitted: list[str], note: str) -> Prediction:
     """Return a prediction without errors, with the reason in its note."""
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted,
                       note=note)

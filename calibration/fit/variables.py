@@ -6,12 +6,24 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: Largest ratio r_i = g_i / (1 - sum g) of a relaxing to the long-term stiffness.
-MAX_RATIO = 1e3
-#: Largest absolute value of an exponent.
-_MAX_EXPONENT = 50.0
-#: Factor by which a relaxation time may be shorter than the sampling interval or longer than the longest recording.
-TIME_MARGIN = 10.0
+
+@dataclass(frozen=True)
+class VariableBounds:
+    """Bounds of the variables of a law with Prony terms whose bounds the campaign does not state.
+
+    Attributes:
+        max_ratio: largest ratio r_i = g_i / (1 - sum g) of a relaxing to the long-term stiffness.
+        max_exponent: largest absolute value of an exponent.
+        time_margin: factor by which a relaxation time may be shorter than the sampling interval or longer than the
+            longest recording. A larger value admits times on which the samples have no information.
+    """
+
+    max_ratio: float = 1e3
+    max_exponent: float = 50.0
+    time_margin: float = 10.0
+
+
+_BOUNDS = VariableBounds()
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,11 +38,11 @@ class Scaled:
     sizes: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
 
-    def of(self, unknowns: np.ndarray) -> np.ndarray:
+    def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the variables of unknowns, shape (k,)."""
         return unknowns / self.sizes
 
-    def unknowns(self, variables: np.ndarray) -> np.ndarray:
+    def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
         """Return the unknowns of variables, shape (k,)."""
         return variables * self.sizes
 
@@ -69,20 +81,21 @@ class LongTerm:
         """Lower and upper bounds of the variables, shapes (k,)."""
         low = np.full(self.moduli.size + self.exponents.size + self.g.size + self.tau.size, -np.inf)
         high = -low
-        low[self.exponents], high[self.exponents] = -_MAX_EXPONENT, _MAX_EXPONENT
-        low[self.g], high[self.g] = 0.0, MAX_RATIO
-        low[self.tau], high[self.tau] = np.log([self.time_range[0] / TIME_MARGIN, self.time_range[1] * TIME_MARGIN])
+        low[self.exponents], high[self.exponents] = -_BOUNDS.max_exponent, _BOUNDS.max_exponent
+        low[self.g], high[self.g] = 0.0, _BOUNDS.max_ratio
+        shortest, longest = self.time_range
+        low[self.tau], high[self.tau] = np.log([shortest / _BOUNDS.time_margin, longest * _BOUNDS.time_margin])
         return low, high
 
-    def of(self, unknowns: np.ndarray) -> np.ndarray:
+    def from_unknowns(self, unknowns: np.ndarray) -> np.ndarray:
         """Return the variables of unknowns, shape (k,)."""
-        rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / MAX_RATIO), unknowns.copy()
+        rest, variables = max(1.0 - unknowns[self.g].sum(), 1.0 / _BOUNDS.max_ratio), unknowns.copy()
         variables[self.moduli] *= rest
         variables[self.g] /= rest
         variables[self.tau] = np.log(unknowns[self.tau])
         return variables
 
-    def unknowns(self, variables: np.ndarray) -> np.ndarray:
+    def to_unknowns(self, variables: np.ndarray) -> np.ndarray:
         """Return the unknowns of variables, shape (k,)."""
         factor, unknowns = 1.0 + variables[self.g].sum(), variables.copy()
         unknowns[self.moduli] *= factor

@@ -10,6 +10,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
+from calibration.forward.difference_steps import DIFFERENCES
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.closed_form.histories import LARGEST_STEP, HomogeneousHistory
 from tissue_sim.closed_form.homogeneous import ClosedForm
@@ -19,9 +20,6 @@ from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import tokens
 from tissue_sim.specimen import Specimen
-
-#: Half step of central differences, relative to the size of a parameter, or to the height for the contact offset.
-_RELATIVE_STEP = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,18 +89,20 @@ class ClosedFormTest:
 
     @property
     def closed_form(self) -> ClosedForm:
+        """Closed form of the kind of test."""
         return self.kind.require_closed_form()
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormSolution]:
         """Return the parameter values of each recording; `evaluate` computes the forces. See `ForwardTest.solve`."""
         values, solutions = space.values(theta), {}
-        marks = [space.mark(self.name, curve.name) for curve in self.measured]
+        marks = [space.find_own_recording(self.name, curve.name) for curve in self.measured]
         for mark in marks:
             if mark not in solutions:
-                solutions[mark] = self._solution(space, values, mark)
+                solutions[mark] = self._build_solution(space, values, mark)
         return [solutions[mark] for mark in marks]
 
-    def _solution(self, space: ParameterSpace, values: dict[str, float], recording: str | None) -> ClosedFormSolution:
+    def _build_solution(self, space: ParameterSpace, values: dict[str, float],
+                        recording: str | None) -> ClosedFormSolution:
         """Return the parameter values of one recording; None: of recordings without own parameters."""
         law = find_law(space.law)
         free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.varied)
@@ -127,8 +127,8 @@ class ClosedFormTest:
             contact: whether the derivative with the contact offset is computed; otherwise it is None.
         """
         answer = answers[recording]
-        force, rates, rate = self._elastic(answer, self.measured[recording].displacement - offset, contact) \
-            if answer.material is None else self._with_memory(answer, answer.material, recording, offset, contact)
+        force, rates, rate = self._evaluate_elastic(answer, self.measured[recording].displacement - offset, contact) \
+            if answer.material is None else self._evaluate_history(answer, answer.material, recording, offset, contact)
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):
             raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
         return force, rates, rate
@@ -138,11 +138,11 @@ class ClosedFormTest:
         names: set[str] = set()
         for i, answer in enumerate(answers):
             if answer.material is not None:
-                exact = self._exact_rates(answer, answer.material, i, 0.0)
+                exact = self._differentiate_exactly(answer, answer.material, i, 0.0)
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
-    def _elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
+    def _evaluate_elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
         """Return force (n,), derivatives with the free parameters (n, p) and with the contact offset (n,).
 
         The material is elastic; `displacement` is counted from contact, m, shape (n,).
@@ -159,10 +159,10 @@ class ClosedFormTest:
             stress[separated], derivatives[separated] = 0.0, 0.0
             if slope is not None:
                 slope[separated] = 0.0
-        return self._as_force(answer, stress, derivatives, slope)
+        return self._convert_to_force(answer, stress, derivatives, slope)
 
-    def _as_force(self, answer: ClosedFormSolution, stress: np.ndarray, derivatives: np.ndarray,
-                  slope: np.ndarray | None):
+    def _convert_to_force(self, answer: ClosedFormSolution, stress: np.ndarray, derivatives: np.ndarray,
+                          slope: np.ndarray | None):
         """Multiply nominal stress and its derivatives by the signed cross-section.
 
         Args:
@@ -178,25 +178,25 @@ class ClosedFormTest:
         factor = self.kind.sign * self.area
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
-    def _with_memory(self, answer: ClosedFormSolution, material: Material, recording: int, offset: float,
-                     contact: bool):
-        """Return the same quantities as `_elastic` for a material with memory."""
+    def _evaluate_history(self, answer: ClosedFormSolution, material: Material, recording: int, offset: float,
+                          contact: bool):
+        """Return the same quantities as `_evaluate_elastic` for a material with memory."""
         try:
             force = self._history_force(material, recording, offset)
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         rates = np.full((force.size, len(answer.space.free)), np.nan)
-        exact = self._exact_rates(answer, material, recording, offset)
+        exact = self._differentiate_exactly(answer, material, recording, offset)
         for k, name in enumerate(answer.space.free):
-            rates[:, k] = exact[name] if name in exact else self._difference(answer, recording, offset, k, force)
+            rates[:, k] = exact[name] if name in exact else self._difference_force(answer, recording, offset, k, force)
         if not contact:
             return force, rates, None
-        step = _RELATIVE_STEP * self.height
+        step = DIFFERENCES.relative * self.height
         above, below = (self._history_force(material, recording, offset + change) for change in (step, -step))
         return force, rates, (above - below) / (2 * step)
 
-    def _exact_rates(self, answer: ClosedFormSolution, material: Material, recording: int,
-                     offset: float) -> dict[str, np.ndarray]:
+    def _differentiate_exactly(self, answer: ClosedFormSolution, material: Material, recording: int,
+                               offset: float) -> dict[str, np.ndarray]:
         """Return derivatives of the force of a law with a Prony series; empty for other materials.
 
         The nominal stress P = (1 - sum g_i) P_elastic + sum g_i P_relaxing(tau_i) is linear in the moduli and in g_i,
@@ -213,7 +213,7 @@ class ClosedFormTest:
             return {}
         law, history = answer.law, self.history(recording, offset)
         count, factor = prony.tau.size, self.kind.sign * self.area
-        step = _RELATIVE_STEP * prony.tau
+        step = DIFFERENCES.relative * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
@@ -230,15 +230,15 @@ class ClosedFormTest:
                         factor * prony.g[i] * (relaxing[:, count + i] - relaxing[:, 2 * count + i]) / (2 * step[i])
         return rates
 
-    def _difference(self, answer: ClosedFormSolution, recording: int, offset: float, index: int,
-                    force: np.ndarray) -> np.ndarray:
+    def _difference_force(self, answer: ClosedFormSolution, recording: int, offset: float, index: int,
+                          force: np.ndarray) -> np.ndarray:
         """Return the finite difference of the force with one free parameter, shape (n,).
 
         The difference is one-sided if the material is invalid on one side, and NaN if it is invalid on both sides.
         """
         space, values, name = answer.space, answer.named, answer.space.free[index]
         size, ends = float(space.sizes(values)[index]), []
-        for step in (_RELATIVE_STEP * size, -_RELATIVE_STEP * size):
+        for step in (DIFFERENCES.relative * size, -DIFFERENCES.relative * size):
             try:
                 material = space.material(values | {name: values[name] + step}, test=self.name,
                                           recording=answer.recording)

@@ -34,9 +34,10 @@ class ColumnTest(ClosedFormTest):
 
     @property
     def weightless(self) -> ClosedFormTest:
+        """Closed form of the same test without self-weight."""
         return ClosedFormTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
+    def _evaluate_elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
         # With the deepest point appended, the column is solved at the same states for every offset.
@@ -47,7 +48,7 @@ class ColumnTest(ClosedFormTest):
         if not np.isfinite(stress).all():
             raise InfeasibleError(f"{self.name}: {law.name} has no equilibrium of the specimen under its weight at the "
                                   "largest displacement")
-        return self._as_force(answer, stress, derivatives, slope)
+        return self._convert_to_force(answer, stress, derivatives, slope)
 
     def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the stretches between the base in the deepest state and the unloaded top."""

@@ -40,50 +40,46 @@ class StretchRange:
 
 
 class ForwardTest(Protocol):
-    """Forward model of one test of a campaign.
-
-    Attributes:
-        name: name of the test.
-        measured: recordings of the test.
-        proportional: whether the force is proportional to the moduli.
-        homogeneous: whether the deformation is homogeneous, so that every mesh is exact.
-        mesh: key of the mesh. Tests with the same key have the same mesh error; empty: no other test shares the mesh.
-        is_path_dependent: whether the force depends on the path that led to a displacement.
-        area: reference cross-section of the nominal stress, m2 (1 if stress was recorded); None if the stress is not
-            homogeneous.
-        specimen: specimen; None for a closed form without self-weight.
-        closed_form: closed form of a homogeneous test.
-    """
+    """Forward model of one test of a campaign."""
 
     #: Implementations are dataclasses, so that `dataclasses.replace` can change single fields.
     __dataclass_fields__: ClassVar[dict[str, Any]]
 
     @property
-    def name(self) -> str: ...
+    def name(self) -> str:
+        """Name of the test."""
 
     @property
-    def measured(self) -> tuple[MeasuredCurve, ...]: ...
+    def measured(self) -> tuple[MeasuredCurve, ...]:
+        """Recordings of the test."""
 
     @property
-    def proportional(self) -> bool: ...
+    def proportional(self) -> bool:
+        """Whether the force is proportional to the moduli."""
 
     @property
-    def homogeneous(self) -> bool: ...
+    def homogeneous(self) -> bool:
+        """Whether the deformation is homogeneous, so that every mesh is exact."""
 
     @property
-    def mesh(self) -> str: ...
+    def mesh(self) -> str:
+        """Key of the mesh: tests with the same key have the same mesh error; empty: no other test shares the mesh."""
 
     @property
-    def is_path_dependent(self) -> bool: ...
+    def is_path_dependent(self) -> bool:
+        """Whether the force depends on the path that led to a displacement."""
 
     @property
-    def area(self) -> float | None: ...
+    def area(self) -> float | None:
+        """Reference cross-section of the nominal stress, m2 (1 if stress was recorded); None if the stress varies."""
 
     @property
-    def specimen(self) -> Specimen | None: ...
+    def specimen(self) -> Specimen | None:
+        """Specimen; None for a closed form without self-weight."""
 
     @property
-    def closed_form(self) -> ClosedForm: ...
+    def closed_form(self) -> ClosedForm:
+        """Closed form of a homogeneous test."""
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> Any:
         """Solve the test at given parameters.

@@ -3,23 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calibration.campaign.campaign import FitSettings, Test
-from calibration.campaign.measured import MeasuredCurve, remembers
+from calibration.campaign.measured import MeasuredCurve, depends_on_history
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import (
-    ACCURATE_MESH_ERRORS,
-    FILE_MESH_ERROR_FRACTION,
-    FINEST_MESH_ERRORS,
-    FINEST_MESH_FRACTION,
-    MAX_FILE_MESH_ERROR,
-    meshes_of,
-)
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, meshes_of
 from calibration.forward.motion import Loading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import content_key
@@ -30,10 +23,22 @@ from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 FITTED_STEP = 0.01
 #: Motion in the key of a mesh, which does not depend on the motion of the test.
 _ANY_MOTION = Protocol(np.array([0.0, 1.0]), np.array([0.0, 1e-9]))
-#: Depth that is simulated beyond the deepest sample, in standard deviations of the contact offset.
-_OFFSET_DEVIATIONS = 4.0
-#: Smallest depth that is simulated beyond the deepest sample, as a fraction of the largest displacement.
-_MIN_MARGIN = 1e-3
+
+
+@dataclass(frozen=True)
+class DepthMarginSettings:
+    """Depth that is simulated beyond the deepest sample, so that a fitted contact offset needs no extrapolation.
+
+    Attributes:
+        offset_deviations: margin in standard deviations of the contact offset.
+        min_fraction: smallest margin as a fraction of the largest displacement.
+    """
+
+    offset_deviations: float = 4.0
+    min_fraction: float = 1e-3
+
+
+_MARGINS = DepthMarginSettings()
 
 
 def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
@@ -54,7 +59,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     mesh = content_key(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
     ramps_only = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
-    if timed or material.ages or (remembers(test, material) and not ramps_only):
+    if timed or material.ages or (depends_on_history(test, material) and not ramps_only):
         motions: list[TimedMotion] = []
         motion_of = []
         for curve in curves:
@@ -67,7 +72,8 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
                              mesh=mesh, solver=test.solver)
     deepest = max(curve.displacement.max() for curve in curves)
     height = test.experiment.specimen.height
-    depth = min(deepest + max(_OFFSET_DEVIATIONS * contact, _MIN_MARGIN * deepest), 0.999 * test.experiment.thickness)
+    margin = max(_MARGINS.offset_deviations * contact, _MARGINS.min_fraction * deepest)
+    depth = min(deepest + margin, 0.999 * test.experiment.thickness)
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.is_path_dependent)
@@ -110,7 +116,7 @@ def mesh_uncertainty(test: ForwardTest, errors: Mapping[str, float]) -> float:
     if test.specimen.from_file:
         largest = max(float(np.abs(curve.force).max()) for curve in test.measured)
         added = max((float(np.abs(each).max(initial=0.0)) for each in test.correction), default=np.inf)
-        return max(known, min(FILE_MESH_ERROR_FRACTION * added / largest, MAX_FILE_MESH_ERROR))
+        return max(known, min(MESH_ERROR.file_fraction * added / largest, MESH_ERROR.max_file_error))
     if errors is ACCURATE_MESH_ERRORS and error is not None and shape in FINEST_MESH_ERRORS:
-        return min(known, max(FINEST_MESH_ERRORS[shape], FINEST_MESH_FRACTION * error.largest))
+        return min(known, max(FINEST_MESH_ERRORS[shape], MESH_ERROR.finest_fraction * error.largest))
     return known

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.forward.motion import spline
+from calibration.forward.motion import build_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -22,17 +22,31 @@ ACCURATE_MESH_ERRORS = {"plate": 0.0005, "flat": 0.001, "other": 0.002}
 FAST_MESH_ERRORS = {"plate": 0.003, "flat": 0.008, "other": 0.01}
 #: Shape of the tool -> smallest relative error after correction by the finest mesh.
 FINEST_MESH_ERRORS = {"plate": 0.0002, "flat": 0.0005}
-#: Error after correction by the finest mesh, as a fraction of the correction.
-FINEST_MESH_FRACTION = 0.5
-#: Error of second-order elements on a mesh from a file, as a fraction of their difference to first-order elements. Such
-#: a mesh is never refined, so only the order of the elements can be compared.
-FILE_MESH_ERROR_FRACTION = 0.1
-#: Largest relative error of a mesh from a file; the value if second-order elements do not converge.
-MAX_FILE_MESH_ERROR = 0.1
-#: Smallest force at which a relative mesh error is computed, as a fraction of the largest force.
-_MIN_FORCE_FRACTION = 1e-3
-#: Smallest number of knots of a curve of relative mesh errors.
-_MIN_KNOTS = 4
+
+
+@dataclass(frozen=True)
+class MeshErrorSettings:
+    """Settings of the errors of meshes.
+
+    Attributes:
+        finest_fraction: error after correction by the finest mesh, as a fraction of the correction.
+        file_fraction: error of second-order elements on a mesh from a file, as a fraction of their difference to first-
+            order elements. Such a mesh is never refined, so only the order of the elements can be compared.
+        max_file_error: largest relative error of a mesh from a file; the value if second-order elements do not
+            converge.
+        min_force_fraction: smallest force at which a relative mesh error is computed, as a fraction of the largest
+            force.
+        min_knots: smallest number of knots of a curve of relative mesh errors.
+    """
+
+    finest_fraction: float = 0.5
+    file_fraction: float = 0.1
+    max_file_error: float = 0.1
+    min_force_fraction: float = 1e-3
+    min_knots: int = 4
+
+
+MESH_ERROR = MeshErrorSettings()
 #: Element size larger than any specimen, m; the mesh generator cuts elements to the size of the specimen.
 _SPECIMEN_SIZE = 10.0
 
@@ -109,9 +123,9 @@ class MeshError:
             accurate: force of the accurate mesh, N, shape (k,).
             finest: force of the finest mesh, N, shape (k,).
         """
-        large = np.abs(accurate) > _MIN_FORCE_FRACTION * np.abs(accurate).max(initial=0.0)
+        large = np.abs(accurate) > MESH_ERROR.min_force_fraction * np.abs(accurate).max(initial=0.0)
         relative = finest[large] / accurate[large] - 1.0
-        return cls(depth[large], relative) if large.sum() >= _MIN_KNOTS else cls.unknown()
+        return cls(depth[large], relative) if large.sum() >= MESH_ERROR.min_knots else cls.unknown()
 
     @classmethod
     def unknown(cls) -> MeshError:
@@ -131,4 +145,4 @@ class MeshError:
         """
         if not self.relative.size:
             return np.ones(np.shape(depth))
-        return 1.0 + spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))
+        return 1.0 + build_spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))

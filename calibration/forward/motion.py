@@ -10,34 +10,45 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 
+from calibration.forward.difference_steps import DIFFERENCES
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import STRAIGHT, corners_of
 from tissue_sim.rig.rig import Rig
 
-#: Smallest number of steps of a smooth force curve. With `SMOOTH_STRAIN` the error of the cubic spline is 7e-6 of the
-#: largest force between plates and 9e-5 under a flat needle.
-SMOOTH_STEPS = 8
-#: Largest nominal strain of one step of a smooth force curve.
-SMOOTH_STRAIN = 0.018
-#: Number of steps if tissue slides along the tool or rolls onto it.
-SLIDING_STEPS = 20
-#: Exponent p of the knots d (i/n)^p of a sliding contact: friction is path-dependent, and its first part needs shorter
-#: steps.
-SLIDING_POWER = 1.5
-#: Number of steps per travel of a motion with reversals.
-TIMED_STEPS = 20
-#: Largest displacement of a hold as a fraction of the travel: recorded holds have noise and creep.
-HOLD_FRACTION = 0.01
-#: First time step of a hold as a fraction of its duration.
-_FIRST_HOLD_STEP = 0.01
-#: Ratio of successive time steps of a hold.
-_HOLD_STEP_RATIO = 1.6
+
+@dataclass(frozen=True)
+class StepSettings:
+    """Steps of a simulated motion.
+
+    Attributes:
+        smooth_steps: smallest number of steps of a smooth force curve. With `smooth_strain` the error of the cubic
+            spline is 7e-6 of the largest force between plates and 9e-5 under a flat needle.
+        smooth_strain: largest nominal strain of one step of a smooth force curve. A larger value is faster and
+            increases the error of the spline.
+        sliding_steps: number of steps if tissue slides along the tool or rolls onto it.
+        sliding_power: exponent p of the knots d (i/n)^p of a sliding contact: friction is path-dependent, and its first
+            part needs shorter steps.
+        timed_steps: number of steps per travel of a motion with reversals.
+        hold_fraction: largest displacement of a hold as a fraction of the travel: recorded holds have noise and creep.
+        first_hold_step: first time step of a hold as a fraction of its duration.
+        hold_step_ratio: ratio of successive time steps of a hold.
+    """
+
+    smooth_steps: int = 8
+    smooth_strain: float = 0.018
+    sliding_steps: int = 20
+    sliding_power: float = 1.5
+    timed_steps: int = 20
+    hold_fraction: float = 0.01
+    first_hold_step: float = 0.01
+    hold_step_ratio: float = 1.6
+
+
+MOTION_STEPS = StepSettings()
 #: Width of the rounded corner of the force at first contact, as a fraction of the depth. The force at first contact is
 #: that of a sharp corner at a quarter of this width.
 _CORNER_WIDTH = 1e-3
-#: Step of the finite difference with the contact offset, as a fraction of the travel.
-_OFFSET_STEP = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,12 +75,13 @@ class Loading:
             strain: depth divided by the specimen's height.
         """
         if smooth:
-            steps = max(SMOOTH_STEPS, int(np.ceil(strain / SMOOTH_STRAIN)))
+            steps = max(MOTION_STEPS.smooth_steps, int(np.ceil(strain / MOTION_STEPS.smooth_strain)))
             return cls(np.linspace(0.0, depth, steps + 1), speed)
-        return cls(depth * np.linspace(0.0, 1.0, SLIDING_STEPS + 1)**SLIDING_POWER, speed)
+        return cls(depth * np.linspace(0.0, 1.0, MOTION_STEPS.sliding_steps + 1)**MOTION_STEPS.sliding_power, speed)
 
     @property
     def protocol(self) -> Protocol:
+        """Motion of the tool: displacement in m at times in s."""
         return Protocol(self.depth / self.speed, self.depth)
 
     @property
@@ -78,16 +90,18 @@ class Loading:
         return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
 
     def with_fewer_steps(self) -> tuple[Loading, np.ndarray]:
-        """Return a loading with about `SMOOTH_STEPS` steps, for quantities that vary more slowly than the force.
+        """Return a loading with about `StepSettings.smooth_steps` steps.
+
+        It serves for quantities that vary more slowly than the force.
 
         Returns:
             The loading, and the indices of the knots that it keeps.
         """
         last = self.depth.size - 1
-        kept = np.unique([*range(0, last, max(last // SMOOTH_STEPS, 1)), last])
+        kept = np.unique([*range(0, last, max(last // MOTION_STEPS.smooth_steps, 1)), last])
         return replace(self, depth=self.depth[kept]), kept
 
-    def at_knots(self, curve: ForceCurve) -> np.ndarray:
+    def evaluate_at_knots(self, curve: ForceCurve) -> np.ndarray:
         """Return the columns of a curve at the knots, shape (k, m)."""
         # The rounded corner makes the force at rest slightly positive; the difference removes this value.
         return curve(None, self.depth, 0.0)[0] - curve(None, self.depth[:1], 0.0)[0]
@@ -114,9 +128,9 @@ class _LoadingCurve:
 
     def __init__(self, depth: np.ndarray, columns: np.ndarray):
         self._end, self._width = depth[-1], _CORNER_WIDTH * depth[-1]
-        self._spline = spline(depth, columns)
+        self._spline = build_spline(depth, columns)
         self._slope = self._spline.derivative()
-        self._force = spline(depth, columns[:, 0])
+        self._force = build_spline(depth, columns[:, 0])
 
     def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
                  offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -167,7 +181,8 @@ class TimedMotion:
     sampled_from: float
 
     @classmethod
-    def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *, steps: int = TIMED_STEPS) -> TimedMotion:
+    def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *,
+                       steps: int = MOTION_STEPS.timed_steps) -> TimedMotion:
         """Return the knots of a recorded motion.
 
         If a recording begins below the surface, its first straight part is extrapolated to first contact.
@@ -179,7 +194,7 @@ class TimedMotion:
         """
         travel = float(np.ptp(displacement))
         corners = corners_of(time, displacement, STRAIGHT * travel)
-        corners = np.array(_without_hold_corners(displacement, corners, HOLD_FRACTION * travel))
+        corners = np.array(_without_hold_corners(displacement, corners, MOTION_STEPS.hold_fraction * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > STRAIGHT * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
@@ -187,13 +202,13 @@ class TimedMotion:
         for i in range(t.size - 1):
             change, duration = d[i + 1] - d[i], t[i + 1] - t[i]
             fraction: np.ndarray
-            if abs(change) > HOLD_FRACTION * travel:
+            if abs(change) > MOTION_STEPS.hold_fraction * travel:
                 fraction = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(change) / travel - 1e-9)) + 1)[1:]
                 # Shorter steps at first contact, as in `Loading`: friction is path-dependent.
-                fraction = fraction**SLIDING_POWER if i == 0 else fraction
+                fraction = fraction**MOTION_STEPS.sliding_power if i == 0 else fraction
             else:
-                ratio = _HOLD_STEP_RATIO
-                count = int(np.ceil(np.log1p((ratio - 1) / _FIRST_HOLD_STEP) / np.log(ratio)))
+                ratio = MOTION_STEPS.hold_step_ratio
+                count = int(np.ceil(np.log1p((ratio - 1) / MOTION_STEPS.first_hold_step) / np.log(ratio)))
                 fraction = (ratio ** np.arange(1, count + 1) - 1) / (ratio**count - 1)
             first = sum(part.size for part in knots_t) - 1
             legs.append((first, first + fraction.size))
@@ -204,10 +219,11 @@ class TimedMotion:
     def is_moving(self, first: int, last: int) -> bool:
         """Return whether the tool moves between two knots; otherwise the straight part is a hold."""
         change = abs(self.displacement[last] - self.displacement[first])
-        return bool(change > HOLD_FRACTION * np.ptp(self.displacement))
+        return bool(change > MOTION_STEPS.hold_fraction * np.ptp(self.displacement))
 
     @cached_property
     def protocol(self) -> Protocol:
+        """Motion of the tool: displacement in m at times in s from 0 on."""
         return Protocol(self.time - self.time[0], self.displacement)
 
     @property
@@ -219,7 +235,7 @@ class TimedMotion:
             values[first:last + 1] = np.linspace(values[first], values[last], last + 1 - first)
         return replace(self, time=time, displacement=displacement)
 
-    def at_knots(self, curve: ForceCurve) -> np.ndarray:
+    def evaluate_at_knots(self, curve: ForceCurve) -> np.ndarray:
         """Return the columns of a curve at the knots, shape (k, m)."""
         return curve(self.time, self.displacement, 0.0)[0]
 
@@ -270,7 +286,7 @@ class _TimedCurve:
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
-            interpolate = spline if motion.is_moving(first, last) else PchipInterpolator
+            interpolate = build_spline if motion.is_moving(first, last) else PchipInterpolator
             self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
@@ -330,12 +346,12 @@ def offset_derivative(recording: Recording) -> np.ndarray:
     second-order difference (3 F(0) - 4 F(-h) + F(-2h)) / (2 h) uses offsets that move the tool into the tissue, since
     the force outside may be zero.
     """
-    step = _OFFSET_STEP * np.ptp(recording.displacement)
+    step = DIFFERENCES.contact_offset * np.ptp(recording.displacement)
     near, far = (Rig(contact_offset=-offset).apply(recording).force for offset in (step, 2 * step))
     return (3 * recording.force - 4 * near + far) / (2 * step)
 
 
-def spline(knots: np.ndarray, values: np.ndarray):
+def build_spline(knots: np.ndarray, values: np.ndarray):
     """Return the cubic spline through values at knots; a piecewise linear function for fewer than four knots.
 
     Args:

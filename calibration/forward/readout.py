@@ -10,6 +10,7 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.forward.difference_steps import DIFFERENCES
 from calibration.forward.motion import ForceCurve
 from calibration.forward.rig_motion import AlignedCurve
 from tissue_sim.material.effect import ReducedEffect
@@ -18,16 +19,13 @@ from tissue_sim.parameters import with_values
 from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 
-#: Step of finite differences with parameters of the readout, relative to the value.
-_RELATIVE_STEP = 1e-6
-
 
 def difference_step(value: float) -> float:
     """Return the step of a finite difference at a parameter value.
 
     Readings depend almost linearly on the parameters of the readout, so a small relative step is accurate.
     """
-    return _RELATIVE_STEP * (abs(value) or 1.0)
+    return DIFFERENCES.relative * (abs(value) or 1.0)
 
 
 def affects_readings_only(rig: Rig, path: str, value: float) -> bool:
@@ -89,7 +87,7 @@ class Readout:
         columns = np.column_stack([rates, rate])
         for index, column in enumerate(columns.T):
             if column.any():
-                step = 1e-6 * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
+                step = DIFFERENCES.relative * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
                 columns[:, index] = (self.read(measured, true + step * column) - read) / step
         return columns[:, :-1], columns[:, -1]
 

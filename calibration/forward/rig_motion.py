@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.motion import SLIDING_POWER, TIMED_STEPS, Loading, spline
+from calibration.forward.motion import MOTION_STEPS, Loading, build_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.model import Model
@@ -22,19 +22,31 @@ from tissue_sim.rig.rig import Rig
 from tissue_sim.tilt import strips
 
 #: Steps to the largest reported depth, equal to those of a timed motion; a deeper tool continues the same spacing.
-STEPS = TIMED_STEPS
-#: Fraction of the last step within which the tool counts as at the last knot.
-_STEP_TOLERANCE = 1e-3
-#: Tolerance of the tool position with a compliant load train, relative to the largest depth.
-_POSITION_TOLERANCE = 1e-12
-#: Maximum number of Newton iterations for the tool position.
-_MAX_ITERATIONS = 60
-#: Smallest ratio of stage displacement to tool displacement, 1 + C dF/dx, for which the equilibrium counts as stable;
-#: below it the load train snaps.
-_MIN_GROWTH = 0.1
+STEPS = MOTION_STEPS.timed_steps
 
 
-def loading_to(depth: float, deepest: float, limit: float) -> Loading:
+@dataclass(frozen=True)
+class RigMotionSettings:
+    """Settings of the position of a tool behind a compliant load train.
+
+    Attributes:
+        step_tolerance: fraction of the last step within which the tool counts as at the last knot.
+        position_tolerance: tolerance of the tool position, relative to the largest depth.
+        max_iterations: maximum number of iterations of Newton's method for the tool position.
+        min_growth: smallest ratio of stage displacement to tool displacement, 1 + C dF/dx, for which the equilibrium
+            counts as stable; below it the load train snaps.
+    """
+
+    step_tolerance: float = 1e-3
+    position_tolerance: float = 1e-12
+    max_iterations: int = 60
+    min_growth: float = 0.1
+
+
+_SETTINGS = RigMotionSettings()
+
+
+def build_loading(depth: float, deepest: float, limit: float) -> Loading:
     """Return a loading from rest to the deepest position of the tool.
 
     Args:
@@ -42,9 +54,9 @@ def loading_to(depth: float, deepest: float, limit: float) -> Loading:
         deepest: largest true depth of the tool, m.
         limit: largest depth of a knot, m.
     """
-    ratio = (max(deepest, depth) / depth) ** (1.0 / SLIDING_POWER)
-    steps = max(STEPS, int(np.ceil(STEPS * ratio - _STEP_TOLERANCE)))
-    knots = depth * (np.arange(steps + 1) / STEPS) ** SLIDING_POWER
+    ratio = (max(deepest, depth) / depth) ** (1.0 / MOTION_STEPS.sliding_power)
+    steps = max(STEPS, int(np.ceil(STEPS * ratio - _SETTINGS.step_tolerance)))
+    knots = depth * (np.arange(steps + 1) / STEPS) ** MOTION_STEPS.sliding_power
     return Loading(np.append(knots[knots < limit], limit) if knots[-1] > limit else knots, STUDY_SPEED)
 
 
@@ -76,11 +88,12 @@ class PositionCurve:
             holds: see `PositionCurve`.
             tilt: height difference across the tool's face, m.
         """
-        return cls(spline(depth, columns), spline(depth, columns[:, 0]), float(depth[-1]), holds, _strips(tilt))
+        return cls(build_spline(depth, columns), build_spline(depth, columns[:, 0]), float(depth[-1]), holds,
+                   _divide_face(tilt))
 
     def with_tilt(self, tilt: float) -> PositionCurve:
         """Return the curve of a face with another tilt, m."""
-        return replace(self, strips=_strips(tilt))
+        return replace(self, strips=_divide_face(tilt))
 
     def __call__(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the curve at tool positions.
@@ -127,7 +140,7 @@ class PositionCurve:
             position >= 0.0).astype(float)
 
 
-def _strips(tilt: float) -> list[tuple[float, float]]:
+def _divide_face(tilt: float) -> list[tuple[float, float]]:
     """Return lag, m, and fraction of the face for the strips of a tilted face; one strip without tilt."""
     return strips(tilt) if tilt else [(0.0, 1.0)]
 
@@ -175,7 +188,7 @@ class AlignedCurve:
         position = self.positions(offset)
         columns, slope = self.curve(position)
         growth = 1.0 + self.compliance * slope
-        if growth.min(initial=1.0) < _MIN_GROWTH:
+        if growth.min(initial=1.0) < _SETTINGS.min_growth:
             raise InfeasibleError("the force falls so steeply that the load train snaps")
         columns[:, 1:] /= growth[:, None]
         rate = -slope / growth
@@ -208,13 +221,13 @@ class AlignedCurve:
         stage = self.motion - offset if np.ndim(offset) == 0 else self.motion[:, None] - offset
         if not self.compliance:
             return stage
-        position, tolerance = stage, _POSITION_TOLERANCE * np.abs(stage).max(initial=1e-6)
+        position, tolerance = stage, _SETTINGS.position_tolerance * np.abs(stage).max(initial=1e-6)
         step = 1e-6 * np.abs(stage).max(initial=1e-6)
-        for _ in range(_MAX_ITERATIONS):
+        for _ in range(_SETTINGS.max_iterations):
             force = self.curve.force(position)
             stiffness = (self.curve.force(position + step) - force) / step
             change = (stage - position - self.compliance * force) / np.maximum(1.0 + self.compliance * stiffness,
-                                                                               _MIN_GROWTH)
+                                                                               _SETTINGS.min_growth)
             position = position + change
             if np.abs(change).max(initial=0.0) <= tolerance:
                 return position

@@ -12,7 +12,7 @@ import numpy as np
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
 from calibration.forward.meshes import MeshError, meshes_of
-from calibration.forward.motion import ForceCurve, Loading, TimedMotion, spline
+from calibration.forward.motion import ForceCurve, Loading, TimedMotion, build_spline
 from calibration.forward.proportionality import is_proportional
 from calibration.forward.readout import (
     Readout,
@@ -24,9 +24,9 @@ from calibration.forward.readout import (
 from calibration.forward.rig_motion import (
     AlignedCurve,
     PositionCurve,
+    build_loading,
     is_path_dependent,
     is_rig_motion_parameter,
-    loading_to,
     separates_on_return,
 )
 from calibration.forward.simulated_motions import SimulatedMotions
@@ -56,20 +56,23 @@ class SimulatedTest(SimulatedMotions):
 
     @property
     def is_path_dependent(self) -> bool:
+        """Whether the force depends on the path that led to a displacement."""
         return isinstance(self.motions[0], TimedMotion)
 
     @property
     def _timed_motions(self) -> tuple[TimedMotion, ...]:
+        """Motions that have reversals or holds."""
         return tuple(motion for motion in self.motions if isinstance(motion, TimedMotion))
 
     @property
     def proportional(self) -> bool:
+        """Whether the force is proportional to the moduli."""
         return is_proportional(self.experiment, self.rig)
 
     @property
     def homogeneous(self) -> bool:
         """Whether every mesh is exact."""
-        return not self.layered and self._experiment(self.motions[0]).homogeneous
+        return not self.layered and self._build_experiment(self.motions[0]).homogeneous
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> SimulatedSolution:
         """Simulate force and derivatives along each motion, with the mesh correction; see `ForwardTest.solve`.
@@ -82,10 +85,10 @@ class SimulatedTest(SimulatedMotions):
                   for measured, number in zip(self.measured, self.motion_of, strict=False)]
         curves: Sequence[ForceCurve | AlignedCurve]
         if self._needs_full_motion(models):
-            curves, differences = self._motion_curves(space, values, solves, models)
+            curves, differences = self._simulate_motions(space, values, solves, models)
             effects = [ReadoutEffects.from_model(model) for model in models]
         else:
-            curves, differences = self._position_curves(space, values, solves, models)
+            curves, differences = self._simulate_positions(space, values, solves, models)
             effects = [ReadoutEffects(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
                        for model in models]
         differences |= {each.name for each in space.varied if self._affects_readings_only(each, values)
@@ -112,8 +115,8 @@ class SimulatedTest(SimulatedMotions):
         pulls = min(float(path.min()) for path in paths) < -_PULL_FRACTION * max(float(path.max()) for path in paths)
         return (pulls and not separates_on_return(self.experiment)) or any(map(is_path_dependent, models))
 
-    def _motion_curves(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                       models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
+    def _simulate_motions(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                          models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
         """Simulate each motion.
 
         Returns:
@@ -122,7 +125,7 @@ class SimulatedTest(SimulatedMotions):
         curves: dict[tuple[int, str | None], ForceCurve] = {}
         chosen, differences = [], set()
         for measured, number, model in zip(self.measured, self.motion_of, models, strict=False):
-            key = number, space.mark(self.name, measured.name)
+            key = number, space.find_own_recording(self.name, measured.name)
             if key not in curves:
                 motion = self.motions[number]
                 force, rates, inexact = self._simulate(space, values, solves, motion, "fast", key[1])
@@ -136,8 +139,8 @@ class SimulatedTest(SimulatedMotions):
             chosen.append(curves[key])
         return chosen, differences
 
-    def _position_curves(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                         models: Sequence[Model]) -> tuple[list[AlignedCurve], set[str]]:
+    def _simulate_positions(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                            models: Sequence[Model]) -> tuple[list[AlignedCurve], set[str]]:
         """Simulate one loading with an ideal rig, and align its force with the samples of each recording.
 
         Returns:
@@ -146,14 +149,14 @@ class SimulatedTest(SimulatedMotions):
         by_mark: dict[str | None, PositionCurve] = {}
         curves, differences = [], set()
         for recording, (measured, number, model) in enumerate(zip(self.measured, self.motion_of, models, strict=False)):
-            mark = space.mark(self.name, measured.name)
-            align = partial(self._align, recording)
+            mark = space.find_own_recording(self.name, measured.name)
+            align = partial(self._align_curve, recording)
             if mark not in by_mark:
-                loading = self._loading(model.rig)
+                loading = self._build_loading(model.rig)
                 force, rates, inexact = self._simulate(space, values, solves, loading, "fast", mark, rigid=True)
                 differences |= inexact
                 by_mark[mark] = PositionCurve.interpolate(
-                    loading.depth, np.column_stack([force + self._correction_at(loading), rates]),
+                    loading.depth, np.column_stack([force + self._interpolate_correction(loading), rates]),
                     holds=not separates_on_return(model.experiment))
             neighbours = {}
             for column, each in enumerate(space.varied, start=1):
@@ -167,7 +170,7 @@ class SimulatedTest(SimulatedMotions):
             curves.append(replace(align(by_mark[mark], model), neighbours=neighbours))
         return curves, differences
 
-    def _align(self, recording: int, curve: PositionCurve, model: Model) -> AlignedCurve:
+    def _align_curve(self, recording: int, curve: PositionCurve, model: Model) -> AlignedCurve:
         """Return the force at the samples of a recording for the rig and the tilt of a model."""
         motion, measured = self._timed_motions[self.motion_of[recording]], self.measured[recording]
         tilt, time = model.experiment.tilt, measured.clock - measured.clock[0] + motion.sampled_from
@@ -177,7 +180,7 @@ class SimulatedTest(SimulatedMotions):
         position = model.rig.tool_motion(straight) + measured.displacement - straight
         return AlignedCurve(curve.with_tilt(tilt) if tilt else curve, position, model.rig.compliance)
 
-    def _loading(self, rig: Rig) -> Loading:
+    def _build_loading(self, rig: Rig) -> Loading:
         """Return a loading to the largest depth that a rig gives the tool in any of the motions.
 
         Raises:
@@ -191,14 +194,14 @@ class SimulatedTest(SimulatedMotions):
         if not depth > 0:
             raise InfeasibleError(f"{self.name}: the tool never reaches the tissue; check the contact of its "
                                   "recordings and the compliance of the rig")
-        return loading_to(depth, deepest, 0.999 * self.experiment.thickness)
+        return build_loading(depth, deepest, 0.999 * self.experiment.thickness)
 
-    def _correction_at(self, loading: Loading) -> np.ndarray:
+    def _interpolate_correction(self, loading: Loading) -> np.ndarray:
         """Return the mesh correction at the knots of a loading, N, shape (k,)."""
         if self.position_correction is None:
             return np.zeros(loading.depth.size)
         depth, force = self.position_correction
-        return spline(depth, force)(np.minimum(loading.depth, depth[-1]))
+        return build_spline(depth, force)(np.minimum(loading.depth, depth[-1]))
 
     def update_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
         """Compute the force difference of the accurate and the fast mesh, and store it as the correction.
@@ -214,7 +217,7 @@ class SimulatedTest(SimulatedMotions):
             self.drop_correction()
             return 0.0
         rigid = self.uses_position_curve(space, theta)
-        loading = self._loading(Rig()) if rigid else None
+        loading = self._build_loading(Rig()) if rigid else None
         for motion in self.motions if loading is None else (loading,):
             fast, *_ = self._simulate(space, values, solves, motion, "fast", rigid=rigid)
             accurate = self._accurate_force(space, values, solves, motion, rigid=rigid)
@@ -227,7 +230,7 @@ class SimulatedTest(SimulatedMotions):
         self.correction, self.position_correction = found, None
         if loading is not None:
             self.position_correction = loading.depth, found[0]
-            correction = spline(*self.position_correction)
+            correction = build_spline(*self.position_correction)
             self.correction = [correction(np.clip(motion.displacement, 0.0, loading.depth[-1]))
                                for motion in self._timed_motions]
         return largest
@@ -262,7 +265,7 @@ class SimulatedTest(SimulatedMotions):
         """Evaluate force and derivatives at the samples of a recording; see `ForwardTest.evaluate`."""
         measured, readout = self.measured[recording], answer.readouts[recording]
         rig = readout.rig
-        values, rate = answer.curves[recording](self._time(recording), measured.displacement, offset)
+        values, rate = answer.curves[recording](self._sample_times(recording), measured.displacement, offset)
         if answer.effects[recording].effects:
             values, rate = self._apply_effects(answer, recording, offset, values, rate)
         simulated = values[:, 0]
@@ -320,12 +323,12 @@ class SimulatedTest(SimulatedMotions):
             return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
         measured = self.measured[recording]
         curve, effects = answer.curves[recording], answer.effects[recording]
-        forces = curve.forces(self._time(recording), measured.displacement, offsets)
+        forces = curve.forces(self._sample_times(recording), measured.displacement, offsets)
         # A jump occurs at a true depth, so the contact offset determines its sample.
         return effects.factor(measured, depth_in_tissue(curve, measured, offsets)) * forces \
             if effects.effects else forces
 
-    def _time(self, recording: int) -> np.ndarray | None:
+    def _sample_times(self, recording: int) -> np.ndarray | None:
         """Return the time of the samples on the clock of their motion, s, shape (n,).
 
         Recordings with equivalent motions share one simulated motion and may have begun at other times.

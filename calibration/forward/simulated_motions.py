@@ -65,9 +65,11 @@ class SimulatedMotions:
 
     @property
     def specimen(self) -> Specimen:
+        """Specimen of the experiment."""
         return self.experiment.specimen
 
-    def _experiment(self, motion: Loading | TimedMotion) -> Experiment:
+    def _build_experiment(self, motion: Loading | TimedMotion) -> Experiment:
+        """Return the experiment with this motion of the tool."""
         return replace(self.experiment, protocol=motion.protocol)
 
     def _build_model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | TimedMotion,
@@ -78,7 +80,7 @@ class SimulatedMotions:
             InfeasibleError: the values give no valid model.
         """
         try:
-            return space.model(values, self._experiment(motion), self.rig, test=self.name, recording=recording)
+            return space.model(values, self._build_experiment(motion), self.rig, test=self.name, recording=recording)
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
 
@@ -115,15 +117,15 @@ class SimulatedMotions:
             preserves_proportionality(each, rigid=rigid) or self._affects_readings_only(each, values)
             for each in space.unknowns if each.is_modulus or each.acts_in(self.name, recording))
         if proportional:
-            values, factor = space.normalised(values)
+            values, factor = space.normalise_moduli(values)
 
-        def build(of: dict[str, float]) -> Model:
+        def build_true_model(of: dict[str, float]) -> Model:
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
             model = self._build_model(space, of, motion, recording)
             return with_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
 
-        model = build(values)
-        topology = build(space.before_moving(values)) if space.shapes_mesh(self.name) else None
+        model = build_true_model(values)
+        topology = build_true_model(space.with_start_geometry(values)) if space.shapes_mesh(self.name) else None
         effects = ReadoutEffects.from_model(model)
         model, topology = effects.remove_from(model), topology and effects.remove_from(topology)
         acting = {} if resolution != "fast" else {
@@ -137,7 +139,7 @@ class SimulatedMotions:
         if curve is None:
             curve = simulate_curve(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)
             solves.counts[self.name, resolution] += 1
-            solves.keep(key, curve)
+            solves.store(key, curve)
         if curve.problem:
             raise InfeasibleError(f"{self.name}: {curve.problem}")
         force = factor * np.array(curve.force)
@@ -161,4 +163,4 @@ class SimulatedMotions:
             used, (force, *_) = first, self._simulate(space, values, solves, first, "accurate", rigid=rigid)
         except InfeasibleError:
             used, (force, *_) = second, self._simulate(space, values, solves, second, "accurate", rigid=rigid)
-        return force if used is motion else motion.at_knots(used.interpolate(force[:, None]))[:, 0]
+        return force if used is motion else motion.evaluate_at_knots(used.interpolate(force[:, None]))[:, 0]

@@ -74,13 +74,13 @@ class SimulationCache:
                                                            type=SimulatedCurve)
         return self._curves.get(key)
 
-    def keep(self, key: str, curve: SimulatedCurve) -> None:
+    def store(self, key: str, curve: SimulatedCurve) -> None:
         """Store a curve in memory and, if the cache has a folder, in a file."""
         self._curves[key] = curve
         if self.folder is not None:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
-    def meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
+    def start_meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
         """Start a measurement of computing effort.
 
         Returns:
@@ -99,7 +99,7 @@ class SimulationCache:
         # The absolute path is valid in worker processes with another working directory.
         self.folder = self._read_folder = folder.resolve()
         for key, curve in self._curves.items():
-            self.keep(key, curve)
+            self.store(key, curve)
 
 
 def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
@@ -140,18 +140,19 @@ def content_key(*parts: Any) -> str:
     The hash (SHA-256, 40 hexadecimal digits) covers all numbers to the last digit, the source of the package
     `tissue_sim`, and the source of registered additions (laws, effects, ...).
     """
-    added = [[name, _source_digest(module)] for name, module in modules_of_additions().items()]
-    return hashlib.sha256(msgspec.json.encode([_solver_digest(), added, _plain(parts)])).hexdigest()[:40]
+    added = [[name, _hash_module_source(module)] for name, module in modules_of_additions().items()]
+    content = msgspec.json.encode([_hash_solver_source(), added, _convert_to_plain(parts)])
+    return hashlib.sha256(content).hexdigest()[:40]
 
 
-def _source_digest(module: ModuleType) -> str:
+def _hash_module_source(module: ModuleType) -> str:
     """Return the SHA-256 of a module's source; empty for a module without a file, such as a notebook session."""
     file = Path(getattr(module, "__file__", None) or "")
     return hashlib.sha256(file.read_bytes()).hexdigest() if file.is_file() else ""
 
 
 @cache
-def _solver_digest() -> str:
+def _hash_solver_source() -> str:
     """Return the SHA-256 of version and source of the package `tissue_sim`, which determine the curve of a model."""
     digest = hashlib.sha256(tissue_sim.__version__.encode())
     for path in sorted(Path(tissue_sim.__file__).parent.rglob("*.py")):
@@ -159,25 +160,26 @@ def _solver_digest() -> str:
     return digest.hexdigest()
 
 
-def _plain(value: Any) -> Any:
+def _convert_to_plain(value: Any) -> Any:
     """Convert immutable data to nested lists, dictionaries and strings that determine a simulation."""
     if isinstance(value, Tool):
         # The geometry determines the contact; the path of the tool's file does not.
-        return [value.shape, _plain({name: getattr(value, name) for name in declared(type(value))}),
-                _plain(value.profile)]
+        return [value.shape, _convert_to_plain({name: getattr(value, name) for name in declared(type(value))}),
+                _convert_to_plain(value.profile)]
     if isinstance(value, Specimen) and value.paths:
         # The same holds for a specimen from a file: the digest of the file replaces its path.
         named = {value.texts[key] for key in value.paths}
-        return [type(value).__name__, value.digest, {entry.name: _plain(getattr(value, entry.name))
+        return [type(value).__name__, value.digest, {entry.name: _convert_to_plain(getattr(value, entry.name))
                                                      for entry in fields(value) if entry.name not in named}]
     if is_dataclass(value):
-        return [type(value).__name__, {entry.name: _plain(getattr(value, entry.name)) for entry in fields(value)}]
+        return [type(value).__name__,
+                {entry.name: _convert_to_plain(getattr(value, entry.name)) for entry in fields(value)}]
     if isinstance(value, np.ndarray):
         return [float(number).hex() if value.dtype.kind == "f" else str(number) for number in value.ravel()]
     if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in sorted(value.items())}
+        return {str(key): _convert_to_plain(item) for key, item in sorted(value.items())}
     if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
+        return [_convert_to_plain(item) for item in value]
     if isinstance(value, float):
         return value.hex()
     return value if isinstance(value, int | str | bool | None) else str(value)

@@ -13,7 +13,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.named_files import whole_path, with_files_named
+from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.result import CalibrationResult
@@ -112,7 +112,7 @@ def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
     """Return the campaign file (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
-    content = with_files_named(read_toml(campaign.path, "a campaign (TOML)"), folder, whole_path)
+    content = rename_files(read_toml(campaign.path, "a campaign (TOML)"), folder, absolute_path)
     for table in (content.get("defaults", {}), *content["test"]):
         if "recordings" in table:
             table["recordings"] = [str(folder / name) for name in table["recordings"]]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from calibration.fit.result import CalibrationResult
-from calibration.fit.self_weight import statement
+from calibration.fit.self_weight import describe_self_weight
 from calibration.report.drawing import format_count
 from calibration.report.units import Units
 
@@ -16,7 +16,7 @@ def list_assumptions(result: CalibrationResult, units: Units) -> list[str]:
     if campaign.fit.fixed:
         lines.append(f"Fixed: {', '.join(f'{name} = {value:g}' for name, value in campaign.fit.fixed.items())}.")
     lines += [f"Prior of {name}: {mean:g} ± {deviation:g}." for name, (mean, deviation) in campaign.fit.prior.items()]
-    return [*lines, statement(campaign, result.best)]
+    return [*lines, describe_self_weight(campaign, result.best)]
 
 
 def _analytical_assumptions(result: CalibrationResult, units: Units) -> list[str]:

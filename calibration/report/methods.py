@@ -8,9 +8,9 @@ from importlib.metadata import PackageNotFoundError, version
 import tissue_sim
 from calibration.campaign.experiments import ROUND_SOLVER
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.segmented import notes_in_short
+from calibration.campaign.segmented import summarise_notes
 from calibration.fit.fit import Fit
-from calibration.fit.population import in_words
+from calibration.fit.population import describe_left_out
 from calibration.fit.result import CalibrationResult
 from calibration.forward.meshes import meshes_of
 from calibration.report.drawing import format_count
@@ -96,8 +96,8 @@ def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCur
                     "contact point, which was detected as the change point of the force relative to its zero and "
                     "drift."
                     for test, several in _recordings_from_contact(result, measured))
-    notes = notes_in_short((curve.test.name, curve.name, curve.notes)
-                           for curves in measured.values() for curve in curves)
+    notes = summarise_notes((curve.test.name, curve.name, curve.notes)
+                            for curves in measured.values() for curve in curves)
     return f"Data. {'; '.join(parts)}.{found}{notes}"
 
 
@@ -178,7 +178,7 @@ def _numbers(result: CalibrationResult, units: Units, cite) -> str:
                 f"{plain_symbol(each.symbol)} = {each.mean} [{each.mean_interval}], standard deviation between "
                 f"specimens {each.spread} [{each.spread_interval}]")
                 for each in format_population(fit, fit.population, units))
-            left_out = f"; not included: {in_words(fit.left_out_specimens)}" if fit.left_out_specimens else ""
+            left_out = f"; not included: {describe_left_out(fit.left_out_specimens)}" if fit.left_out_specimens else ""
             sentences.append(f"Population of {len(fit.population.specimens)} specimens (restricted maximum "
                              f"likelihood {cite('population')}): {several}{left_out}.")
     for p in result.predictions:

@@ -18,7 +18,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult, to_json
-from calibration.fit.self_weight import statement
+from calibration.fit.self_weight import describe_self_weight
 from calibration.fit.typical_material import typical_material
 from calibration.output_folder import FIT_FILE
 from calibration.report.drawing import Pictures
@@ -121,7 +121,7 @@ def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Se
                          "intervals95": {name: list(pair) for name, pair in fit.intervals95.items()
                                          if pair is not None},
                          "not_identifiable": fit.not_identifiable, "left_out_percent": fit.left_out,
-                         "self_weight": statement(campaign, fit), "status": fit.status, "BIC": fit.BIC,
+                         "self_weight": describe_self_weight(campaign, fit), "status": fit.status, "BIC": fit.BIC,
                          "unusable": fit.unusable, "alternatives": msgspec.to_builtins(fit.alternatives),
                          "covariance_from": fit.covariance_from, **whose}})
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.fit.fit import Fit
-from calibration.fit.population import in_words
+from calibration.fit.population import describe_left_out
 from calibration.fit.population_records import PopulationStatement
 from calibration.report.drawing import COLOURS, Pictures, add_legend_above, new_panels, panels_per_row
 from calibration.report.page import html_table, title_of, with_minus
@@ -72,7 +72,8 @@ def population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) ->
         for fit, found in having for each in format_population(fit, found, units)])
     for fit, _ in having:
         if fit.left_out_specimens:
-            yield f"<p>Not in the population of {title_of(fit.law)}: {escape(in_words(fit.left_out_specimens))}.</p>"
+            others = escape(describe_left_out(fit.left_out_specimens))
+            yield f"<p>Not in the population of {title_of(fit.law)}: {others}.</p>"
     for fit, found in having:
         yield pictures.show(f"population {fit.law}", partial(draw_population, fit, found, units),
                             f"Parameters of the specimens of {fit.law}",

@@ -10,7 +10,7 @@ from html import escape
 from calibration.campaign.campaign import Campaign, Test
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
-from calibration.fit.population import in_words
+from calibration.fit.population import describe_left_out
 from calibration.fit.result import CalibrationResult
 from calibration.output_folder import picture_of_test
 from calibration.report.assumptions import list_assumptions
@@ -168,7 +168,7 @@ def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
                              for each in fit.suggestions[:1])
             yield f'<span class="bad">{names}</span> of {title_of(fit.law)} from these tests{remedy}.'
         elif i == 0 and fit.left_out_specimens:
-            left_out = escape(in_words(fit.left_out_specimens))
+            left_out = escape(describe_left_out(fit.left_out_specimens))
             yield f'<span class="bad">The parameters of {left_out}</span> for {title_of(fit.law)}.'
         elif i == 0:
             yield f"These tests determine every parameter of {title_of(fit.law)}."

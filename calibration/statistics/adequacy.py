@@ -8,10 +8,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-#: Smallest fraction of a mode's squared norm outside the span of the design for which the mode can be tested.
-MIN_FREE_FRACTION = 1e-3
-#: Smallest ratio of a singular value to the largest one for which a direction counts as linearly independent.
-RANK_TOLERANCE = 1e-10
+
+@dataclass(frozen=True)
+class ScoreTestSettings:
+    """Numerical limits of score tests.
+
+    Attributes:
+        min_free_fraction: smallest fraction of a mode's squared norm outside the span of the design for which the mode
+            can be tested. A smaller value tests modes that the fit absorbs almost completely.
+        rank_tolerance: smallest ratio of a singular value to the largest one for which a direction counts as linearly
+            independent.
+    """
+
+    min_free_fraction: float = 1e-3
+    rank_tolerance: float = 1e-10
+
+
+SCORE_TEST = ScoreTestSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +59,12 @@ def score_test(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> M
     Source: Rao, Proc. Cambridge Philosophical Society 44 (1948) 50.
     """
     left, sizes, right = np.linalg.svd(modes, full_matrices=False)
-    kept = sizes > RANK_TOLERANCE * sizes.max(initial=0.0)
+    kept = sizes > SCORE_TEST.rank_tolerance * sizes.max(initial=0.0)
     left, sizes, right = left[:, kept], sizes[kept], right[kept]
     fitted = orthonormal_basis(design)
     free = left - fitted @ (fitted.T @ left)
     fractions, axes = np.linalg.eigh(free.T @ free)
-    testable = fractions > MIN_FREE_FRACTION
+    testable = fractions > SCORE_TEST.min_free_fraction
     fractions, axes = fractions[testable], axes[:, testable]
     # The projected modes are orthogonal to the design, so a remaining gradient of the fit does not enter the score.
     score = axes.T @ (free.T @ residual)
@@ -99,4 +112,4 @@ def orthonormal_basis(design: np.ndarray) -> np.ndarray:
     """
     scale = np.sqrt(np.sum(design**2, axis=0))
     left, sizes, _ = np.linalg.svd(design / np.where(scale > 0, scale, 1.0), full_matrices=False)
-    return left[:, sizes > RANK_TOLERANCE * sizes.max(initial=0.0)]
+    return left[:, sizes > SCORE_TEST.rank_tolerance * sizes.max(initial=0.0)]

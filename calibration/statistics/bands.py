@@ -8,12 +8,24 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-#: Probability that a band contains a new sample, or a new recording.
-LEVEL = 0.95
-#: Number of bisection steps for a half width.
-_BISECTIONS = 40
-#: Number of random recordings for the simultaneous band.
-_DRAWS = 2000
+
+@dataclass(frozen=True)
+class BandSettings:
+    """Settings of prediction bands.
+
+    Attributes:
+        level: probability that a band contains a new sample, or a new recording.
+        bisections: number of bisection steps for a half width; each step halves the error.
+        draws: number of random recordings for the simultaneous band. A larger value reduces the random error of its
+            width.
+    """
+
+    level: float = 0.95
+    bisections: int = 40
+    draws: int = 2000
+
+
+_SETTINGS = BandSettings()
 #: Degrees of freedom at which quantiles of Student's t are tabulated.
 _FREEDOMS = np.geomspace(1.0, 1e6, 200)
 #: Degrees of freedom of a known variance.
@@ -63,15 +75,16 @@ def prediction_bands(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.nd
     parts = np.array([noise**2, *(scatter.variance for scatter in scatters)])
     if not np.isfinite(parts.sum(axis=0) + bias).all():
         return np.full(bias.size, np.nan), np.full(bias.size, np.nan)
-    quantiles = special.stdtrit([KNOWN_VARIANCE, *(scatter.freedom for scatter in scatters)], 0.5 + 0.5 * LEVEL)
+    probability = 0.5 + 0.5 * _SETTINGS.level
+    quantiles = special.stdtrit([KNOWN_VARIANCE, *(scatter.freedom for scatter in scatters)], probability)
     deviation = np.sqrt(parts.sum(axis=0))
     quantile = np.sqrt(quantiles**2 @ parts) / deviation
-    freedom = np.interp(-quantile, -special.stdtrit(_FREEDOMS, 0.5 + 0.5 * LEVEL), _FREEDOMS)
+    freedom = np.interp(-quantile, -special.stdtrit(_FREEDOMS, probability), _FREEDOMS)
     shift = np.abs(bias) / deviation
     low, high = np.zeros(bias.size), shift + quantile
-    for _ in range(_BISECTIONS):
+    for _ in range(_SETTINGS.bisections):
         middle = 0.5 * (low + high)
-        wide = special.stdtr(freedom, middle - shift) - special.stdtr(freedom, -middle - shift) >= LEVEL
+        wide = special.stdtr(freedom, middle - shift) - special.stdtr(freedom, -middle - shift) >= _SETTINGS.level
         low, high = np.where(wide, low, middle), np.where(wide, middle, high)
     half = high * deviation
     return half, half * _simultaneous_factor(bias, scatters, noise, samples, half)
@@ -81,13 +94,13 @@ def _simultaneous_factor(bias: np.ndarray, scatters: Sequence[Scatter], noise: n
                          half: np.ndarray) -> float:
     """Return the factor by which the pointwise band widens so that it contains 95 % of whole recordings; at least 1."""
     generator = np.random.default_rng(0)
-    smooth = np.tile(bias, (_DRAWS, 1))
+    smooth = np.tile(bias, (_SETTINGS.draws, 1))
     for scatter in scatters:
         size = 1.0 if np.isinf(scatter.freedom) else np.sqrt(
-            scatter.freedom / generator.chisquare(scatter.freedom, (_DRAWS, 1)))
-        smooth += size * (generator.standard_normal((_DRAWS, scatter.columns.shape[1])) @ scatter.columns.T)
+            scatter.freedom / generator.chisquare(scatter.freedom, (_SETTINGS.draws, 1)))
+        smooth += size * (generator.standard_normal((_SETTINGS.draws, scatter.columns.shape[1])) @ scatter.columns.T)
     # Largest and smallest noise of the samples per point, drawn by inversion of the distribution of extremes.
     exponent = 1.0 / max(samples, 1.0)
     high, low = (-special.ndtri(-np.expm1(exponent * np.log(generator.uniform(size=smooth.shape)))) for _ in range(2))
     reach = np.maximum(smooth + high * noise, low * noise - smooth)
-    return max(float(np.quantile((reach / half).max(axis=1), LEVEL)), 1.0)
+    return max(float(np.quantile((reach / half).max(axis=1), _SETTINGS.level)), 1.0)

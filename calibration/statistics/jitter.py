@@ -97,17 +97,17 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
     if not freedom:
         return Jitter(contact or 0.0, zero or 0.0, 0)
     repeated = [test for test in tests if len(test) > 1]
-    grams = [_Gram(test) for test in repeated]
+    grams = [_GramMatrices(test) for test in repeated]
     fixed = _independent_effects(grams)
     unknown = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
 
-    def deviations(values: np.ndarray) -> np.ndarray:
+    def insert_stated(values: np.ndarray) -> np.ndarray:
         result = np.broadcast_to([contact or 0.0, zero or 0.0], (*values.shape[:-1], 2)).copy()
         result[..., unknown] = values
         return result
 
     def criterion(values: np.ndarray) -> np.ndarray:
-        return _criterion(grams, fixed, deviations(values))
+        return _evaluate_criterion(grams, fixed, insert_stated(values))
 
     ranges = [_search_range(repeated, kind) for kind in unknown]
     best, lowest = np.zeros(len(unknown)), float(criterion(np.zeros(len(unknown))))
@@ -116,11 +116,11 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
         value, candidate = _minimise(criterion, len(unknown), present, [ranges[k] for k in present])
         if value < lowest - _SETTINGS.gain:
             best, lowest = candidate, value
-    found = deviations(best)
+    found = insert_stated(best)
     return Jitter(float(found[0]), float(found[1]), freedom)
 
 
-class _Gram:
+class _GramMatrices:
     """Gram matrices of the columns of one test.
 
     Column blocks: offset and zero of each replicate (2), shared effects (m), fixed effects (p + 2), residual (1).
@@ -136,7 +136,7 @@ class _Gram:
         self.shared, self.parameters = test[0].shared.shape[1], test[0].parameters.shape[1]
         self.own, self.cross, self.rest = gram[:, :2, :2], gram[:, :2, 2:], gram[:, 2:, 2:].sum(axis=0)
 
-    def reduced(self, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def eliminate_jitter(self, deviations: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return X'V^-1 X with the columns X of fixed effects and residual, and log det V, for this test.
 
         Args:
@@ -157,7 +157,7 @@ class _Gram:
                 logarithm + np.linalg.slogdet(block)[1])
 
 
-def _assemble(grams: Sequence[_Gram], blocks: Sequence[np.ndarray]) -> np.ndarray:
+def _assemble_normal_matrix(grams: Sequence[_GramMatrices], blocks: Sequence[np.ndarray]) -> np.ndarray:
     """Return X'V^-1 X over all tests: parameters (p), offset and zero of each test, residual (1)."""
     p = grams[0].parameters
     total = np.zeros((*blocks[0].shape[:-2], *(p + 2 * len(grams) + 1,) * 2))
@@ -167,12 +167,12 @@ def _assemble(grams: Sequence[_Gram], blocks: Sequence[np.ndarray]) -> np.ndarra
     return total
 
 
-def _independent_effects(grams: Sequence[_Gram]) -> np.ndarray:
+def _independent_effects(grams: Sequence[_GramMatrices]) -> np.ndarray:
     """Return linearly independent combinations of the fixed effects, shape (fixed effects, rank).
 
     The rank does not depend on the covariance, so one computation serves all standard deviations.
     """
-    total = _assemble(grams, [gram.reduced(np.zeros(2))[0] for gram in grams])[:-1, :-1]
+    total = _assemble_normal_matrix(grams, [gram.eliminate_jitter(np.zeros(2))[0] for gram in grams])[:-1, :-1]
     scale = np.sqrt(np.diag(total))
     scale = np.where(scale > 0, scale, 1.0)
     values, vectors = np.linalg.eigh(total / np.outer(scale, scale))
@@ -180,7 +180,7 @@ def _independent_effects(grams: Sequence[_Gram]) -> np.ndarray:
     return vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
 
 
-def _criterion(grams: Sequence[_Gram], fixed: np.ndarray, deviations: np.ndarray) -> np.ndarray:
+def _evaluate_criterion(grams: Sequence[_GramMatrices], fixed: np.ndarray, deviations: np.ndarray) -> np.ndarray:
     """Return -2 log restricted likelihood, up to a constant, for pairs of standard deviations.
 
     The value is infinite if rounding makes a fixed effect vanish, which happens for jitter many orders of magnitude
@@ -191,8 +191,8 @@ def _criterion(grams: Sequence[_Gram], fixed: np.ndarray, deviations: np.ndarray
         fixed: independent combinations of the fixed effects from `_independent_effects`.
         deviations: standard deviations of contact, m, and zero, N, shape (..., 2).
     """
-    blocks, logarithms = zip(*(gram.reduced(deviations) for gram in grams), strict=True)
-    total = _assemble(grams, blocks)
+    blocks, logarithms = zip(*(gram.eliminate_jitter(deviations) for gram in grams), strict=True)
+    total = _assemble_normal_matrix(grams, blocks)
     information, score = fixed.T @ total[..., :-1, :-1] @ fixed, fixed.T @ total[..., :-1, -1:]
     sign, logarithm = np.linalg.slogdet(information)
     good = sign > 0
@@ -248,14 +248,14 @@ def _minimise(criterion: Callable[[np.ndarray], np.ndarray], size: int, present:
     if not np.isfinite(values.min()):
         return np.inf, np.zeros(size)
 
-    def with_slope(point: np.ndarray) -> tuple[float, np.ndarray]:
+    def evaluate_with_slope(point: np.ndarray) -> tuple[float, np.ndarray]:
         steps = np.where(point + _SETTINGS.step <= high, _SETTINGS.step, -_SETTINGS.step)
         value, *others = evaluate(np.vstack([point, point + np.diag(steps)]))
         if not np.isfinite(value):
             return np.inf, np.zeros(len(present))
         return float(value), (np.array(others) - value) / steps
 
-    found = minimize(with_slope, start, jac=True, bounds=list(zip(low, high, strict=True)), method="L-BFGS-B")
+    found = minimize(evaluate_with_slope, start, jac=True, bounds=list(zip(low, high, strict=True)), method="L-BFGS-B")
     result = np.zeros(size)
     result[present] = np.exp(found.x)
     return float(found.fun), result

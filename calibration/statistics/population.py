@@ -16,10 +16,21 @@ from scipy import optimize, special
 
 from tissue_sim.errors import InputError
 
-#: Smallest number of specimens for an estimate of the between-specimen covariance.
-MIN_SPECIMENS = 2
-#: Confidence level of the intervals.
-LEVEL = 0.95
+
+@dataclass(frozen=True)
+class PopulationSettings:
+    """Settings of the population of specimens.
+
+    Attributes:
+        min_specimens: smallest number of specimens for an estimate of the between-specimen covariance.
+        level: confidence level of the intervals.
+    """
+
+    min_specimens: int = 2
+    level: float = 0.95
+
+
+POPULATION = PopulationSettings()
 #: Probabilities at which the distribution of a spread is tabulated: midpoints of 400 equal cells.
 _PROBABILITIES = (np.arange(400) + 0.5) / 400
 
@@ -90,9 +101,9 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     """
     x, V = np.array(estimates, dtype=float), np.array(covariances, dtype=float)
     n, p = len(specimens), len(order)
-    if n < MIN_SPECIMENS:
-        raise InputError(f"the scatter between specimens requires at least {MIN_SPECIMENS} specimens; got {n}",
-                         field="specimen")
+    if n < POPULATION.min_specimens:
+        raise InputError(f"the scatter between specimens requires at least {POPULATION.min_specimens} specimens; got "
+                         f"{n}", field="specimen")
     if x.shape != (n, p) or V.shape != (n, p, p):
         raise InputError(f"estimates and covariances must have the shapes {(n, p)} and {(n, p, p)}; got {x.shape} and "
                          f"{V.shape}", field="estimates")
@@ -104,14 +115,14 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     scale = np.sqrt(np.mean(x**2, axis=0) + variances.mean(axis=0))
     x, V = x / scale, V / np.outer(scale, scale)
     shared = np.zeros((n, p, 0)) if common is None else np.asarray(common) / scale[:, None]
-    W = _between_covariance(x, V)
+    W = _estimate_between_covariance(x, V)
     total = np.linalg.inv(W + V)
     mean_covariance = np.linalg.inv(total.sum(axis=0))
     mean = mean_covariance @ np.einsum("npq,nq->p", total, x)
     moved = mean_covariance @ np.einsum("npq,nqh->ph", total, shared)
     together = moved @ moved.T
     variances, spread = np.diagonal(V, axis1=1, axis2=2), np.sqrt(np.diag(W))
-    intervals = [_intervals(x[:, j], variances[:, j], together[j, j]) for j in range(p)]
+    intervals = [_compute_intervals(x[:, j], variances[:, j], together[j, j]) for j in range(p)]
     mean_intervals, spread_intervals, next_specimen = (np.array([each[k] for each in intervals]) for k in range(3))
     gain = W @ total
     shrunken = mean + np.einsum("npq,nq->np", gain, x - mean)
@@ -128,7 +139,7 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
         np.sqrt(np.maximum(shrunken_variances, 0.0)) * scale)
 
 
-def _between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
+def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
     """Estimate the between-specimen covariance W by restricted maximum likelihood, shape (p, p).
 
     The unknowns are the entries of a lower triangular L with W = L L', so that W is positive semidefinite.
@@ -161,7 +172,7 @@ def _between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
     return root @ root.T
 
 
-def _intervals(x: np.ndarray, v: np.ndarray, together: float):
+def _compute_intervals(x: np.ndarray, v: np.ndarray, together: float):
     """Return the 95 % intervals of mean, spread and a further specimen for one parameter.
 
     For the true spread s the statistic Q(s) = sum w_i (x_i - m)^2 with w_i = 1 / (v_i + s^2) is chi-square distributed
@@ -173,10 +184,10 @@ def _intervals(x: np.ndarray, v: np.ndarray, together: float):
         v: variances of the estimates, shape (n,).
         together: variance of the mean by errors that all specimens share.
     """
-    low, high = (1 - LEVEL) / 2, (1 + LEVEL) / 2
+    low, high = (1 - POPULATION.level) / 2, (1 + POPULATION.level) / 2
     # Q decreases with the spread, so the upper quantile of Q gives the lower end.
-    ends = tuple(_spread_at(x, v, float(special.chdtri(x.size - 1, 1 - level))) for level in (high, low))
-    spread = np.array([_spread_at(x, v, statistic) for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
+    ends = tuple(_find_spread(x, v, float(special.chdtri(x.size - 1, 1 - level))) for level in (high, low))
+    spread = np.array([_find_spread(x, v, statistic) for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
     weight = 1.0 / (v + spread[:, None]**2)
     centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
     mean, following = (tuple(_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
@@ -197,8 +208,8 @@ def _mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float)
                                  centres.min() - reach, centres.max() + reach))
 
 
-def _spread_at(x: np.ndarray, v: np.ndarray, statistic: float) -> float:
-    """Return the spread s at which the statistic Q(s) of `_intervals` has a value; 0 if Q(0) is smaller.
+def _find_spread(x: np.ndarray, v: np.ndarray, statistic: float) -> float:
+    """Return the spread s at which the statistic Q(s) of `_compute_intervals` has a value; 0 if Q(0) is smaller.
 
     Args:
         x: estimates, shape (n,).

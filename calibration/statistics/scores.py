@@ -8,14 +8,26 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from calibration.statistics.adequacy import RANK_TOLERANCE
+from calibration.statistics.adequacy import SCORE_TEST
 
-#: Smallest fraction of the length of a change outside the span of the fit for which the change can be tested.
-MIN_FREE_FRACTION = 1e-3
-#: Number of random draws of the scores.
-DRAWS = 20_000
-#: Seed of the random draws, fixed so that results are reproducible.
-SEED = 1
+
+@dataclass(frozen=True)
+class DirectionSettings:
+    """Settings of score tests of many alternatives.
+
+    Attributes:
+        min_free_fraction: smallest fraction of the length of a change outside the span of the fit for which the change
+            can be tested. A smaller value tests changes that the fit absorbs almost completely.
+        draws: number of random draws of the scores; the standard error of a p value is sqrt(p / draws).
+        seed: seed of the random draws, fixed so that results are reproducible.
+    """
+
+    min_free_fraction: float = 1e-3
+    draws: int = 20_000
+    seed: int = 1
+
+
+DIRECTIONS = DirectionSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +66,8 @@ class Direction:
         if columns.shape[1] == 1:
             # The singular vector has an arbitrary sign; the basis has the sign of the effect.
             left = free / (sizes[0] or 1.0)
-        kept = sizes > max(MIN_FREE_FRACTION * length / np.sqrt(columns.shape[1]),
-                           RANK_TOLERANCE * sizes.max(initial=0.0), 1e-12)
+        kept = sizes > max(DIRECTIONS.min_free_fraction * length / np.sqrt(columns.shape[1]),
+                           SCORE_TEST.rank_tolerance * sizes.max(initial=0.0), 1e-12)
         return cls(left[:, kept], length, float(np.linalg.norm(sizes[kept])), positive)
 
     def score(self, residual: np.ndarray) -> np.ndarray:
@@ -69,7 +81,7 @@ class Direction:
         """
         return -(self.basis.T @ residual)
 
-    def p(self, score: np.ndarray) -> np.ndarray:
+    def p_value(self, score: np.ndarray) -> np.ndarray:
         """Return the p value of a score for this direction alone.
 
         The p value is that of a one-sided normal test for a positive effect with q = 1, otherwise of a chi-square test
@@ -88,8 +100,8 @@ class Direction:
         return special.chdtrc(self.freedom, np.sum(score**2, axis=-1))
 
 
-def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = SEED,
-                       draws: int = DRAWS) -> np.ndarray:
+def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = DIRECTIONS.seed,
+                        draws: int = DIRECTIONS.draws) -> np.ndarray:
     """Compute family-wise p values by simulation of the minimum p value (Westfall and Young).
 
     Without effects the scores of all directions are jointly normal with mean 0 and covariance B'B, where B contains all
@@ -120,9 +132,9 @@ def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.nda
     root = axes * np.sqrt(np.maximum(sizes, 0.0))
     drawn = np.random.default_rng(seed).standard_normal((draws, sizes.size)) @ root.T
     ends = np.cumsum([0, *(direction.freedom for direction in directions)])
-    smallest = np.min([direction.p(drawn[:, first:last]) for direction, first, last in zip(
+    smallest = np.min([direction.p_value(drawn[:, first:last]) for direction, first, last in zip(
         directions, ends[:-1], ends[1:], strict=True)], axis=0)
-    observed = np.array([float(direction.p(score)) for direction, score in zip(directions, scores, strict=True)])
+    observed = np.array([float(direction.p_value(score)) for direction, score in zip(directions, scores, strict=True)])
     below = np.searchsorted(np.sort(smallest), observed, side="right")
     return (below + 1) / (draws + 1)
 

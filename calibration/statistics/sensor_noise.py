@@ -8,13 +8,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from calibration.statistics.statistics import resolution
+from calibration.statistics.statistics import quantisation_step
 from tissue_sim.errors import InputError
 
 #: One recording: force, N, shape (n,); time, s, shape (n,), or None; labels of the segments, shape (n,), or None.
 Signal = tuple[np.ndarray, np.ndarray | None, Sequence | np.ndarray | None]
-#: Smallest number of samples of a segment from which the noise is estimated.
-MIN_SAMPLES = 4
 
 
 @dataclass(frozen=True)
@@ -31,6 +29,7 @@ class NoiseSettings:
         grid: number of trial correlation times before the best one is refined.
         relative_floor: smallest noise level relative to the largest force; exact synthetic data would give zero.
         floor: smallest noise level, N.
+        min_samples: smallest number of samples of a segment from which the noise is estimated.
     """
 
     max_degree: int = 24
@@ -40,6 +39,7 @@ class NoiseSettings:
     grid: int = 16
     relative_floor: float = 1e-9
     floor: float = 1e-12
+    min_samples: int = 4
 
 
 _SETTINGS = NoiseSettings()
@@ -92,7 +92,7 @@ def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> 
     if not noise.correlation_time:
         return columns / noise.deviation
     correlation, deviation = _step_statistics(spread_time_stamps(time, columns.shape[0]), noise.correlation_time)
-    return _innovations(columns, correlation, deviation) / noise.deviation
+    return _compute_innovations(columns, correlation, deviation) / noise.deviation
 
 
 def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | None = None,
@@ -114,7 +114,7 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
             estimated then. None: it is estimated.
 
     Raises:
-        InputError: no segment has `MIN_SAMPLES` samples, or a stated value is out of range.
+        InputError: no segment has `NoiseSettings.min_samples` samples, or a stated value is out of range.
 
     Source: Patterson and Thompson, Biometrika 58 (1971) 545 (restricted likelihood); Schwarz, Annals of Statistics 6
         (1978) 461; Bennett, Bell System Technical Journal 27 (1948) 446 (rounding).
@@ -122,18 +122,19 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
     if deviation is not None and correlation_time is not None:
         return SensorNoise(deviation, correlation_time)
     checked = SensorNoise(1.0 if deviation is None else deviation, correlation_time or 0.0)
-    pieces = [piece for force, time, segment in recordings for piece in _pieces(force, time, segment)]
+    pieces = [piece for force, time, segment in recordings for piece in _split_segments(force, time, segment)]
     if not pieces:
-        raise InputError(f"no segment has the {MIN_SAMPLES} samples that an estimate of the noise requires; state "
-                         "noise.force_N", field="noise.force_N")
-    tau, degrees = _select(pieces, correlation_time)
+        raise InputError(f"no segment has the {_SETTINGS.min_samples} samples that an estimate of the noise requires; "
+                         "state noise.force_N", field="noise.force_N")
+    tau, degrees = _select_correlation_time(pieces, correlation_time)
     if correlation_time is None and tau:
-        tau = _refine(pieces, degrees, tau)
+        tau = _refine_correlation_time(pieces, degrees, tau)
     if deviation is not None:
         return replace(checked, correlation_time=tau)
-    squares, freedom, _ = _restricted(pieces, degrees, tau)
+    squares, freedom, _ = _restricted_likelihood(pieces, degrees, tau)
     level = float(np.sqrt(squares / freedom))
-    rounding = max(resolution(np.asarray(force, dtype=float)) for force, _, _ in recordings) / float(np.sqrt(12.0))
+    step = max(quantisation_step(np.asarray(force, dtype=float)) for force, _, _ in recordings)
+    rounding = step / float(np.sqrt(12.0))
     floor = max(_SETTINGS.floor, *(_SETTINGS.relative_floor * float(np.abs(force).max())
                                    for force, _, _ in recordings))
     if max(level, rounding) <= floor:  # Rounding of floating point has no colour.
@@ -153,7 +154,7 @@ class _Piece:
     columns: np.ndarray
     time: np.ndarray
 
-    def triangle(self, tau: float) -> tuple[np.ndarray, float]:
+    def factorise(self, tau: float) -> tuple[np.ndarray, float]:
         """Return R of the QR decomposition of the whitened columns, and log det of the correlation matrix.
 
         Leading blocks of R are those of trends of lower degree.
@@ -164,18 +165,18 @@ class _Piece:
         if not tau:
             return np.asarray(np.linalg.qr(self.columns, mode="r")), 0.0
         correlation, deviation = _step_statistics(self.time, tau)
-        whitened = np.asarray(np.linalg.qr(_innovations(self.columns, correlation, deviation), mode="r"))
+        whitened = np.asarray(np.linalg.qr(_compute_innovations(self.columns, correlation, deviation), mode="r"))
         return whitened, 2.0 * float(np.log(deviation).sum())
 
 
-def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
-    """Split a recording into its segments with at least `MIN_SAMPLES` samples."""
+def _split_segments(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
+    """Split a recording into its segments with at least `NoiseSettings.min_samples` samples."""
     force = np.asarray(force, dtype=float)
     time = spread_time_stamps(time, force.size)
     starts = [0] if segment is None else [0, *(np.flatnonzero(np.asarray(segment)[1:] != np.asarray(segment)[:-1]) + 1)]
     pieces = []
     for first, last in zip(starts, [*starts[1:], force.size], strict=True):
-        if last - first < MIN_SAMPLES:
+        if last - first < _SETTINGS.min_samples:
             continue
         t = time[first:last]
         degree = min(_SETTINGS.max_degree, (last - first) // _SETTINGS.samples_per_degree)
@@ -184,7 +185,7 @@ def _pieces(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.n
     return pieces
 
 
-def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int]]:
+def _select_correlation_time(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int]]:
     """Return the correlation time and the degree of each segment's trend with the smallest BIC.
 
     Args:
@@ -200,10 +201,10 @@ def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int
         candidates += list(np.geomspace(shortest, longest, _SETTINGS.grid)) if longest > shortest else []
     best: tuple[float, float, list] = (np.inf, 0.0, [])
     for tau in candidates:
-        triangles, logarithms = zip(*(piece.triangle(tau) for piece in pieces), strict=True)
+        triangles, logarithms = zip(*(piece.factorise(tau) for piece in pieces), strict=True)
         # Sums of squared residuals of each segment for the degrees 0, 1, 2, ...
         squares = [np.cumsum(R[:, -1][::-1]**2)[::-1][1:] for R in triangles]
-        degrees = _degrees(squares, samples)
+        degrees = _select_degrees(squares, samples)
         total = sum(part[k] for part, k in zip(squares, degrees, strict=True))
         terms = sum(degrees) + (1 if tau and stated is None else 0)
         variance = max(total / samples, _SETTINGS.floor**2)
@@ -213,7 +214,7 @@ def _select(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int
     return best[1], best[2]
 
 
-def _degrees(squares: list[np.ndarray], samples: int) -> list[int]:
+def _select_degrees(squares: list[np.ndarray], samples: int) -> list[int]:
     """Return the degree of each segment's trend with the smallest BIC, by fixed-point iteration from the highest.
 
     Args:
@@ -232,7 +233,7 @@ def _degrees(squares: list[np.ndarray], samples: int) -> list[int]:
         degrees = lower
 
 
-def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[float, int, float]:
+def _restricted_likelihood(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[float, int, float]:
     """Return the terms of -2 log restricted likelihood: residual sum of squares, degrees of freedom, log determinants.
 
     Args:
@@ -242,7 +243,7 @@ def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[f
     """
     squares, freedom, logarithm = 0.0, 0, 0.0
     for piece, degree in zip(pieces, degrees, strict=True):
-        R, own = piece.triangle(tau)
+        R, own = piece.factorise(tau)
         fixed = degree + 1
         squares += float(R[fixed:, -1] @ R[fixed:, -1])
         freedom += piece.time.size - fixed
@@ -250,13 +251,13 @@ def _restricted(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[f
     return squares, freedom, logarithm
 
 
-def _refine(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
+def _refine_correlation_time(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
     """Return the correlation time that maximises the restricted likelihood near a first guess, s."""
     # Import on use: errors in input files are reported before scipy.optimize is loaded.
     from scipy.optimize import minimize_scalar
 
     def criterion(logarithm: float) -> float:
-        squares, freedom, determinants = _restricted(pieces, degrees, float(np.exp(logarithm)))
+        squares, freedom, determinants = _restricted_likelihood(pieces, degrees, float(np.exp(logarithm)))
         return freedom * np.log(max(squares / freedom, _SETTINGS.floor**2)) + determinants
 
     # The first guess maximises the likelihood, whose optimum is below that of the restricted likelihood.
@@ -297,7 +298,7 @@ def _step_statistics(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarr
     return np.exp(-lag), np.sqrt(-np.expm1(-2.0 * lag))
 
 
-def _innovations(columns: np.ndarray, correlation: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+def _compute_innovations(columns: np.ndarray, correlation: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """Return the innovations (y_i - rho_i y_{i-1}) / sqrt(1 - rho_i^2) of columns, shape of `columns`."""
     shape = (-1, *([1] * (columns.ndim - 1)))
     before = np.concatenate([np.zeros_like(columns[:1]), columns[:-1]])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, TypeAlias
 
@@ -11,10 +12,23 @@ import numpy as np
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-#: Ratio of residuals to stated noise above which model error dominates.
-MODEL_ERROR_RATIO = 3.0
-#: Ratio of residuals to estimated noise below which the estimate contains curvature of the data.
-CURVATURE_RATIO = 0.3
+
+@dataclass(frozen=True)
+class NoiseRatioLimits:
+    """Limits of the ratio of root mean square residuals to the noise.
+
+    Attributes:
+        model_error: ratio to the noise above which model error dominates. A smaller value reports model errors that are
+            harmless for the parameters.
+        curvature: ratio to an estimated noise below which the noise estimate contains curvature of the data. A larger
+            value also reports correct estimates of few samples.
+    """
+
+    model_error: float = 3.0
+    curvature: float = 0.3
+
+
+NOISE_RATIOS = NoiseRatioLimits()
 #: Interpolation matrix of each replicate from its samples to its points, shape (points, samples); None: no
 #: interpolation.
 Interpolations: TypeAlias = "Sequence[csr_array | None]"
@@ -48,7 +62,7 @@ def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> f
     return float(max(min(deviations), 1e-9 * np.abs(samples).max(), np.finfo(float).tiny))
 
 
-def resolution(samples: np.ndarray) -> float:
+def quantisation_step(samples: np.ndarray) -> float:
     """Return the quantisation step of a signal, in the unit of the samples; 0 if no step is found.
 
     The step is the smallest repeated difference, if all differences are integer multiples of it and more than one
@@ -143,7 +157,7 @@ def r_squared(data: np.ndarray, residual: np.ndarray) -> float:
     return 1.0 - float(residual @ residual / np.sum((data - data.mean())**2))
 
 
-def correlation(covariance: np.ndarray) -> np.ndarray:
+def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     """Return the correlation matrix of a covariance matrix; off-diagonal entries of unknowns with variance 0 are 0."""
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     outer = np.outer(deviation, deviation)

@@ -10,12 +10,26 @@ from scipy import linalg, special
 
 from calibration.statistics.statistics import Interpolations, chi_square, pooled_noise
 
-#: Ratio of residuals to noise above which the residuals determine the standard errors.
-RESIDUAL_RATIO = 1.1
-#: Smallest number of replicates from which their scatter is estimated.
-MIN_REPLICATES = 3
-#: Condition number of the scaled Hessian above which a direction counts as undetermined by the data.
-SINGULAR_CONDITION = 1e14
+
+@dataclass(frozen=True)
+class CovarianceSettings:
+    """Limits of the covariance of least-squares estimates.
+
+    Attributes:
+        residual_ratio: ratio of residuals to noise above which the residuals determine the standard errors. A value of
+            1 would inflate half of all fits with a correct noise.
+        min_replicates: smallest number of replicates from which their scatter is estimated. With fewer, the estimated
+            scatter is mostly chance.
+        singular_condition: condition number of the scaled Hessian above which a direction counts as undetermined by the
+            data; about the reciprocal of the floating-point precision.
+    """
+
+    residual_ratio: float = 1.1
+    min_replicates: int = 3
+    singular_condition: float = 1e14
+
+
+COVARIANCE = CovarianceSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,8 +71,8 @@ def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: n
     At the minimum, cov = A^-1 M A^-1 with A = J'J + s^2 P, where J is the Jacobian, P the diagonal prior precision, s
     the pooled noise and M the variance of the gradient. Samples contribute to M with the noise of their replicate, or
     with its residuals if they exceed the noise. The errors of one replicate are correlated: stated jitter adds its
-    variance to M; otherwise, for at least `MIN_REPLICATES` replicates, M is at least the scatter of the replicates'
-    gradients, with the factor R / (R - 1) for few clusters.
+    variance to M; otherwise, for at least `CovarianceSettings.min_replicates` replicates, M is at least the
+    scatter of the replicates' gradients, with the factor R / (R - 1) for few clusters.
 
     Args:
         jacobian: derivatives of the stress with the unknowns, shape (n, k).
@@ -85,7 +99,7 @@ def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: n
     squares, samples = chi_square(residual, replicate, noise, interpolations)
     freedom = max(samples - unknowns, 1.0)
     basis, quantile, deviations = "noise", special.ndtri(0.975), noise
-    if squares > RESIDUAL_RATIO**2 * freedom:
+    if squares > COVARIANCE.residual_ratio**2 * freedom:
         basis, quantile = "residuals", special.stdtrit(freedom, 0.975)
         own = np.array([chi_square(residual[part], np.zeros(part.sum(), int), noise[i:i + 1],
                                    None if interpolations is None else interpolations[i:i + 1])
@@ -108,7 +122,7 @@ def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: n
     root, singular = inverse_root(hessian / np.outer(scale, scale))
     root = root / scale[:, None]
     spread = root.T @ spread @ root
-    if jitter is None and count >= MIN_REPLICATES and root.shape[1]:
+    if jitter is None and count >= COVARIANCE.min_replicates and root.shape[1]:
         scores = _replicate_scores(jacobian, residual, parts) @ root
         spread = _larger_variance(count / (count - 1) * scores.T @ scores, spread)
         basis, quantile = "replicates", special.stdtrit(count - 1, 0.975)
@@ -136,7 +150,7 @@ def inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         bool, shape (k,).
     """
     values, vectors = np.linalg.eigh(hessian)
-    flat = values <= values.max(initial=0.0) / SINGULAR_CONDITION
+    flat = values <= values.max(initial=0.0) / COVARIANCE.singular_condition
     return vectors[:, ~flat] / np.sqrt(values[~flat]), (np.abs(vectors[:, flat]) > 0.1).any(axis=1)
 
 

@@ -46,7 +46,7 @@ class DaskCluster:
                              'pip install "tissue-sim[cluster]"', field="dask") from None
         self.death = KilledWorker
         if Path(address).is_file():
-            address = _address_in(Path(address))
+            address = _read_address(Path(address))
         try:
             # Check the form of the address first: a client that fails because of it cannot be closed.
             get_address_host(address)
@@ -73,7 +73,8 @@ class DaskCluster:
         self._client.close()
 
 
-def _address_in(file: Path) -> str:
+def _read_address(file: Path) -> str:
+    """Return the address of the scheduler in its JSON file."""
     try:
         return str(read_json(file, "a scheduler file")["address"])
     except (ValueError, LookupError, TypeError):

@@ -116,7 +116,7 @@ class _ParallelTasks(Tasks):
         results: dict[int, Any] = {}
         failures: dict[int, BaseException] = {}
         try:
-            self._finish(function, arguments, on_done, results, failures)
+            self._finish_tasks(function, arguments, on_done, results, failures)
         except BaseException:
             # Ctrl-C, an error of on_done, or failed workers: running tasks are abandoned.
             self._executor.stop()
@@ -125,7 +125,7 @@ class _ParallelTasks(Tasks):
             raise failures[min(failures)]
         return [results[index] for index in range(len(arguments))]
 
-    def _finish(self, function, arguments, on_done, results, failures):
+    def _finish_tasks(self, function, arguments, on_done, results, failures):
         """Run all tasks; store each result in `results` or each exception in `failures`."""
         executor = self._executor
         waiting = deque(range(len(arguments)))
@@ -136,14 +136,14 @@ class _ParallelTasks(Tasks):
         lost: list[int] = []
         running: dict[Future, int] = {}
 
-        def start(index: int) -> None:
+        def start_task(index: int) -> None:
             running[executor.submit(function, arguments[index])] = index
 
         while running or ((waiting or suspects) and not failures):
             while waiting and not failures and len(running) < executor.capacity:
-                start(waiting.popleft())
+                start_task(waiting.popleft())
             if not running:
-                start(suspects.popleft())
+                start_task(suspects.popleft())
             done, _ = wait(running, timeout=_LONGEST_WAIT, return_when=FIRST_COMPLETED)
             for future in done:
                 index = running.pop(future)

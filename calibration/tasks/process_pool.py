@@ -49,9 +49,10 @@ class ProcessPool:
                 return self._executor.submit(run_packed, task)
             except BrokenProcessPool:
                 self.close()
-        return self._start().submit(run_packed, task)
+        return self._start_processes().submit(run_packed, task)
 
-    def _start(self) -> ProcessPoolExecutor:
+    def _start_processes(self) -> ProcessPoolExecutor:
+        """Start all processes of the pool, and wait until the first one works."""
         # Spawned, not forked: Taichi and the threads of this process do not survive a fork.
         self._executor = ProcessPoolExecutor(self.capacity, multiprocessing.get_context("spawn"), follow_parent)
         # Start all processes now: the executor would wait forever for a process that starts while another one ends, and

@@ -16,7 +16,7 @@ from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
 from calibration.fit.estimate import settle
 from calibration.fit.profiles import profile_side
-from calibration.fit.starts import starts
+from calibration.fit.starts import generate_starts
 from calibration.fit.trust_region import descend
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.motion import TimedMotion
@@ -185,8 +185,8 @@ class TestProblem:
         assert problem.evaluate(descent.theta).error < problem.evaluate(descent.theta * 1.001).error
         assert problem.evaluate(descent.theta).error < problem.evaluate(descent.theta * 0.999).error
         space = ParameterSpace.of("reduced_polynomial_2", campaign)
-        one, factor = space.normalised({"C10": 3.0, "C20": 1.5})
-        other, larger = space.normalised({"C10": 3e4, "C20": 1.5e4})
+        one, factor = space.normalise_moduli({"C10": 3.0, "C20": 1.5})
+        other, larger = space.normalise_moduli({"C10": 3e4, "C20": 1.5e4})
         assert one == other
         assert larger == pytest.approx(1e4 * factor)
 
@@ -208,7 +208,7 @@ class TestStarts:
     def test_starts_differ_and_keep_the_bounds(self, plates):
         text = campaign_text("lubricated") + "\n[fit.bounds]\nC20 = [0.0, 1000.0]\n"
         campaign, _ = problem_of(plates, text)
-        found = starts(ParameterSpace.of("reduced_polynomial_2", campaign), 7)
+        found = generate_starts(ParameterSpace.of("reduced_polynomial_2", campaign), 7)
         assert len({tuple(theta) for theta in found}) == 7
         assert found[0].tolist() == [1400.0, 600.0]
         assert all(0.0 <= theta[1] <= 1000.0 for theta in found)
@@ -219,7 +219,7 @@ class TestStarts:
             "start = { C10 = 1400.0, C20 = 600.0 }", "")
         campaign, _ = problem_of(plates, text, law)
         space = ParameterSpace.of(law, campaign)
-        for theta in starts(space, 5):
+        for theta in generate_starts(space, 5):
             assert space.material(space.values(theta)).mu0 > 0
 
 

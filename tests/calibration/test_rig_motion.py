@@ -176,7 +176,7 @@ def test_descent_does_not_simulate_its_start_again(tmp_path):
     problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": C10}.get(name, 0.06131956364938239) for name in space.free])
     variables = problem.variables(start)
-    assert not np.array_equal(variables.unknowns(variables.of(start)), start)
+    assert not np.array_equal(variables.to_unknowns(variables.from_unknowns(start)), start)
     problem.evaluate(start)
     counted = solves.counts.total()
     end = descend(problem, start, corrected=True, enough=1e30)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from calibration.statistics.scores import DRAWS, Direction, familywise_p_values, largest_cosine
+from calibration.statistics.scores import DIRECTIONS, Direction, familywise_p_values, largest_cosine
 
 N = 60
 
@@ -39,13 +39,13 @@ def test_what_the_fit_takes_up_cannot_be_tested():
 
 def test_one_direction_has_its_own_probability():
     two_sided, one_sided = direction(axis(0)), direction(axis(0), positive=True)
-    assert two_sided.p(np.array([2.0])) == pytest.approx(2 * stats.norm.sf(2.0))
-    assert one_sided.p(np.array([2.0])) == pytest.approx(stats.norm.sf(2.0))
-    assert one_sided.p(np.array([-2.0])) == pytest.approx(stats.norm.cdf(2.0))
+    assert two_sided.p_value(np.array([2.0])) == pytest.approx(2 * stats.norm.sf(2.0))
+    assert one_sided.p_value(np.array([2.0])) == pytest.approx(stats.norm.sf(2.0))
+    assert one_sided.p_value(np.array([-2.0])) == pytest.approx(stats.norm.cdf(2.0))
     for one in (two_sided, one_sided):
-        expected = float(one.p(np.array([2.0])))
+        expected = float(one.p_value(np.array([2.0])))
         found = familywise_p_values([one], [np.array([2.0])])[0]
-        assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DRAWS))
+        assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DIRECTIONS.draws))
 
 
 @pytest.mark.parametrize("count", [5, 30])
@@ -53,19 +53,20 @@ def test_independent_directions_cost_what_sidak_says(count):
     several = [direction(axis(k)) for k in range(count)]
     scores = [np.array([3.0]), *(np.array([0.1]) for _ in range(count - 1))]
     expected = 1 - (1 - 2 * stats.norm.sf(3.0)) ** count
-    assert familywise_p_values(several, scores)[0] == pytest.approx(expected, abs=4 * np.sqrt(expected / DRAWS))
+    found = familywise_p_values(several, scores)[0]
+    assert found == pytest.approx(expected, abs=4 * np.sqrt(expected / DIRECTIONS.draws))
 
 
 def test_the_same_direction_many_times_costs_nothing():
     several = [direction(axis(0, length)) for length in (1.0, 2.0, 5.0)]
     found = familywise_p_values(several, [np.array([2.5])] * 3)
-    assert found == pytest.approx(2 * stats.norm.sf(2.5), abs=4 * np.sqrt(0.0125 / DRAWS))
+    assert found == pytest.approx(2 * stats.norm.sf(2.5), abs=4 * np.sqrt(0.0125 / DIRECTIONS.draws))
 
 
 def test_several_numbers_at_once_are_a_chi_square():
     both = direction(np.column_stack([axis(0), axis(1)]))
     assert both.freedom == 2
-    assert both.p(np.array([2.0, 1.0])) == pytest.approx(stats.chi2.sf(5.0, 2))
+    assert both.p_value(np.array([2.0, 1.0])) == pytest.approx(stats.chi2.sf(5.0, 2))
 
 
 def test_twins_and_strangers():

@@ -10,8 +10,8 @@ from solid_meshes import write_hexahedra
 
 import calibration
 import tissue_sim as ts
-from calibration.campaign.digest import digest_of
-from calibration.campaign.named_files import whole_path, with_files_named
+from calibration.campaign.digest import compute_digest
+from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.forms import build_test, mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, Meshes, exact_mesh
@@ -138,7 +138,7 @@ def test_a_mesh_counts_by_what_is_in_its_file(folder, tmp_path_factory):
     """Another folder is the same specimen, another content another: solutions and results are found again by that."""
     def keys():
         campaign = load(folder, MESH)
-        return content_key(campaign.tests[0].experiment), digest_of(campaign, [])
+        return content_key(campaign.tests[0].experiment), compute_digest(campaign, [])
 
     first = keys()
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "other.vtu"
@@ -381,7 +381,7 @@ def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys)
 
 def test_a_campaign_that_is_written_elsewhere_finds_its_mesh(folder):
     content = {"specimen": [{"shape": "mesh", "mesh": "cube.vtu", "mesh_unit": "mm"}], "test": []}
-    table, = with_files_named(content, folder, whole_path)["specimen"]
+    table, = rename_files(content, folder, absolute_path)["specimen"]
     assert table == {"shape": "mesh", "mesh": str((folder / "cube.vtu").resolve()), "mesh_unit": "mm"}
 
 

@@ -10,7 +10,7 @@ from scipy import stats
 
 import calibration
 import tissue_sim as ts
-from calibration.fit.self_weight import statement
+from calibration.fit.self_weight import describe_self_weight
 from calibration.report.page import shear_modulus_error
 from scenes.cli import main
 from tissue_sim.closed_form.column import Column
@@ -264,7 +264,7 @@ def test_a_bonded_specimen_that_weighs_is_not_said_to_have_no_weight(tmp_path):
     path.write_text(path.read_text().replace('kind = "lubricated', 'kind = "bonded').replace(
         "radius_mm", "density_kg_m3 = 1040.0\ngravity = true\nradius_mm").replace(
         "[fit]", '[fit]\nmethod = "inverse_fem"'))
-    assert statement(calibration.load_campaign(path), fit) == (
+    assert describe_self_weight(calibration.load_campaign(path), fit) == (
         "Self-weight of animal_1, animal_2: 1040 kg/m3 at 9.81 m/s2, settled before the test; height 20 mm as moulded.")
 
 

@@ -6,12 +6,12 @@ from scipy.sparse import csr_array
 
 from calibration.statistics.statistics import (
     chi_square,
-    correlation,
+    correlation_matrix,
     effective_samples,
     estimate_noise,
     information_criteria,
+    quantisation_step,
     r_squared,
-    resolution,
 )
 from calibration.statistics.uncertainty import sandwich_covariance
 
@@ -185,15 +185,15 @@ def test_resolution_of_a_quantised_signal():
     ramp = np.linspace(0.0, 8.0, 5000)**1.2
     for step in (0.02, 1.0 / 300.0, 7.0):
         rounded = step * np.round(ramp / step)
-        assert resolution(rounded) == pytest.approx(step, rel=1e-6)
-        assert resolution(-3e4 * rounded) == pytest.approx(3e4 * step, rel=1e-6)
+        assert quantisation_step(rounded) == pytest.approx(step, rel=1e-6)
+        assert quantisation_step(-3e4 * rounded) == pytest.approx(3e4 * step, rel=1e-6)
     noisy = 0.02 * np.round((ramp + rng.normal(0.0, 0.03, ramp.size)) / 0.02)
-    assert resolution(noisy) == pytest.approx(0.02, rel=1e-6)
+    assert quantisation_step(noisy) == pytest.approx(0.02, rel=1e-6)
     # Second differences alone see nothing in the staircase, and enough in the noisy one.
     assert estimate_noise(0.02 * np.round(ramp / 0.02)) < 1e-6
     assert estimate_noise(noisy) == pytest.approx(np.hypot(0.03, 0.02 / np.sqrt(12)), rel=0.25)
     for smooth in (ramp, ramp + rng.normal(0.0, 0.01, ramp.size), np.zeros(10), 50 * ramp, np.arange(20.0)):
-        assert resolution(smooth) == 0.0
+        assert quantisation_step(smooth) == 0.0
 
 
 def test_criteria_and_correlation():
@@ -205,4 +205,4 @@ def test_criteria_and_correlation():
     assert bic == pytest.approx(6.0 / 4.0 + 3.0 * np.log(4.0))
     assert r_squared(np.array([0.0, 1.0, 2.0, 3.0]), residual) == pytest.approx(1.0 - 6.0 / 5.0)
     covariance = np.array([[4.0, -2.0, 0.0], [-2.0, 9.0, 0.0], [0.0, 0.0, 0.0]])
-    assert correlation(covariance) == pytest.approx(np.array([[1, -1 / 3, 0], [-1 / 3, 1, 0], [0, 0, 1]]))
+    assert correlation_matrix(covariance) == pytest.approx(np.array([[1, -1 / 3, 0], [-1 / 3, 1, 0], [0, 0, 1]]))

@@ -1,4 +1,4 @@
-"""The rule of usable: several optima, laws at a limit or without a fit, recordings that disagree, misfits."""
+"""The usability rule: several optima, laws at a limit or without a fit, recordings that disagree, misfits."""
 
 import re
 from dataclasses import replace
@@ -11,8 +11,9 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.fit.determination import determine
-from calibration.fit.usability import SETTINGS, contradictions, displacement_R2
+from calibration.fit.determination import determine_modulus
+from calibration.fit.usability import displacement_R2, find_contradictions
+from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.report.usability import CRITERIA
 from scenes.cli import main
 from tissue_sim.recording.screening import Control, LeftOut, Preload, Screening
@@ -169,12 +170,12 @@ def test_disagreeing_recordings_are_named(tmp_path, second, words):
 def test_scatter_between_specimens_is_no_disagreement_and_no_misfit(tmp_path):
     moduli = 20e3 * np.exp(0.2 * np.array([-1.2, -0.7, -0.2, 0.1, 0.5, 0.9, 1.4]))
     fit = calibrate(tmp_path, [compression(mu, seed=i) for i, mu in enumerate(moduli)], ["neo_hooke"]).neo_hooke
-    assert SETTINGS.smallest_R2 > fit.R2 and not {"replicates", "explained"} & set(failing(fit))
+    assert USABILITY.smallest_R2 > fit.R2 and not {"replicates", "explained"} & set(failing(fit))
 
 
 def test_noise_is_no_misfit_and_a_precise_wrong_law_is(tmp_path):
     noisy = calibrate(tmp_path, [compression(noise=1.0)], ["neo_hooke"], noise="force_N = 1.0").neo_hooke
-    assert SETTINGS.smallest_R2 > noisy.R2 and noisy.unusable is None
+    assert USABILITY.smallest_R2 > noisy.R2 and noisy.unusable is None
     wrong = tmp_path / "wrong"
     wrong.mkdir()
     bent = compression(law="reduced_polynomial_3", values={"C10": 10.0, "C20": 0.0, "C30": 1e5}, noise=1e-4, strain=0.4)
@@ -192,14 +193,14 @@ def curve(tmp_path):
 def test_screening_contradicts_an_elastic_law(curve):
     loses = replace(curve, screening=Screening(control=Control("displacement", "oscillation", loss_factor=0.3,
                                                                frequency=1.0)))
-    assert "viscoelastic.terms[0].g" in contradictions(loses, remembers=False)[0]
-    assert not contradictions(loses, remembers=True)
+    assert "viscoelastic.terms[0].g" in find_contradictions(loses, remembers=False)[0]
+    assert not find_contradictions(loses, remembers=True)
     follows = replace(curve, screening=Screening(control=Control("displacement", "ramp", loading=curve.force.size)))
-    assert not contradictions(follows, remembers=False)
+    assert not find_contradictions(follows, remembers=False)
     zeroed = replace(curve, screening=Screening(preload=Preload(0.65, 0.11, 4e-4, False, "begins under 0.65 N")))
-    assert contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
+    assert find_contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
     kept = replace(curve, screening=Screening(suspected=(LeftOut((61,), "force", "sample 61 is 50 N"),)))
-    assert "sample 61 is 50 N" in contradictions(kept, remembers=False)[0]
+    assert "sample 61 is 50 N" in find_contradictions(kept, remembers=False)[0]
 
 
 def test_creep_at_constant_force_is_a_misfit_of_the_displacement(curve):
@@ -275,7 +276,7 @@ def test_a_modulus_that_depends_on_a_bound_that_is_not_stated(missing, stated, h
                                evaluation=SimpleNamespace(projected=(residual, jacobian)))
     spread = SimpleNamespace(on_bound=np.array([False, True]), covariance=np.diag([1e-4, 0.0]),
                              ratio=float(np.sqrt(np.mean(residual**2))))
-    found = determine(estimate, spread, lambda theta: float(theta[0]), stated)
+    found = determine_modulus(estimate, spread, lambda theta: float(theta[0]), stated)
     assert found.held == held and found.is_determined
     if held:
         assert found.change == pytest.approx(1.0 / a - 1.0, abs=0.02)
@@ -292,3 +293,24 @@ def test_a_stretch_below_zero_is_an_error_of_the_recording(tmp_path):
     path.write_text(path.read_text().replace('kind = "uni', 'leave_out = []\nkind = "uni'), encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"the stretch must be above zero; got -1\.4"):
         calibration.calibrate([path], tmp_path / "out", figures=False)
+
+
+def test_own_limits_decide_and_are_recorded_in_the_result(tmp_path):
+    bent = compression(law="reduced_polynomial_3", values={"C10": 10.0, "C20": 0.0, "C30": 1e5}, noise=1e-4, strain=0.4)
+    path, out = write(tmp_path, [bent], ["neo_hooke"]), tmp_path / "out"
+    strict, = calibration.calibrate([path], out, figures=False)
+    assert strict.best.status == "misfit" and calibration.to_json([strict])["usability_settings"] == {}
+    lenient = UsabilitySettings(noise_ratio=1e6)
+    found, = calibration.calibrate([path], out, figures=False, overwrite=True, usability=lenient)
+    assert {"residuals", "explained"}.isdisjoint(failing(found.best)) and found.digest != strict.digest
+    assert calibration.to_json([found])["usability_settings"] == {"noise_ratio": 1e6}
+    again, = calibration.calibrate([path], out, figures=False, usability=lenient)
+    assert again.resumed and again.usability_settings == {"noise_ratio": 1e6}
+
+
+@pytest.mark.parametrize(("limits", "words"), [
+    ({"smallest_R2": 1.0}, "smallest_R2 must be below 1; got 1"),
+    ({"largest_residual": 0.0}, "largest_residual must be positive; got 0")])
+def test_limits_without_meaning_are_refused(limits, words):
+    with pytest.raises(ts.InputError, match=re.escape(words)):
+        UsabilitySettings(**limits)

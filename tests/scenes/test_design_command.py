@@ -5,12 +5,12 @@ import json
 import pytest
 
 from calibration import Design, design_experiments
+from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.diagnosis.proposals import SEEN
 from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.population import Population
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.campaign_problem import FIRST_ZERO
 from scenes.cli import main
 from tissue_sim.errors import InputError
 
@@ -94,7 +94,7 @@ def test_tables_use_display_units(tmp_path, capsys):
 
 def test_default_scatter_is_proportional_to_the_force(tmp_path):
     unstated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005\n", "")), samples=60)
-    share = FIRST_ZERO * unstated.tests[0].force_N
+    share = OFFSET_DEFAULTS.first_zero * unstated.tests[0].force_N
     stated = design_experiments(write(tmp_path, PLAN.replace("zero_jitter_N = 0.005", f"zero_jitter_N = {share}")),
                                 samples=60)
     assert unstated.standard_errors["C10"] == pytest.approx(stated.standard_errors["C10"], rel=1e-3)

@@ -178,7 +178,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 
 proposals.CATALOGUE = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance}
-keep, kept = SimulationCache.keep, []
+keep, kept = SimulationCache.store, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -186,7 +186,7 @@ def keep_some(solves, key, curve):
     if len(kept) == 14:
         os.kill(os.getpid(), signal.SIGKILL)
 
-SimulationCache.keep = keep_some
+SimulationCache.store = keep_some
 main(sys.argv[1:])
 """
 

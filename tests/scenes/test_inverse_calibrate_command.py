@@ -268,7 +268,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(generalised, "run_settle", interrupted)
+        patch.setattr(generalised, "run_estimate", interrupted)
         assert run(*words) == 130
     count = len(simulations(out))
     assert count > 2, "more than the simulations of the start"
@@ -304,7 +304,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgress
 
-keep, kept = SimulationCache.keep, []
+keep, kept = SimulationCache.store, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -312,7 +312,7 @@ def keep_some(solves, key, curve):
     if len(kept) == {count}:
         os.kill(os.getpid(), signal.SIGKILL)
 
-SimulationCache.keep = keep_some
+SimulationCache.store = keep_some
 main(sys.argv[1:])
 """
 

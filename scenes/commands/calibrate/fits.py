@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from rich.text import Text
 
 from calibration.fit.ranking import ranked_by_held_out
-from calibration.fit.self_weight import statement
+from calibration.fit.self_weight import describe_self_weight
 from calibration.report.curve_figures import describe_region, format_probability
 from calibration.report.drawing import format_count
 from calibration.report.page import estimate_of, interval_of, moduli_of, number, remarks_by_law, stable_stretches
@@ -238,7 +238,7 @@ def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], unit
     meshes = [f"{mesh.test} {mesh.largest_percent:.2g} %" for mesh in result.best.mesh if mesh.largest_percent]
     if meshes:
         yield f"difference between accurate and fast mesh, included in the fit: {', '.join(meshes)}"
-    yield statement(result.campaign, result.best)
+    yield describe_self_weight(result.campaign, result.best)
 
 
 def _describe_effort(fit: Fit) -> str:

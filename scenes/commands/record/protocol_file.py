@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.named_files import files_named, with_files_named
+from calibration.campaign.named_files import list_named_files, rename_files
 from calibration.campaign.schema import PRISM
 from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
@@ -181,7 +181,7 @@ class ProtocolFile:
     @property
     def files(self) -> list[Path]:
         """Files of meshes, tool profiles and rigs that the tests use."""
-        return files_named(self.content, self.path.parent)
+        return list_named_files(self.content, self.path.parent)
 
     def campaign_text(self, recordings: Mapping[str, list[str]], file_name: Callable[[Path], str]) -> str:
         """Return the campaign file (TOML) of the recordings; tests without recordings are left out.
@@ -198,7 +198,7 @@ class ProtocolFile:
                 tests.append({**entry, "name": name, "recordings": recordings[name]})
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
-        content = with_files_named(content, self.path.parent, file_name)
+        content = rename_files(content, self.path.parent, file_name)
         return f"# Recorded by {self.path.name}.\n{to_toml(content)}"
 
 
