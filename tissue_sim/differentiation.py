@@ -18,10 +18,25 @@ from tissue_sim.parameters import Parameter, find_parameters, parameters, value,
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
-#: Relative width of differences of formulas within the exact method.
-FORMULA_WIDTH = 1e-6
-#: Relative width of differences of whole simulations.
-SIMULATION_WIDTH = 1e-3
+
+@dataclass(frozen=True)
+class DifferenceSettings:
+    """Widths of central differences, relative to the value of the parameter.
+
+    Attributes:
+        formula_width: width of differences of formulas within the exact method, 1.
+        simulation_width: width of differences of whole simulations, 1. A larger width is less sensitive to the
+            tolerance of the solver, and less accurate where the force is nonlinear in the parameter.
+    """
+
+    formula_width: float = 1e-6
+    simulation_width: float = 1e-3
+
+
+#: Widths of all derivatives.
+DIFFERENCES = DifferenceSettings()
+
+
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
     """A simulated recording and its derivatives.
@@ -53,16 +68,19 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     differentiated implicitly, with history, slip and stick anchors. The bulk response is held as the material states
     it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
 
-    Derivatives are central differences of two simulations at the relative distance `SIMULATION_WIDTH`, one-sided at the
-    end of a range, in these cases: parameters of experiment, rig or mesh; a compliant rig; a tilted tool or partial
-    slip; additional effects of the material; a solver without derivatives (the axisymmetric solver with self-weight,
-    adhesion or another contact law). Changes of geometry move the nodes of one mesh, so that the differences contain
-    no jumps by remeshing.
+    Derivatives are central differences of two simulations at the relative distance
+    `DifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases: parameters of experiment,
+    rig or mesh; a compliant rig; a tilted tool or partial slip; additional effects of the material; a solver without
+    derivatives (the axisymmetric solver with self-weight, adhesion or another contact law). Changes of geometry move
+    the nodes of one mesh, so that the differences contain no jumps by remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor reads them.
         names: parameters; None: all of the material.
-        resolution, mesh, solver, topology: as in `simulate`; with a solver without derivatives all are differences.
+        resolution: as in `simulate`.
+        mesh: as in `simulate`.
+        solver: as in `simulate`; with a solver without derivatives all derivatives are differences.
+        topology: as in `simulate`.
         one_sided: use one-sided differences to the simulation of the model, which saves one simulation for each.
 
     Raises:
@@ -137,7 +155,7 @@ def _exact(model: Model, parameter: Parameter) -> bool:
 
 def _pair(model: Model, parameter: Parameter):
     """Material with a parameter increased, material with it decreased, and the difference of the parameter."""
-    half = 0.5 * FORMULA_WIDTH * (abs(parameter.value) or 1.0)
+    half = 0.5 * DIFFERENCES.formula_width * (abs(parameter.value) or 1.0)
     return _neighbours(lambda new: with_values(model, {parameter.path: new}).material, parameter.value, half)
 
 
@@ -167,7 +185,7 @@ def _difference(model: Model, parameter: Parameter, force: np.ndarray, options: 
     """
     length = model.experiment.tool.radius or model.experiment.specimen.margin()
     size, value = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0), parameter.value
-    half, sides = 0.5 * SIMULATION_WIDTH * size, []
+    half, sides = 0.5 * DIFFERENCES.simulation_width * size, []
     for step in (2.0 * half, -2.0 * half) if one_sided else (half, -half):
         try:
             neighbour = with_values(model, {parameter.path: value + step})

@@ -14,25 +14,41 @@ Quaternion = tuple[float, float, float, float]
 #: Translation (or force) along x, y, z, then rotation (or torque) about them.
 Screw = tuple[float, float, float, float, float, float]
 
-#: Largest difference between the length of a quaternion and 1. Poses of logs and trackers differ by up to 1e-4.
-LENGTH_TOLERANCE = 1e-3
-#: A quaternion whose length differs from 1 by less is kept bit for bit.
-_ROUNDING = 1e-12
 #: Orientation of an upright tool.
 NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
-#: Sine of half an angle below which orientations are interpolated linearly.
-_SMALL = 1e-9
+
+
+@dataclass(frozen=True)
+class QuaternionTolerances:
+    """Tolerances of orientations.
+
+    Attributes:
+        length: largest difference between the length of a quaternion and 1, 1. Poses of logs and trackers differ by up
+            to 1e-4.
+        rounding: a quaternion whose length differs from 1 by less is kept bit for bit, 1.
+        small_sine: sine of half an angle below which orientations are interpolated linearly, 1.
+    """
+
+    length: float = 1e-3
+    rounding: float = 1e-12
+    small_sine: float = 1e-9
+
+
+#: Tolerances of all poses.
+QUATERNION = QuaternionTolerances()
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Position and orientation of the tool in the frame of the scene: origin at the centre of the undeformed top, z out
-    of the tissue.
+    """Position and orientation of the tool in the frame of the scene.
+
+    The origin of the frame is the centre of the undeformed top; z points out of the tissue.
 
     Attributes:
         position: of the tool's deepest point, x, y, z, m.
-        orientation: quaternion (w, x, y, z), normalised if its length is within `LENGTH_TOLERANCE` of 1. Numbers that
-            are not finite are kept: a tissue refuses such a pose and keeps its state (`ForceStatus.REFUSED`).
+        orientation: quaternion (w, x, y, z), normalised if its length is within `QuaternionTolerances.length` of 1.
+            Numbers that are not finite are kept: a tissue refuses such a pose and keeps its state
+            (`ForceStatus.REFUSED`).
 
     Raises:
         InputError: position or orientation that is not a sequence of three or four numbers, or a quaternion of another
@@ -55,7 +71,7 @@ class Pose:
         except TypeError:
             raise _not_numbers(self.orientation, 4, "orientation", "w, x, y, z") from None
         excess = length - 1.0
-        if -_ROUNDING < excess < _ROUNDING:
+        if -QUATERNION.rounding < excess < QUATERNION.rounding:
             return
         if not math.isfinite(length):
             if not all(map(math.isfinite, self.orientation)):
@@ -63,9 +79,9 @@ class Pose:
             length = math.hypot(w, x, y, z)  # the squares overflow; hypot scales them
             excess = length - 1.0
         # NaN is refused, too: where denormal numbers are flushed to zero, hypot of huge components is NaN.
-        if not abs(excess) <= LENGTH_TOLERANCE:
+        if not abs(excess) <= QUATERNION.length:
             raise InputError(f"must be a unit quaternion (w, x, y, z), of length 1 within "
-                             f"{LENGTH_TOLERANCE:g}; got length {_length_text(length)}. Divide it by its length.",
+                             f"{QUATERNION.length:g}; got length {_length_text(length)}. Divide it by its length.",
                              field="orientation")
         object.__setattr__(self, "orientation", (w / length, x / length, y / length, z / length))
 
@@ -141,7 +157,7 @@ def motion(start: Pose, end: Pose) -> Screw:
         return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
     w, x, y, z = _relative(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 if sine < _SMALL else 2.0 * math.atan2(sine, w) / sine
+    factor = 2.0 if sine < QUATERNION.small_sine else 2.0 * math.atan2(sine, w) / sine
     return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
 
 
@@ -149,7 +165,8 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     """Interpolate between two poses: linearly in position, and at constant angular velocity about one axis.
 
     Args:
-        start, end: poses.
+        start: first pose.
+        end: last pose.
         share: fraction of the motion, 0 to 1; at 1 the result is `end` itself.
 
     Source: Shoemake, SIGGRAPH 1985, spherical linear interpolation.
@@ -163,7 +180,7 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     w, x, y, z = _relative(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     half = share * math.atan2(sine, w)
-    factor = share if sine < _SMALL else math.sin(half) / sine
+    factor = share if sine < QUATERNION.small_sine else math.sin(half) / sine
     turn = (math.cos(half), factor * x, factor * y, factor * z)
     return Pose(position, _product(turn, start.orientation))
 
@@ -181,7 +198,7 @@ def twist_about_axis(orientation: Quaternion) -> Quaternion | None:
     """Rotation about the tool's own axis that a quaternion contains (swing-twist decomposition); None: no rotation."""
     w, _, _, z = orientation
     size = math.hypot(w, z)
-    if size < _SMALL or abs(z) < _ROUNDING * size:
+    if size < QUATERNION.small_sine or abs(z) < QUATERNION.rounding * size:
         return None
     return (w / size, 0.0, 0.0, z / size)
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.force_error import WORTH_A_WARNING, ForceError, coarse_samples, force_error
+from tissue_sim.force_error import FORCE_ERROR, ForceError, coarse_samples, force_error
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
@@ -85,8 +85,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     with its own load train; fields are those of the bonded one. The law's stress is linear between samples.
 
     The error of the force is estimated from a second solution on another mesh with every second sample, if the solver
-    has such a mesh; more than `force_error.WORTH_A_WARNING` of the largest force gives a warning. The estimate doubles
-    the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
+    has such a mesh; more than `ForceErrorSettings.warning_fraction` of the largest force gives a warning. The estimate
+    doubles the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
 
     Args:
         model: experiment, material, rig.
@@ -102,14 +102,13 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
     Returns:
         Recording at the times of the protocol, with its labels, as the rig reports it. The displacement is that along
-        the tool's direction of motion, and the force is the component opposite to this direction, as measured by a load
-        cell on the tool's stage. If the wrench has other components than a force along z, the channels Fx to Tz contain
-        it in the frame of the scene. ``metadata["solver"]`` contains status, message, warnings, force_error (estimated,
-        over the largest force; None if unknown), newton_iterations (linear solves), cuts, residual (the largest),
-        dissipated_J (by artificial damping), wall_s, element, mesh and resolution; with contact also penetration_mm
-        (the largest violation of a contact condition) and penetration_tolerance_mm; with friction slipping_points (the
-        largest number); for a specimen under its weight self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm,
-        moulded_height_mm}.
+        the tool's direction of motion, and the force is the component opposite to this direction, as a load cell on the
+        stage measures it. If the wrench has other components than a force along z, the channels Fx to Tz contain it in
+        the frame of the scene. ``metadata["solver"]`` contains status, message, warnings, force_error (over the largest
+        force; None if unknown), newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by
+        artificial damping), wall_s, element, mesh and resolution; with contact penetration_mm (the largest violation of
+        a contact condition) and penetration_tolerance_mm; with friction slipping_points (the largest number); with
+        self-weight self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
 
     Raises:
         ConvergenceError: the smallest step did not converge; `recording` contains the converged part.
@@ -189,7 +188,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
                                                    _SETTINGS.most_to_compare * report["newton_iterations"]))
         if found is not None:
             report["force_error"] = found.fraction
-            if found.fraction > WORTH_A_WARNING:
+            if found.fraction > FORCE_ERROR.warning_fraction:
                 report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
                                       *report["warnings"]]
     cuts = report["cuts"]
@@ -206,7 +205,9 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
         tissue: solver of the first solution.
         model: model of the test.
         force: force of the first solution at each sample, N, shape (n,).
-        solver, resolution, topology: as in `simulate`.
+        solver: as in `simulate`.
+        resolution: as in `simulate`.
+        topology: as in `simulate`.
         most_solves: largest number of linear solves of the second solution.
 
     Returns:
@@ -237,7 +238,7 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
     other = forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
     found = force_error(force, samples[common].astype(int), other[common], estimate.fraction)
-    if found is None or found.fraction <= WORTH_A_WARNING:
+    if found is None or found.fraction <= FORCE_ERROR.warning_fraction:
         return found
     # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
     # the step length, and the error of the mesh, are at most twice the difference to steps half as long.

@@ -71,7 +71,7 @@ class Simulator(PathFollower, KernelOwner):
             number that fits into the budget, as measured by `warm_up`; without a budget no limit.
         strict_axis: whether an axisymmetric scene refuses a pose off its axis or tilted (`ForceStatus.REFUSED`),
             instead of marking the result (`ToolForce.is_on_axis`). The tolerances are
-            `tissue_sim.tool_track.AXIS_OFFSET` and `AXIS_ANGLE`.
+            `tissue_sim.tool_track.AxisTolerances`.
         limits: of poses and time steps; see `MotionLimits`.
 
     One thread at a time may call a simulator; simultaneous calls raise `BusyError`. It cannot be copied or pickled:
@@ -306,8 +306,10 @@ class Simulator(PathFollower, KernelOwner):
 
     @exclusive
     def restore(self, state: SimulatorState) -> None:
-        """Restore a saved state, in this simulator or in one of the same solver, mesh, experiment and structure of the
-        material; the values of parameters may differ.
+        """Restore a saved state of this simulator or of a similar one.
+
+        The similar simulator has the same solver, mesh, experiment and structure of the material; the values of
+        parameters may differ.
 
         Raises:
             InputError: not a saved state, or one of another solver, mesh, experiment or material structure; nothing is

@@ -103,7 +103,8 @@ class WaveError:
         """Register a step in which the mass counts.
 
         Args:
-            stiffness, step_stiffness: without mass and within the step, as in a `ToolForce`.
+            stiffness: stiffness of the tissue without its mass, as in a `ToolForce`.
+            step_stiffness: stiffness within the step, with the mass of the tissue, as in a `ToolForce`.
             way: motion of the tool in the step, m and rad.
             dt: time of the step, s.
             scale: of the shear waves.

@@ -9,7 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR
+from tissue_sim.fem.axisymmetric.contact import PENALTY
 from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.linear import band
@@ -258,7 +258,7 @@ class TestTangent:
             size = np.minimum((multipliers * normal).sum(axis=-1), 0) + surface.springs * (reach[..., 0] - edge)
             size = np.where(moving, size, 0)
             travel = ((moved - before[..., 1:]) * tangent).sum(axis=-1)
-            held = (multipliers * tangent).sum(axis=-1) + STICK_STIFFNESS_FACTOR * surface.springs * travel
+            held = (multipliers * tangent).sum(axis=-1) + PENALTY.stick_factor * surface.springs * travel
             drag = np.where(touching & (size < 0), np.where(slipping != 0, -mu * slipping * size, held), 0.0)
             force = size[..., None] * normal + drag[..., None] * tangent
             total = np.zeros((freedoms // 2, 2))

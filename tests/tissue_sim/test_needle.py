@@ -9,8 +9,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact_pairs import NEEDLE_TOLERANCE
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
+from tissue_sim.fem.contact_settings import TOLERANCES
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh import structured_mesh
 from tissue_sim.simulation import _approach
@@ -70,7 +70,7 @@ class TestBondedFace:
 
     def test_penetration_is_stated(self, accurate):
         solver = accurate.metadata["solver"]
-        assert solver["penetration_tolerance_mm"] == pytest.approx(NEEDLE_TOLERANCE * 8.0)
+        assert solver["penetration_tolerance_mm"] == pytest.approx(TOLERANCES.needle * 8.0)
         assert 0 < solver["penetration_mm"] <= solver["penetration_tolerance_mm"]
 
     @pytest.mark.slow

@@ -256,8 +256,10 @@ def _slices(law: Law, values: np.ndarray, top: np.ndarray, base: np.ndarray) -> 
     """Quadrature over the slices.
 
     Args:
-        law, values: law and its parameters.
-        top, base: logarithms of the stretch at top and base, shape (n,).
+        law: strain energy.
+        values: parameters of the law.
+        top: logarithms of the stretch at the top, shape (n,).
+        base: logarithms of the stretch at the base, shape (n,).
 
     Returns:
         Stretches of the slices; weights, as fractions of the undeformed height; weights over P', 1/Pa; each of shape

@@ -114,7 +114,8 @@ class HomogeneousHistory:
         """Nominal stress at the samples, Pa, shape (n,).
 
         Args:
-            law, values: strain energy and its parameters.
+            law: strain energy.
+            values: parameters of the law.
             prony: relaxation; its `moduli` are ignored, `factor` is used instead.
             softening: Mullins effect.
             factor: instantaneous moduli over those of `values`.
@@ -128,8 +129,11 @@ class HomogeneousHistory:
         """Elastic and relaxing parts of the nominal stress, P = (1 - sum g_i) elastic + sum g_i relaxing_i.
 
         Args:
-            law, values, softening, factor: as in `nominal_stress`.
+            law: strain energy.
+            values: parameters of the law.
             tau: relaxation times, s, shape (terms,).
+            softening: Mullins effect.
+            factor: instantaneous moduli over those of `values`.
 
         Returns:
             `elastic`, shape (n,), and `relaxing`, shape (n, terms), both in Pa at the samples.

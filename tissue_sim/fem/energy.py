@@ -52,8 +52,7 @@ def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
 
 
 def stretch_derivatives(energy: KernelEnergy):
-    """Return a Python function of (stretch, coefficients) -> w', w'', w, for a law that is a sum over isochoric
-    stretches."""
+    """Return a function (stretch, coefficients) -> (w', w'', w) of a law that is a sum over isochoric stretches."""
     def derive():
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
@@ -100,8 +99,10 @@ def soften_function(size: int):
 
     @ti.func
     def soften(W, largest, loss, modulus, share, P, A):
-        """Multiply stress and tangent by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) at a point that
-        had a larger energy density before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
+        """Multiply stress and tangent by the softening factor eta at a point that had a larger energy density before.
+
+        eta = 1 - loss tanh((largest - W) / (modulus + share largest)). Source: Dorfmann and Ogden, IJSS 40 (2003) 2699.
+        """
         width = ti.max(modulus + share * largest, 1e-300)  # not zero at rest
         bend = ti.tanh(ti.max(largest - W, 0.0) / width)
         eta = 1.0 - loss * bend

@@ -98,8 +98,10 @@ class Memory:
         np.maximum(self.largest, self.energies, out=self.largest)
 
     def total(self) -> np.ndarray:
-        """Isochoric second Piola-Kirchhoff stress of the last committed step with relaxation, (1 - sum g) S + sum Q_i,
-        Pa, shape (elements, q, components)."""
+        """Return the isochoric stress of the last committed step with relaxation, Pa, shape (elements, q, components).
+
+        The second Piola-Kirchhoff stress is (1 - sum g) S + sum Q_i.
+        """
         if self._prony is None:
             return self.stresses.copy()
         return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)

@@ -263,15 +263,17 @@ class InvariantLaw(Law):
     """
 
     def energy(self, I1, I2, *parameters):
-        """W as an expression of the invariants and the parameters."""
+        """Return W as an expression of the invariants and the parameters."""
         raise TypeError(f"{type(self).__name__} must state energy(I1, I2, *parameters)")
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
+        """Return W as an expression of the isochoric principal stretches; see `Law.energy_of_stretches`."""
         I1 = l1**2 + l2**2 + l3**2
         I2 = l1**-2 + l2**-2 + l3**-2
         return sp.sympify(self.energy(I1, I2, *parameters))
 
     def formula_expression(self) -> sp.Expr:
+        """Return the symbolic energy W of I1, I2 and the parameters."""
         return sp.sympify(self.energy(*_invariants(), *self.symbols))
 
     def _polynomial(self):
@@ -292,11 +294,13 @@ class InvariantLaw(Law):
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
+        """Energy of the kernel; polynomials up to degree three share one kernel."""
         if self._polynomial_function is not None:
             return _POLYNOMIAL
         return KernelEnergy(self.name, "invariants", _invariants(), self.symbols, self.formula_expression())
 
     def kernel_coefficients(self, values) -> np.ndarray:
+        """Return the coefficients of the kernel for the parameters, shape (coefficients,)."""
         if self._polynomial_function is None:
             return self.as_array(values)
         return np.array(self._polynomial_function(*self.as_array(values)), dtype=float)
@@ -306,10 +310,11 @@ class StretchLaw(Law):
     """Separable law W = w(l1) + w(l2) + w(l3): a subclass defines `energy_of_stretch(stretch, *parameters)`."""
 
     def energy_of_stretch(self, stretch, *parameters):
-        """w as an expression of one stretch and the parameters."""
+        """Return w as an expression of one stretch and the parameters."""
         raise TypeError(f"{type(self).__name__} must state energy_of_stretch(stretch, *parameters)")
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
+        """Return W as the sum of w over the isochoric principal stretches."""
         return sp.Add(*(sp.sympify(self.energy_of_stretch(s, *parameters)) for s in (l1, l2, l3)))
 
     def formula_expression(self) -> sp.Expr:
@@ -317,14 +322,17 @@ class StretchLaw(Law):
         return sp.sympify(self.energy_of_stretch(sp.Symbol("lambda", positive=True), *self.symbols))
 
     def formula(self) -> str:
+        """Return the formula of W and w as text."""
         return f"W = w(lambda_1) + w(lambda_2) + w(lambda_3), {super().formula().replace('W', 'w', 1)}"
 
     def latex(self) -> str:
+        """Return the formula of W and w in LaTeX."""
         return (r"W = w(\lambda_1) + w(\lambda_2) + w(\lambda_3), \quad "
                 + super().latex().replace("W", "w", 1))
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
+        """Energy of the kernel, w of one stretch."""
         stretch = sp.Symbol("stretch", positive=True)
         return KernelEnergy(self.name, "stretches", (stretch,), self.symbols,
                             sp.sympify(self.energy_of_stretch(stretch, *self.symbols)))

@@ -68,7 +68,9 @@ class ReducedEffect(TissueEffect):
         """Evaluate `share` for arrays of histories of one shape; a subclass may override this with a faster version.
 
         Args:
-            depth, deepest, time: fields of `ToolHistory`.
+            depth: `ToolHistory.depth` of each history.
+            deepest: `ToolHistory.deepest` of each history.
+            time: `ToolHistory.time` of each history.
 
         Returns:
             Ratios, with the shape of the arguments.

@@ -40,7 +40,8 @@ def incompressible_ratio(radius: float, height: float) -> float:
     5e-5 if they are five times as wide as high, 3e-4 if ten times.
 
     Args:
-        radius, height: m.
+        radius: radius of the cylinder, m.
+        height: height of the cylinder, m.
     """
     return min(BULK_RATIOS[1], 1e5 * max(1.0, 3.0 * (radius / height) ** 2))
 

@@ -51,6 +51,7 @@ class Element:
 
     @property
     def nodes(self) -> int:
+        """Number of nodes of the element."""
         return (self.order + 1) ** 2
 
     @cached_property

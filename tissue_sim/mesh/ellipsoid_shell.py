@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.grading import PLATE_RING, Grading
+from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.section import Curve, Section, arc
 from tissue_sim.mesh.solid import SolidMesh, extrude_section, ring_radii, with_tool_sets
 
@@ -28,7 +28,7 @@ def ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, gra
         InputError: the circle is not inside the rim.
     """
     a, b, c = semi_axes
-    radius = PLATE_RING * min(a, b) if grading.radius is None else grading.radius
+    radius = O_GRID.plate_ring * min(a, b) if grading.radius is None else grading.radius
     centre = np.array(grading.centre)
 
     def to_disc(points: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.grading import CORE, PLATE_RING, Grading
+from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.section import Section, arc
 from tissue_sim.mesh.solid_element import SolidElement
@@ -162,7 +162,7 @@ def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh
     """
     face = grading.radius
     if face is None:
-        face, factor = PLATE_RING * radius, PLATE_RING
+        face, factor = O_GRID.plate_ring * radius, O_GRID.plate_ring
         grading = replace(grading, growth=_PLATE_GROWTH, smallest=0.6 * factor * grading.smallest,
                           largest=0.3 * factor * grading.largest)
     outward, z = grading.line(radius - face), -grading.line(height)[::-1]
@@ -173,7 +173,7 @@ def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh
 
 def ring_radii(grading: Grading, radius: float) -> np.ndarray:
     """Return the radii of the ring boundaries from the core to a circle of this radius, m, as fractions of it."""
-    inward = grading.line((1.0 - CORE) * radius)
+    inward = grading.line((1.0 - O_GRID.core) * radius)
     return 1.0 - inward[::-1] / radius
 
 

@@ -53,6 +53,7 @@ class Tetrahedron(SolidElement):
 
     @cached_property
     def corners(self) -> np.ndarray:
+        """Indices of the corner nodes, shape (4,)."""
         return np.arange(4)
 
     @cached_property
@@ -66,10 +67,12 @@ class Tetrahedron(SolidElement):
 
     @cached_property
     def face_corners(self) -> np.ndarray:
+        """Indices of the corners among the nodes of a face, shape (3,)."""
         return np.arange(3)
 
     @cached_property
     def face_middles(self) -> np.ndarray:
+        """Indices of the midpoints of the edges among the nodes of a face, shape (3,); empty for order 1."""
         return np.arange(3, 6) if self.order == 2 else np.zeros(0, dtype=np.intp)
 
     @cached_property

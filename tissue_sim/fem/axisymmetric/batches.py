@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.linear import band
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh import Mesh
-
-#: Number of elements in a batch, one in each lane of a SIMD vector. Eight lanes (AVX-512) are no faster on processors
-#: with AVX-512, slower on others, and take 1.5 times as long to compile (docs/performance.md).
-LANES = 4
 
 
 class ElementBatches:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import RateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
@@ -14,13 +15,28 @@ from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, Switch
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.scratch import LANES
 
-#: Maximum number of parameters for which the factorisation of the step is cheaper than one of the exact tangent.
-MAX_REFINED = 2
-#: The same with slip, where the matrix is unsymmetric and a factorisation costs twice as much.
-MAX_REFINED_SLIP = 4
-#: Maximum number of step lengths for which the derivatives of the relaxation are stored.
-_STORED_STEP_LENGTHS = 64
+
+@dataclass(frozen=True)
+class SensitivitySettings:
+    """Settings of the choice of a factorisation for the derivatives, and of the stored derivatives.
+
+    Attributes:
+        max_refined: maximum number of parameters for which iterative refinement with the factorisation of the step is
+            cheaper than a factorisation of the exact tangent.
+        max_refined_slip: the same with slip, where the matrix is unsymmetric and a factorisation costs twice as much.
+        stored_step_lengths: maximum number of step lengths for which the derivatives of the relaxation are stored. A
+            larger number takes more memory and computes the derivatives less often.
+    """
+
+    max_refined: int = 2
+    max_refined_slip: int = 4
+    stored_step_lengths: int = 64
+
+
+#: Settings of all derivatives.
+SETTINGS = SensitivitySettings()
 
 
 class Sensitivity:
@@ -135,7 +151,7 @@ class Sensitivity:
     def _may_refine(self) -> bool:
         """Whether iterative refinement with the step's factorisation is possible and cheaper than a new one."""
         counts, settings = self._equations.counts, self._equations.settings
-        few = MAX_REFINED_SLIP if counts[newton.Count.UNSYMMETRIC] else MAX_REFINED
+        few = SETTINGS.max_refined_slip if counts[newton.Count.UNSYMMETRIC] else SETTINGS.max_refined
         return (not self._equations.memory.works and self.force.size <= few and settings[newton.Setting.INERTIA] == 0
                 and counts[newton.Count.FACTORISED] == 1 and counts[newton.Count.BENDING] == 1)
 
@@ -152,7 +168,7 @@ class Sensitivity:
     def _relaxation_rates(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the derivatives of instantaneous factor, decay and gain of each term in a step of duration dt, s."""
         if dt not in self._stored:
-            if len(self._stored) >= _STORED_STEP_LENGTHS:
+            if len(self._stored) >= SETTINGS.stored_step_lengths:
                 self._stored.clear()
             rates = np.zeros(len(self._relaxations)), np.zeros_like(self._decay_rates), np.zeros_like(self._gain_rates)
             for k, (up, down, width) in enumerate(self._relaxations):

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,21 +17,6 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.registry import Registry
-
-
-class Bond(IntEnum):
-    """Bond of a contact node to the tool, as in `tissue_sim.fem.solid.contact`.
-
-    Attributes:
-        FREE: the node has not touched the tool.
-        HELD: an interface without slip holds the node at its anchor.
-        TOUCHED: the node touches the tool with friction; the anchor is the origin of the elastic slip.
-    """
-
-    FREE = 0
-    HELD = 1
-    TOUCHED = 2
-
 
 #: Number of scalars before the arrays of a packed `CondensedContact`.
 _MODEL_HEAD = 17
@@ -53,7 +37,7 @@ class ContactSurface:
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.
-        bound: bonds of the nodes at the first touch, each a `Bond`, shape (s,).
+        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.Bond`, shape (s,).
         anchors: positions in the frame of the tool where these nodes are bound, m, shape (s, 3).
         start: pose of the tool at the first touch.
         datum: height of the scene's origin in the frame of the mesh, m.

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.linear.pardiso import OTHER, SYMMETRIC, PardisoError, PardisoPattern
+from tissue_sim.fem.linear.pardiso import MatrixType, PardisoError, PardisoPattern
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class SingleFactor:
             answer = self._iterate(right.reshape(right.shape[0], -1), _SETTINGS.tolerance, _SETTINGS.max_iterations)
             if answer is not None:
                 return answer.reshape(right.shape)
-            self._exact = PardisoPattern(self._matrix, SYMMETRIC if self._symmetric else OTHER)
+            kind = MatrixType.SYMMETRIC if self._symmetric else MatrixType.UNSYMMETRIC
+            self._exact = PardisoPattern(self._matrix, kind)
             self._exact.factorise(self._matrix)
         return self._exact.solve(right)
 

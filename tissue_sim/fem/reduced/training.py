@@ -10,15 +10,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, Snapshots
 from tissue_sim.fem.reduced.sampling import sparse_weights
-from tissue_sim.fem.reduced.settings import TrainingSettings, VerificationSettings
+from tissue_sim.fem.reduced.settings import TRAINING, VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
@@ -32,23 +32,6 @@ from tissue_sim.pose import Pose, between
 
 #: Number of modes of a bonded tool: three displacements and the nine entries of the rotation matrix.
 LIFTING = 12
-TRAINING = TrainingSettings()
-VERIFICATION = VerificationSettings()
-
-
-@dataclass(frozen=True, eq=False)
-class Snapshots:
-    """Full-order states on a training path.
-
-    Attributes:
-        displacements: nodal displacements from rest at each pose, m, shape (poses, freedoms).
-        wrenches: wrench on the tool at each pose, N and N m, shape (poses, 6).
-        doubts: warnings of the solver (`Solver.warnings`) at the largest force; not stored in files.
-    """
-
-    displacements: np.ndarray
-    wrenches: np.ndarray
-    doubts: Sequence[str] = ()
 
 
 def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
@@ -66,7 +49,8 @@ def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np
     """Simulate the full-order solid along poses, from rest without loading history.
 
     Args:
-        solver, poses: full-order solver and poses of the tool.
+        solver: full-order solver.
+        poses: poses of the tool.
         memory: material history at rest, see `settled_memory`.
         tolerance: relative residual of a step.
 
@@ -184,7 +168,9 @@ def samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materia
     """Yield states for the choice of the sampled elements, evenly spaced, each mapped by the next symmetry in turn.
 
     Args:
-        taken, poses, materials: full-order states, poses and material on each training path.
+        taken: full-order states on each training path.
+        poses: poses of the tool on each training path.
+        materials: material on each training path.
         group: symmetry group.
         start: first pose of the tool.
     """
@@ -213,7 +199,8 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     Args:
         solver: the full-order solver; its material is restored afterwards.
         basis: displacements of all modes, shape (freedoms, modes).
-        lifting, watched: number of prescribed modes (first) and of error modes (last).
+        lifting: number of prescribed modes, the first ones.
+        watched: number of error modes, the last ones.
         looked_at: states, see `samples`. The states are projected on the modes other than the error modes.
         tolerance: relative error of the modal forces.
         bulk_ratio: upper limit of the bulk modulus over the shear modulus.
@@ -252,7 +239,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
     are then enlarged until the estimate covers enough states (`VerificationSettings.coverage`).
 
     Args:
-        reduced, solver: the reduced solid and the full-order solver.
+        reduced: the reduced solid.
+        solver: the full-order solver.
         strokes: poses of each test path.
         progress: called with the number of finished paths and the number of all paths.
         materials: materials that are used in turn; none: the present material.
@@ -318,7 +306,8 @@ def _coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
     """Return the smallest factor c >= 1 for which enough states satisfy error <= c estimate + negligible error.
 
     Args:
-        estimates, errors: estimated and true errors over the rms force, shape (states,).
+        estimates: estimated errors over the rms force, shape (states,).
+        errors: true errors over the rms force, shape (states,).
     """
     known = estimates > 0.0
     if not known.any():
@@ -334,11 +323,15 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     """Compute modes and sampled elements from snapshots and return the reduced solid.
 
     Args:
-        model, mesh, box: experiment and material, mesh of the full-order solid, box of poses.
-        taken, poses: full-order states and poses on each training path.
+        model: experiment and material.
+        mesh: mesh of the full-order solid.
+        box: box of poses.
+        taken: full-order states on each training path.
+        poses: poses of the tool on each training path.
         count: number of unknown modes.
         tolerance: relative error of the modal forces of the sampled elements.
-        softness, bulk_ratio: see `ReducedModel`.
+        softness: see `ReducedModel`.
+        bulk_ratio: see `ReducedModel`.
         materials: material on each training path; none: the material of the model.
         group: symmetry group including the identity; none: the group is computed.
         progress: called with the number of elements and their relative error so far.

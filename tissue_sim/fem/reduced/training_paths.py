@@ -17,14 +17,12 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.fem.reduced.model import PoseBox
+from tissue_sim.fem.reduced.settings import TrainingPathSettings
 from tissue_sim.pose import Pose, between, motion, turned
 
 #: Dimension of the Sobol sequence: two poses, each of position (3) and rotation (3).
 _DIMENSION = 12
-#: Smallest depth of an indenting tool, as a fraction of the depth of the box.
-_MIN_DEPTH = 0.15
-#: Largest step between poses, as a fraction of the contact radius.
-_STEP = 1.0 / 16.0
+_PATHS = TrainingPathSettings()
 
 
 def training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach: float) -> list[Pose]:
@@ -104,7 +102,7 @@ def _sample_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
     poses = [corners[0]]
     for one, other in pairwise(corners):
         x, y, z, *turn = motion(one, other)
-        count = math.ceil((math.hypot(x, y, z) + reach * math.hypot(*turn)) / (_STEP * reach) - 1e-9)
+        count = math.ceil((math.hypot(x, y, z) + reach * math.hypot(*turn)) / (_PATHS.step * reach) - 1e-9)
         poses += [between(one, other, (k + 1) / count) for k in range(count)]
     return poses
 
@@ -112,7 +110,7 @@ def _sample_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
 def _pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds: bool) -> Pose:
     """Return the pose of the box with these normalised coordinates, 0 to 1, shape (6,)."""
     x, y, z, angle, a, b = coordinates
-    least = 0.0 if holds else _MIN_DEPTH
+    least = 0.0 if holds else _PATHS.min_depth
     depth = box.depth * (least + (1.0 - least) * z)
     x0, y0, z0 = start.position
     position = (x0 + box.sideways * (2.0 * x - 1.0), y0 + box.sideways * (2.0 * y - 1.0), z0 - depth)

@@ -8,10 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.solid import SolidMesh
-
-#: Number of elements that a kernel processes at once, one in each lane of its vectors.
-LANES = 4
 
 
 def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -111,8 +109,11 @@ class ElementBatches:
 
     @cached_property
     def of_points(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of the shape functions at the points, 1/m, shape (elements, q, nodes, 3), and orthonormal pressure
-        modes, shape (elements, q, modes)."""
+        """Compute the gradients of the shape functions and the pressure modes at the quadrature points.
+
+        Returns:
+            Gradients, 1/m, shape (elements, q, nodes, 3); orthonormal pressure modes, shape (elements, q, modes).
+        """
         points, nodes = self.weights.shape[1], self._dofs.shape[1]
         gradients = np.stack([self._of_elements(each, points, nodes) for each in self._gradients], axis=-1)
         return gradients, self._of_elements(self._mode_values, points, self._modes)
@@ -164,8 +165,11 @@ class ElementBatches:
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
     def arrays(self, part: slice) -> dict[str, np.ndarray]:
-        """Arrays of a group's batches, and shared arrays, by their names in the kernel; ``elements`` are indices in the
-        group."""
+        """Return the arrays of the batches of a group, and shared arrays, by their names in the kernel.
+
+        Args:
+            part: batches of the group. The array ``elements`` contains indices in the group.
+        """
         dofs = np.ascontiguousarray(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
         named |= {"elements": self._local, "pressures": self.pressures, "dofs": dofs, "equations": self._equations,
@@ -194,8 +198,7 @@ class ElementBatches:
 
     @property
     def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Arrays that the kernel reads, and their derivatives with respect to the logarithm of the height of the
-        undeformed mesh."""
+        """Arrays that the kernel reads, and their derivatives with respect to log(height of the undeformed mesh)."""
         return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
                 (self._mode_values, -0.5 * self._mode_values)]
 

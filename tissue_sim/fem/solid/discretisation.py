@@ -13,10 +13,10 @@ from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
+from tissue_sim.fem.contact_settings import STICK, TOLERANCES
 from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.contact import STICK
 from tissue_sim.fem.solid.contact_laws import NodeLaws
-from tissue_sim.fem.solid.placement import FACE_WITHIN, SAME_PLACE, Placement
+from tissue_sim.fem.solid.placement import PLACEMENT, Placement
 from tissue_sim.fem.solid.sensitivity import StartRates
 from tissue_sim.fem.solid.settling import Settling, settle
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -24,7 +24,7 @@ from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.fem.solid.touch import Touch, touch
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
-from tissue_sim.mesh.grading import PLATE_RING, Grading
+from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.mesh_mapping import Circle
 from tissue_sim.mesh.solid import SolidMesh
@@ -32,10 +32,6 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose, raised
 from tissue_sim.specimen.specimen import with_article
 
-#: Tolerance of contact conditions under a needle, in radii of the tool.
-_NEEDLE_TOLERANCE = 1e-4
-#: Tolerance of contact conditions between plates, in units of the specimen's margin.
-_PLATE_TOLERANCE = 1e-7
 #: Lower bound of the largest element far from a needle, over the size of the specimen, 1.
 _LEAST_LARGEST = 0.17
 
@@ -111,8 +107,8 @@ def _solver(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | No
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
     placed, start = start is not None, start or experiment.tool_pose(0.0)
     bodies = [*_resting(experiment, mesh), *_moving(experiment, mesh, bonded, start)]
-    tolerance = (_PLATE_TOLERANCE * experiment.specimen.margin() if tool.is_plate
-                 else _NEEDLE_TOLERANCE * tool.require_radius())
+    tolerance = (TOLERANCES.plate * experiment.specimen.margin() if tool.is_plate
+                 else TOLERANCES.needle * tool.require_radius())
     places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
     top = places[mesh.sets["top"]]
     if datum is None:
@@ -155,13 +151,13 @@ def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_mov
     experiment = model.experiment
     (x, y, _), (u, v, _) = pose.position, start.position
     tool, specimen = experiment.tool, experiment.specimen
-    moves = math.hypot(x - u, y - v) > SAME_PLACE * experiment.contact_radius
+    moves = math.hypot(x - u, y - v) > PLACEMENT.same_position * experiment.contact_radius
     radius = tool.face_radius or experiment.contact_radius
     if moves and (tool.is_plate or specimen.margin(x, y) <= radius):
         return None
     if moves and can_move:
         mesh = specimen.moved_mesh(mesh, specimen, (Circle(radius, (u, v)), Circle(radius, (x, y))))
-    elif tool.face_radius and math.hypot(x - u, y - v) > FACE_WITHIN * radius:
+    elif tool.face_radius and math.hypot(x - u, y - v) > PLACEMENT.face_offset * radius:
         return None
     try:
         other = _solver(model, mesh, pose, datum, can_move=can_move)
@@ -221,7 +217,7 @@ def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
         pins = [(int(base[middle]), "xy"), (int(base[second]), "y")]
     return SolidSolver(mesh, model.material, _fixed(experiment), np.zeros(0, int),
                        bodies=_resting(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
-                       tolerance=_PLATE_TOLERANCE * experiment.specimen.margin(),
+                       tolerance=TOLERANCES.plate * experiment.specimen.margin(),
                        contact_radius=experiment.contact_radius, element_layers=layers)
 
 
@@ -317,7 +313,7 @@ def _circle(experiment: Experiment) -> Circle:
     """Circle about which the rings of the mesh are arranged."""
     tool = experiment.tool
     if tool.is_plate:
-        return Circle(PLATE_RING * experiment.specimen.margin(), (0.0, 0.0))
+        return Circle(O_GRID.plate_ring * experiment.specimen.margin(), (0.0, 0.0))
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
     return Circle(tool.face_radius or experiment.contact_radius, (offset, 0.0))
 

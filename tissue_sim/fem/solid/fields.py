@@ -65,17 +65,21 @@ class SolidFields:
         return SOLID_UNITS if self.pressures is not None else _WITHOUT_PRESSURE
 
     def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays of the state: displacements, pressures and stresses, as far as they exist."""
         return tuple(each for each in (self.displacements, self.pressures, self.stresses) if each is not None)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> SolidFields:
+        """Return the same fields with other arrays of the state, in the order of `arrays`."""
         more = iter(arrays[1:])
         return replace(self, displacements=arrays[0], pressures=None if self.pressures is None else next(more),
                        stresses=None if self.stresses is None else next(more))
 
     def of_the_material(self) -> dict[str, Any]:
+        """Return the values that depend on the material: material, bulk moduli (Pa), relative moduli."""
         return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
 
     def with_material(self, changed: Mapping[str, Any]) -> SolidFields:
+        """Return the same fields with other values of `of_the_material`."""
         return replace(self, **changed)
 
     def part(self, elements: np.ndarray) -> SolidFields:

@@ -17,12 +17,13 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_now
+from tissue_sim.fem.contact_settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import library
 from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
-from tissue_sim.fem.solid.contact import STIFFNESS
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.settings import LinearisationSettings
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -31,31 +32,6 @@ from tissue_sim.pose import Pose, between
 
 #: Largest number of published nodes.
 CANDIDATES = 100
-
-
-@dataclass(frozen=True)
-class LinearisationSettings:
-    """Settings of the linearisation.
-
-    Attributes:
-        more: number of condensed nodes over that of published nodes with Pardiso, whose cost hardly depends on it.
-        needed: fraction of the nearest nodes that must be condensed; otherwise other nodes are chosen, which requires
-            a new symbolic analysis.
-        fractions: fractions of a step that are tried in turn if it turns elements inside out, 1.
-        old_fractions: the same with an earlier tangent, which would overshoot where the tissue has become more than
-            twice as stiff, 1.
-        rounding: length of a step over that of the displacement below which the step is zero, 1.
-        on_axis: radius over the length of a segment of the outline below which a point is on the axis, 1.
-    """
-
-    more: int = 3
-    needed: float = 0.6
-    fractions: tuple[float, ...] = (1.0, 0.5, 0.25)
-    old_fractions: tuple[float, ...] = (0.8, 0.4, 0.2)
-    rounding: float = 1e-5
-    on_axis: float = 1e-9
-
-
 _SETTINGS = LinearisationSettings()
 
 
@@ -68,8 +44,9 @@ class _Step:
     carried: np.ndarray
 
     def leads_on(self, settles: np.ndarray, share: float, rounding: float) -> bool:
-        """Whether a damped step reduces the next step (restricted monotonicity test: Deuflhard, Newton Methods for
-        Nonlinear Problems, 2011, section 3.3).
+        """Whether a damped step reduces the next step (restricted monotonicity test).
+
+        Source: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3.
 
         Args:
             settles: new increment that balances the tissue without contact, m.
@@ -141,7 +118,7 @@ class SolidLinearisation:
             own = np.isin(self.nodes, body.nodes)
             outlines[own], friction[own] = number, body.friction
         start = Frame(solver.pose, solver.datum)
-        springs = STIFFNESS * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
+        springs = SOLID_PENALTY.normal * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
         return ContactSurface(contact.places[mine].copy(), springs, friction, outlines, chains, shapes,
                               contact.bound[mine].astype(np.int32),
                               start.into(contact.places[mine]) + contact.anchors[mine], solver.pose,
@@ -251,8 +228,10 @@ class SolidLinearisation:
         return _Step(*(self._measured(each) for each in (begun, pushed, carried)))
 
     def _measured(self, begun: np.ndarray) -> np.ndarray:
-        """Part of a begun solution whose length is compared: the interface, where the contact acts, or all free degrees
-        of freedom if the tool holds tissue."""
+        """Return the part of a begun solution whose length is compared.
+
+        The part is the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
+        """
         assert self._tangent is not None
         return self._tangent.finish(begun) if self._holds else begun[self._tangent.rows]
 

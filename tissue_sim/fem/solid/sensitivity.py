@@ -328,8 +328,12 @@ class SolidSensitivity:
         return motion, acting - missing
 
     def _contact_forces(self, motion: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of contact forces, residuals of the constraints, and all acting forces with laws, N, shape
-        (n, 3, m) each."""
+        """Return the derivatives of the forces on the contact nodes.
+
+        Returns:
+            Derivatives of the contact forces, of the residuals of the constraints, and of all acting forces with those
+            of the laws, N, shape (n, 3, m) each.
+        """
         state, against = self._parts.contact.state, self._at_contact(motion) + self._apart
         found, missing = state.force_rates(against, self._anchors, forces)
         acting = found + missing

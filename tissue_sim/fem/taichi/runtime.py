@@ -80,7 +80,8 @@ def _modules_at_once() -> Iterator[None]:
     """Speed up `inspect.getmodule` during the import of Taichi.
 
     `inspect.getmodule` searches all loaded modules for that of each function, which takes a quarter of the import.
-    Functions and frames contain the name of their module."""
+    Functions and frames contain the name of their module.
+    """
     search, importer = inspect.getmodule, threading.get_ident()
 
     def module(thing: object, _filename: str | None = None) -> ModuleType | None:
