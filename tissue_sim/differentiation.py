@@ -95,11 +95,13 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     asked = find_parameters(model, names)
     model = replace(model, rig=model.rig.motion_only)
     own = {f"material.{path}" for path in of_material}
-    exact = np.array([parameter.path in own and _exact(model, parameter) for parameter in asked], dtype=bool)
+    exact = np.array([parameter.path in own and _has_exact_derivative(model, parameter) for parameter in asked],
+                     dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
                "estimate_error": False}
-    watch = _Watch([_pair(model, parameter) for parameter, one in zip(asked, exact, strict=True) if one],
-                   model.experiment.approach)
+    neighbours = [_make_neighbour_materials(model, parameter)
+                  for parameter, one in zip(asked, exact, strict=True) if one]
+    watch = _Watch(neighbours, model.experiment.approach)
     recording = simulate(model, watch=watch, **options)
     exact &= watch.exact
     values = np.zeros((len(watch.rates), len(names)))
@@ -109,7 +111,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
         raise ConvergenceError("the tangent of a converged step is singular, so that the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference(model, asked[k], recording.force, options, one_sided=one_sided)
+        values[:, k] = _difference_simulations(model, asked[k], recording.force, options, one_sided=one_sided)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -141,7 +143,7 @@ class _Watch:
         self.kinks.append(derivatives is not None and derivatives.pop_changed())
 
 
-def _exact(model: Model, parameter: Parameter) -> bool:
+def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:
     """Whether a solver may differentiate its equations with respect to a parameter of the material."""
     if model.experiment.tilt or model.experiment.slip or model.rig.compliance:
         return False
@@ -153,13 +155,13 @@ def _exact(model: Model, parameter: Parameter) -> bool:
     return not (issubclass(parameter.part, Poroelasticity) and value(model, phi) == 0.0)
 
 
-def _pair(model: Model, parameter: Parameter):
+def _make_neighbour_materials(model: Model, parameter: Parameter):
     """Material with a parameter increased, material with it decreased, and the difference of the parameter."""
     half = 0.5 * DIFFERENCES.formula_width * (abs(parameter.value) or 1.0)
-    return _neighbours(lambda new: with_values(model, {parameter.path: new}).material, parameter.value, half)
+    return _evaluate_neighbours(lambda new: with_values(model, {parameter.path: new}).material, parameter.value, half)
 
 
-def _neighbours(change: Callable, value: float, half: float):
+def _evaluate_neighbours(change: Callable, value: float, half: float):
     """Results for an increased and a decreased value, and the difference; one-sided at the end of the range.
 
     Raises:
@@ -175,7 +177,8 @@ def _neighbours(change: Callable, value: float, half: float):
     return more, less, high - low
 
 
-def _difference(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *, one_sided: bool) -> np.ndarray:
+def _difference_simulations(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *,
+                            one_sided: bool) -> np.ndarray:
     """Central difference of two simulations on one mesh, whose nodes move with the geometry, N per unit, shape (n,).
 
     The difference is one-sided, with the force of the model itself, N, if requested or if only one side is valid.

@@ -76,7 +76,7 @@ def sentence(problem: str, place: Iterable[str] = ()) -> str:
 
     A longer sentence is shortened in the middle: first its quotations, then the place, then the whole.
     """
-    parts = [_printable(part) for part in (*place, problem)]
+    parts = [_escape_unprintable(part) for part in (*place, problem)]
     if len(": ".join(parts)) > MESSAGE_LIMITS.message:
         quoted = _QUOTATION.sub(lambda match: shortened(match[0], MESSAGE_LIMITS.quotation), parts.pop())
         # The problem contains the remedy and keeps its length; the user knows the place.
@@ -85,7 +85,7 @@ def sentence(problem: str, place: Iterable[str] = ()) -> str:
     return shortened(": ".join(parts), MESSAGE_LIMITS.message)
 
 
-def _printable(text: str) -> str:
+def _escape_unprintable(text: str) -> str:
     """Replace line ends by blanks, and control characters and halves of surrogate pairs by escapes."""
     if text.isprintable():
         return text
@@ -103,7 +103,7 @@ def shortened(text: str, longest: int) -> str:
 
 def reason_of(error: BaseException) -> str:
     """Return the message of another library's exception, on one line of at most `MessageLimits.reason` characters."""
-    return shortened(_printable(" ".join(str(error).split())), MESSAGE_LIMITS.reason) or type(error).__name__
+    return shortened(_escape_unprintable(" ".join(str(error).split())), MESSAGE_LIMITS.reason) or type(error).__name__
 
 
 @contextmanager

@@ -120,12 +120,12 @@ def declaring(base: type) -> Callable[[Any], bool]:
 
 def parameters(part: Any) -> dict[str, Parameter]:
     """Return all parameters of a part (`Model`, `Material`, `Experiment`, `Rig`, ...) by path."""
-    return {each.path: each for each in _walk(part, "")}
+    return {each.path: each for each in _iterate_parameters(part, "")}
 
 
 def parameter_values(part: Any) -> dict[str, float]:
     """Return the values of all parameters of a part by path, SI."""
-    return {each.path: each.value for each in _walk(part, "")}
+    return {each.path: each.value for each in _iterate_parameters(part, "")}
 
 
 def value(part: Any, path: str) -> float:
@@ -154,7 +154,7 @@ def _find(model: Any, name: str, known: Mapping[str, Parameter]) -> Parameter:
     for path in (name, f"material.{name}"):
         if path in known:
             return known[path]
-        word = _at(model, path)
+        word = _find_part(model, path)
         if isinstance(word, str):
             raise InputError(f"must be a number to be changed; got {word!r}.", field=name)
     raise InputError(f"unknown parameter{nearest(name, [path.removeprefix('material.') for path in known])}",
@@ -174,13 +174,13 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     tree: dict = {}
     for path, number in values.items():
         *outer, last = tokens(path)
-        if not _has(_at(part, path.rpartition(".")[0]), last):
+        if not _has(_find_part(part, path.rpartition(".")[0]), last):
             raise InputError(f"there is no parameter {path!r}{nearest(path, parameters(part))}", field="parameters")
         branch = tree
         for token in outer:
             branch = branch.setdefault(token, {})
         branch[last] = float(number)
-    return _changed(part, tree)
+    return _replace_values(part, tree)
 
 
 def tokens(path: str) -> list[str | int]:
@@ -222,7 +222,7 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **othe
         raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
 
-def _at(part: Any, path: str) -> Any:
+def _find_part(part: Any, path: str) -> Any:
     """Object at a path, the part itself at the empty path; None if there is none."""
     for token in tokens(path):
         if isinstance(token, int):
@@ -236,29 +236,29 @@ def _has(part: Any, name: str | int) -> bool:
     """Whether the part itself, not one below it, has a parameter of the name."""
     if not is_dataclass(part):
         return False
-    return any(each.path == name for each in _parameters_of(part, ""))
+    return any(each.path == name for each in _iterate_own_parameters(part, ""))
 
 
-def _walk(part: Any, place: str) -> Iterator[Parameter]:
+def _iterate_parameters(part: Any, place: str) -> Iterator[Parameter]:
     """Yield every parameter of a part and of the parts below it."""
-    yield from _parameters_of(part, place)
+    yield from _iterate_own_parameters(part, place)
     for entry in fields(part):
         content = getattr(part, entry.name)
         if declaration(entry) is not None:
             continue
         if is_dataclass(content):
-            yield from _walk(content, f"{place}{entry.name}.")
+            yield from _iterate_parameters(content, f"{place}{entry.name}.")
         elif isinstance(content, tuple) and content and all(map(is_dataclass, content)):
             for index, item in enumerate(content):
-                yield from _walk(item, f"{place}{entry.name}[{index}].")
+                yield from _iterate_parameters(item, f"{place}{entry.name}[{index}].")
         elif isinstance(content, Mapping) and content and all(map(is_dataclass, content.values())):
             for name, item in content.items():
-                yield from _walk(item, f"{place}{entry.name}.{name}.")
+                yield from _iterate_parameters(item, f"{place}{entry.name}.{name}.")
 
 
-def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
+def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
     """Yield the parameters of a part itself."""
-    if _states_its_own(part):
+    if _has_own_parameters(part):
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
@@ -270,23 +270,24 @@ def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
                 yield Parameter(place + entry.name, stated, float(content), type(part))
 
 
-def _states_its_own(part: Any) -> TypeGuard[HasParameters]:
-    return _of_a_kind_that_does(type(part))  # type: ignore[arg-type]
+def _has_own_parameters(part: Any) -> TypeGuard[HasParameters]:
+    return _is_parameter_class(type(part))  # type: ignore[arg-type]
 
 
 @cache
-def _of_a_kind_that_does(kind: type) -> bool:
+def _is_parameter_class(kind: type) -> bool:
     """Whether a class implements `HasParameters`; cached, because `issubclass` with a protocol is slow."""
     return issubclass(kind, HasParameters)
 
 
-def _changed(part: Any, tree: Mapping[Any, Any]) -> Any:
+def _replace_values(part: Any, tree: Mapping[Any, Any]) -> Any:
     if isinstance(part, tuple):
-        return tuple(_changed(item, tree[index]) if index in tree else item for index, item in enumerate(part))
+        return tuple(_replace_values(item, tree[index]) if index in tree else item for index, item in enumerate(part))
     if isinstance(part, Mapping):
-        return {name: _changed(item, tree[name]) if name in tree else item for name, item in part.items()}
-    changes = {name: _changed(getattr(part, name), sub) if isinstance(sub, dict) else sub for name, sub in tree.items()}
-    if _states_its_own(part):
+        return {name: _replace_values(item, tree[name]) if name in tree else item for name, item in part.items()}
+    changes = {name: _replace_values(getattr(part, name), sub) if isinstance(sub, dict) else sub
+               for name, sub in tree.items()}
+    if _has_own_parameters(part):
         own = {name: changes.pop(name) for name in part.own_parameters() if name in changes}
         if own:
             return part.with_own_parameters(own, **changes)

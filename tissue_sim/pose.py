@@ -60,16 +60,17 @@ class Pose:
 
     def __post_init__(self):
         if type(self.position) is not tuple or len(self.position) != 3:
-            object.__setattr__(self, "position", _numbers(self.position, 3, "position", "x, y, z in m"))
+            object.__setattr__(self, "position", _convert_to_floats(self.position, 3, "position", "x, y, z in m"))
         if self.orientation is NO_ROTATION:
             return
         if type(self.orientation) is not tuple or len(self.orientation) != 4:
-            object.__setattr__(self, "orientation", _numbers(self.orientation, 4, "orientation", "w, x, y, z"))
+            numbers = _convert_to_floats(self.orientation, 4, "orientation", "w, x, y, z")
+            object.__setattr__(self, "orientation", numbers)
         try:
             w, x, y, z = self.orientation
             length = math.sqrt(w * w + x * x + y * y + z * z)
         except TypeError:
-            raise _not_numbers(self.orientation, 4, "orientation", "w, x, y, z") from None
+            raise _numbers_error(self.orientation, 4, "orientation", "w, x, y, z") from None
         excess = length - 1.0
         if -QUATERNION.rounding < excess < QUATERNION.rounding:
             return
@@ -81,7 +82,7 @@ class Pose:
         # NaN is refused, too: where denormal numbers are flushed to zero, hypot of huge components is NaN.
         if not abs(excess) <= QUATERNION.length:
             raise InputError(f"must be a unit quaternion (w, x, y, z), of length 1 within "
-                             f"{QUATERNION.length:g}; got length {_length_text(length)}. Divide it by its length.",
+                             f"{QUATERNION.length:g}; got length {_format_length(length)}. Divide it by its length.",
                              field="orientation")
         object.__setattr__(self, "orientation", (w / length, x / length, y / length, z / length))
 
@@ -109,28 +110,28 @@ class Pose:
         return math.isfinite(sum(self.position) + sum(self.orientation))
 
 
-def _numbers(values: object, count: int, field: str, names: str) -> tuple[float, ...]:
+def _convert_to_floats(values: object, count: int, field: str, names: str) -> tuple[float, ...]:
     """Convert a sequence of numbers to a tuple of floats.
 
     Raises:
         InputError: another type, or another number of entries.
     """
     if isinstance(values, str | bytes):
-        raise _not_numbers(values, count, field, names)
+        raise _numbers_error(values, count, field, names)
     try:
         numbers = tuple(map(float, values))  # type: ignore[call-overload]
     except (TypeError, ValueError, OverflowError):
-        raise _not_numbers(values, count, field, names) from None
+        raise _numbers_error(values, count, field, names) from None
     if len(numbers) != count:
-        raise _not_numbers(values, count, field, names)
+        raise _numbers_error(values, count, field, names)
     return numbers
 
 
-def _not_numbers(values: object, count: int, field: str, names: str) -> InputError:
+def _numbers_error(values: object, count: int, field: str, names: str) -> InputError:
     return InputError(f"must be {count} numbers, {names}; got {values!r}.", field=field)
 
 
-def _length_text(length: float) -> str:
+def _format_length(length: float) -> str:
     """Text of a length with four significant digits of its difference from 1."""
     if not 0.5 < length < 2.0:
         return f"{length:.4g}"
@@ -155,7 +156,7 @@ def motion(start: Pose, end: Pose) -> Screw:
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
     if start.orientation == end.orientation:
         return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
-    w, x, y, z = _relative(start.orientation, end.orientation)
+    w, x, y, z = _relative_rotation(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     factor = 2.0 if sine < QUATERNION.small_sine else 2.0 * math.atan2(sine, w) / sine
     return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
@@ -177,12 +178,12 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
     if start.orientation == end.orientation:
         return Pose(position, start.orientation)
-    w, x, y, z = _relative(start.orientation, end.orientation)
+    w, x, y, z = _relative_rotation(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     half = share * math.atan2(sine, w)
     factor = share if sine < QUATERNION.small_sine else math.sin(half) / sine
     turn = (math.cos(half), factor * x, factor * y, factor * z)
-    return Pose(position, _product(turn, start.orientation))
+    return Pose(position, _multiply_quaternions(turn, start.orientation))
 
 
 def turned(pose: Pose, rotation: Vector) -> Pose:
@@ -191,7 +192,7 @@ def turned(pose: Pose, rotation: Vector) -> Pose:
     if angle == 0.0:
         return pose
     x, y, z = (math.sin(0.5 * angle) * part / angle for part in rotation)
-    return Pose(pose.position, _product((math.cos(0.5 * angle), x, y, z), pose.orientation))
+    return Pose(pose.position, _multiply_quaternions((math.cos(0.5 * angle), x, y, z), pose.orientation))
 
 
 def twist_about_axis(orientation: Quaternion) -> Quaternion | None:
@@ -208,12 +209,12 @@ def without_twist(pose: Pose, twist: Quaternion | None) -> Pose:
     if twist is None:
         return pose
     w, _, _, z = twist
-    return Pose(pose.position, _product(pose.orientation, (w, 0.0, 0.0, -z)))
+    return Pose(pose.position, _multiply_quaternions(pose.orientation, (w, 0.0, 0.0, -z)))
 
 
 def with_twist(pose: Pose, twist: Quaternion | None) -> Pose:
     """Inverse of `without_twist`."""
-    return pose if twist is None else Pose(pose.position, _product(pose.orientation, twist))
+    return pose if twist is None else Pose(pose.position, _multiply_quaternions(pose.orientation, twist))
 
 
 def raised(pose: Pose, height: float) -> Pose:
@@ -222,17 +223,17 @@ def raised(pose: Pose, height: float) -> Pose:
     return Pose((x, y, z + height), pose.orientation)
 
 
-def _relative(start: Quaternion, end: Quaternion) -> Quaternion:
+def _relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion:
     """Rotation from one orientation to another, by at most half a turn."""
     w, x, y, z = start
-    relative = _product(end, (w, -x, -y, -z))
+    relative = _multiply_quaternions(end, (w, -x, -y, -z))
     if relative[0] >= 0.0:
         return relative
     w, x, y, z = relative
     return (-w, -x, -y, -z)
 
 
-def _product(left: Quaternion, right: Quaternion) -> Quaternion:
+def _multiply_quaternions(left: Quaternion, right: Quaternion) -> Quaternion:
     a, b, c, d = left
     e, f, g, h = right
     return (a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g,

@@ -183,9 +183,9 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             progress(sample + 1, protocol.displacement.size)
     report["wall_s"] = time.perf_counter() - started  # without the error estimate
     if estimate_error and mesh is None:
-        found = _compare(tissue, model, np.array([model.experiment.resistance(one) for one in wrenches]), solver,
-                         resolution, topology, max(_SETTINGS.always_to_compare,
-                                                   _SETTINGS.most_to_compare * report["newton_iterations"]))
+        forces = np.array([model.experiment.resistance(one) for one in wrenches])
+        most = max(_SETTINGS.always_to_compare, _SETTINGS.most_to_compare * report["newton_iterations"])
+        found = _estimate_force_error(tissue, model, forces, solver, resolution, topology, most)
         if found is not None:
             report["force_error"] = found.fraction
             if found.fraction > FORCE_ERROR.warning_fraction:
@@ -195,8 +195,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 
 
-def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str, topology: Model | None,
-             most_solves: int) -> ForceError | None:
+def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str,
+                          topology: Model | None, most_solves: int) -> ForceError | None:
     """Estimate the error of a force from a second solution on another mesh with other steps.
 
     If the error is worth a warning, a third solution with half the steps on the other mesh is used as well.
@@ -255,7 +255,7 @@ def _note_largest(report: dict, step: Step) -> None:
             report[name] = max(report[name], value)
 
 
-def _times_from_touch(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
+def _find_times_from_touch(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the time of the motion to each position of the tool, s, and the index of the first sample in contact.
 
     For that sample only the time after the touch counts.
@@ -319,7 +319,7 @@ class _Drive:
         """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
         protocol = self._experiment.protocol
         positions = self._model.rig.tool_motion(protocol.displacement)[samples]
-        waits, first = _times_from_touch(positions, protocol.time[samples])
+        waits, first = _find_times_from_touch(positions, protocol.time[samples])
         for number, (position, dt) in enumerate(zip(positions.tolist(), waits.tolist(), strict=True)):
             if number < first:
                 # The tool is in the air: nothing is solved.
@@ -336,7 +336,7 @@ class _Drive:
         solver, train = self._solver, self._train
         if not train.compliance:
             self.travel = position
-            yield from _approach(solver, self._pose(position), dt, **self._options)
+            yield from _step_towards(solver, self._pose(position), dt, **self._options)
             return
         saved = solver.save()
         depth, growth = train.expect(position)
@@ -349,7 +349,7 @@ class _Drive:
             if trial and not near:
                 solver.restore(saved)
             self.travel = depth
-            for step in _approach(solver, self._pose(depth), 0.0 if near else dt, **self._options):
+            for step in _step_towards(solver, self._pose(depth), 0.0 if near else dt, **self._options):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
@@ -367,7 +367,7 @@ class _Drive:
         return self._solver.project_pose(self._experiment.tool_pose(travel))
 
 
-def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
+def _step_towards(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
     """Yield steps to a pose along a rigid motion; a step is halved after a failure and doubled after a success.
 
     Args:

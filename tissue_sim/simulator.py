@@ -256,12 +256,12 @@ class Simulator(PathFollower, KernelOwner):
         try:
             self.limits.require(pose, tool.pose, dt)
         except LimitError:
-            return self._refused(began)
+            return self._make_refused_result(began)
         seen = tool.untwisted(pose)
         target = solver.project_pose(seen)
         on_axis = target is seen or is_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
-            return replace(self._refused(began), is_on_axis=False)
+            return replace(self._make_refused_result(began), is_on_axis=False)
         tick, is_behind = dt, not self._pending.is_empty
         if not tool.touch.has_touched:
             first = tool.touch.height is None or tool.touch.height <= 0.0
@@ -287,7 +287,7 @@ class Simulator(PathFollower, KernelOwner):
         self._answer = answer if on_axis else replace(answer, is_on_axis=False)
         return self._answer
 
-    def _refused(self, began: float) -> ToolForce:
+    def _make_refused_result(self, began: float) -> ToolForce:
         return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                        compute_time=time.perf_counter() - began)
 

@@ -158,7 +158,7 @@ class _Curve:
             self.pressure = -law.nominal_stress(np.exp(top), self.values)
             self.pressure[0] = 0.0
             base = branch.log_stretch(self.pressure + specimen.specific_weight * self.moulded_height)
-            self.stretches, weights, softness = _slices(law, self.values, top, base)
+            self.stretches, weights, softness = _integrate_slices(law, self.values, top, base)
             self.base_stretch = np.exp(base)
             self.height = self.moulded_height * np.sum(weights * self.stretches, axis=1)
             self.displacement = self.height[0] - self.height
@@ -183,7 +183,7 @@ class _Curve:
         # The settled height is a concave function of the undeformed one: Newton's method from below does not overshoot.
         for _ in range(_SETTINGS.max_iterations):
             base = branch.log_stretch(np.array([self.specimen.specific_weight * height]))
-            stretches, weights, _ = _slices(self.law, self.values, np.zeros(1), base)
+            stretches, weights, _ = _integrate_slices(self.law, self.values, np.zeros(1), base)
             settled = height * float(np.sum(weights * stretches))
             if self.specimen.height_is == "moulded":
                 return height, settled
@@ -252,7 +252,7 @@ class _Branch:
         return result
 
 
-def _slices(law: Law, values: np.ndarray, top: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, ...]:
+def _integrate_slices(law: Law, values: np.ndarray, top: np.ndarray, base: np.ndarray) -> tuple[np.ndarray, ...]:
     """Quadrature over the slices.
 
     Args:

@@ -69,7 +69,7 @@ class HomogeneousHistory:
                              field="stretch")
 
     @cached_property
-    def _points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _divided_history(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time steps and strains of the divided history, and indices of the samples in it."""
         strain = np.concatenate([[_REST[self.mode]], self.strain])
         time = np.concatenate([self.time[:1], self.time])
@@ -83,16 +83,16 @@ class HomogeneousHistory:
         return np.repeat(np.diff(time) / parts, parts), fine, last - 1
 
     @cached_property
-    def _weights(self) -> np.ndarray:
+    def _stress_weights(self) -> np.ndarray:
         """d(nominal stress)/d(two components of S) at every point of the divided history, shape (points, 2)."""
-        strain = self._points[1]
+        strain = self._divided_history[1]
         if self.mode == "uniaxial":
             return np.stack([strain, -1.0 / strain**2], axis=-1)
         return np.stack([np.ones_like(strain), strain], axis=-1)
 
-    def _elastic(self, law: Law, values, factor: float, softening: Softening | None) -> np.ndarray:
+    def _compute_elastic_stress(self, law: Law, values, factor: float, softening: Softening | None) -> np.ndarray:
         """Two components of the elastic S, softened and not relaxed, Pa, shape (points, 2)."""
-        strain = self._points[1]
+        strain = self._divided_history[1]
         if self.mode == "uniaxial":
             side = strain**-0.5
             energy, tau = law.principal_response(np.stack([strain, side, side], axis=-1), values)
@@ -138,8 +138,8 @@ class HomogeneousHistory:
         Returns:
             `elastic`, shape (n,), and `relaxing`, shape (n, terms), both in Pa at the samples.
         """
-        dt, _, samples = self._points
-        stress, weights = self._elastic(law, values, factor, softening), self._weights[samples]
+        dt, _, samples = self._divided_history
+        stress, weights = self._compute_elastic_stress(law, values, factor, softening), self._stress_weights[samples]
         relaxing = internal_stress(dt, stress, tau)[samples]
         return np.sum(weights * stress[samples], axis=1), np.einsum("nc,nct->nt", weights, relaxing)
 

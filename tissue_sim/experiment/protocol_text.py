@@ -99,7 +99,7 @@ class _Reader:
         if word is None:
             raise self.fault(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
-            raise self.fault(start, f"unknown segment {_short(word)}{nearest(word, (*KINDS, 'repeat'))}")
+            raise self.fault(start, f"unknown segment {_quote_shortened(word)}{nearest(word, (*KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
         amount = self.amount(quantity, needed=needed, zero=word == "unload", after=word)
         speed = None
@@ -139,14 +139,16 @@ class _Reader:
         unit = self.consume(_WORD)
         if unit is None:
             comma = self.text[at:at + 1] == ","
-            problem = ("the decimal mark must be a point, not a comma" if comma else f"{_short(number)} has no unit")
+            problem = ("the decimal mark must be a point, not a comma" if comma
+                       else f"{_quote_shortened(number)} has no unit")
             raise self.fault(at, f"{problem}; expected a {quantity} such as {_EXAMPLES[quantity]}")
         entry = units.get(unit.replace("µ", "u").replace("μ", "u"))
         if entry is None:
-            raise self.fault(at, f"{_short(unit)} is not a unit of {quantity}; use {', '.join(list(units)[:5])}")
-        value = _to_si(number, *entry)
+            raise self.fault(at, f"{_quote_shortened(unit)} is not a unit of {quantity}; use "
+                                 f"{', '.join(list(units)[:5])}")
+        value = _convert_to_si(number, *entry)
         if not (0 < value < math.inf or (zero and value == 0)):
-            raise self.fault(start, f"{_short(number)} is not a finite {quantity} above zero"
+            raise self.fault(start, f"{_quote_shortened(number)} is not a finite {quantity} above zero"
                                     + ("; use retract for a height above the touch" if quantity == "length" else ""))
         self.skip_blanks()
         return value
@@ -181,15 +183,15 @@ class _Reader:
     def fault(self, at: int, problem: str):
         """Error at an index of the text."""
         rest = self.text[at:].strip()
-        found = f"at {_short(rest)}" if rest else "at the end"
+        found = f"at {_quote_shortened(rest)}" if rest else "at the end"
         return fault(f"{self.position(at)}, {found}", problem)
 
 
-def _short(text: str) -> str:
+def _quote_shortened(text: str) -> str:
     return repr(text if len(text) <= _QUOTED else f"{text[:_QUOTED]}...")
 
 
-def _to_si(number: str, factor: str, divisor: str) -> float:
+def _convert_to_si(number: str, factor: str, divisor: str) -> float:
     """Float nearest to the number in SI, so that 0.248 mm/s is 0.248e-3 m/s to the last digit."""
     value = float(number)
     if value == 0 or not math.isfinite(value):

@@ -117,26 +117,26 @@ def _end(segment: Segment, here: float, deepest: float) -> float:
             return here
         case "approach":
             if here >= 0 or (amount is not None and not math.isclose(amount, -here, rel_tol=1e-9)):
-                height = "above the touch" if amount is None else f"{_mm(amount)} above the touch"
-                raise fault(segment.position, f"an approach starts {height}, but the tool is at {_mm(here)}; retract "
-                                              "to that height first")
+                height = "above the touch" if amount is None else f"{_format_mm(amount)} above the touch"
+                raise fault(segment.position, f"an approach starts {height}, but the tool is at {_format_mm(here)}; "
+                                              "retract to that height first")
             return 0.0
         case "ramp" | "reload":
             if amount is None and deepest <= 0:
                 raise fault(segment.position, "a reload needs an earlier ramp or a depth; ramp first, or name a depth")
             end = deepest if amount is None else amount
             if end <= here:
-                raise fault(segment.position, f"a {kind} must go deeper, but the tool is at {_mm(here)} already; name "
-                                              "a larger depth, or unload before it")
+                raise fault(segment.position, f"a {kind} must go deeper, but the tool is at {_format_mm(here)} "
+                                              "already; name a larger depth, or unload before it")
             return end
         case "unload" | "retract":
             end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
             if end >= here:
                 raise fault(segment.position, f"{'an' if kind == 'unload' else 'a'} {kind} must go outwards, but the "
-                                              f"tool is at {_mm(here)} already; its end is {_mm(end)}")
+                                              f"tool is at {_format_mm(here)} already; its end is {_format_mm(end)}")
             return end
     raise fault(segment.position, f"unknown segment {kind!r}")
 
 
-def _mm(length: float) -> str:
+def _format_mm(length: float) -> str:
     return f"{length * 1e3:.6g} mm"

@@ -48,7 +48,7 @@ def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
         return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
 
-    return taichi_function(derive, _kept_as(energy, tangents), __file__)
+    return taichi_function(derive, _cache_key(energy, tangents), __file__)
 
 
 def stretch_derivatives(energy: KernelEnergy):
@@ -57,10 +57,10 @@ def stretch_derivatives(energy: KernelEnergy):
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
 
-    return taichi_function(derive, _kept_as(energy), __file__)
+    return taichi_function(derive, _cache_key(energy), __file__)
 
 
-def _kept_as(energy: KernelEnergy, *what) -> tuple | None:
+def _cache_key(energy: KernelEnergy, *what) -> tuple | None:
     return None if energy.kept_as is None else (*energy.kept_as, "energy", *what)
 
 

@@ -145,7 +145,7 @@ class Law:
     def _evaluate(self, mode, stretch, values) -> list[np.ndarray]:
         """Nominal stress, slope and parameter derivatives, each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
-        results = _along(self, mode)(stretch, *self.as_array(values))
+        results = _compile_mode_functions(self, mode)(stretch, *self.as_array(values))
         return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
@@ -183,7 +183,7 @@ class Law:
         """
         stretches = np.asarray(stretches, dtype=float)
         bar = stretches * np.prod(stretches, axis=-1, keepdims=True) ** (-1.0 / 3.0)
-        energy, *slopes = _principal(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
+        energy, *slopes = _compile_principal_functions(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
         tau = np.stack([np.broadcast_to(slope, bar.shape[:-1]) for slope in slopes], axis=-1)
         return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
 
@@ -197,18 +197,18 @@ class Law:
 
     def formula(self) -> str:
         """Energy as one line of text."""
-        return "W = " + self._printed("sstr").replace("**", "^")
+        return "W = " + self._print_formula("sstr").replace("**", "^")
 
     def latex(self) -> str:
         """Energy as LaTeX, for reports."""
-        return "W = " + self._printed("latex")
+        return "W = " + self._print_formula("latex")
 
-    def _printed(self, by: str) -> str:
+    def _print_formula(self, by: str) -> str:
         """Formula from a printer function of sympy, given by its name."""
-        return printed(lambda: self._in_order(getattr(sp, by)),
+        return printed(lambda: self._print_in_parameter_order(getattr(sp, by)),
                        kept_as=None if self.kept_as is None else (*self.kept_as, by))
 
-    def _in_order(self, write) -> str:
+    def _print_in_parameter_order(self, write) -> str:
         """Formula with its terms in the order of the parameters; sympy would sort them otherwise."""
         def first_parameter(term):
             return min((i for i, p in enumerate(self.symbols) if term.has(p)), default=len(self.symbols))
@@ -222,12 +222,12 @@ class Law:
 
 
 @lru_cache
-def _along(law: Law, mode: str):
+def _compile_mode_functions(law: Law, mode: str):
     """Compiled nominal stress, its slope and its parameter derivatives along a mode."""
-    return law.derived(mode, lambda: _stress_along(law, mode))
+    return law.derived(mode, lambda: _derive_mode_stress(law, mode))
 
 
-def _stress_along(law: Law, mode: str):
+def _derive_mode_stress(law: Law, mode: str):
     if mode == "simple_shear":
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
@@ -243,12 +243,12 @@ def _stress_along(law: Law, mode: str):
 
 
 @lru_cache
-def _principal(law: Law):
+def _compile_principal_functions(law: Law):
     """Compiled energy and its derivatives with respect to the logarithms of the three stretches."""
-    return law.derived("principal", lambda: _principal_slopes(law))
+    return law.derived("principal", lambda: _derive_principal_slopes(law))
 
 
-def _principal_slopes(law: Law):
+def _derive_principal_slopes(law: Law):
     l1, l2, l3 = stretches = sp.symbols("l1:4", positive=True)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     slopes = [s * sp.diff(energy, s) for s in stretches]
@@ -274,9 +274,9 @@ class InvariantLaw(Law):
 
     def formula_expression(self) -> sp.Expr:
         """Return the symbolic energy W of I1, I2 and the parameters."""
-        return sp.sympify(self.energy(*_invariants(), *self.symbols))
+        return sp.sympify(self.energy(*_invariant_symbols(), *self.symbols))
 
-    def _polynomial(self):
+    def _polynomial_coefficients(self):
         """Symbols, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None for another formula."""
         x, y = sp.symbols("x y", real=True)
         try:
@@ -290,14 +290,14 @@ class InvariantLaw(Law):
 
     @cached_property
     def _polynomial_function(self):
-        return self.derived("polynomial", self._polynomial)
+        return self.derived("polynomial", self._polynomial_coefficients)
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
         """Energy of the kernel; polynomials up to degree three share one kernel."""
         if self._polynomial_function is not None:
             return _POLYNOMIAL
-        return KernelEnergy(self.name, "invariants", _invariants(), self.symbols, self.formula_expression())
+        return KernelEnergy(self.name, "invariants", _invariant_symbols(), self.symbols, self.formula_expression())
 
     def kernel_coefficients(self, values) -> np.ndarray:
         """Return the coefficients of the kernel for the parameters, shape (coefficients,)."""
@@ -342,7 +342,7 @@ class StretchLaw(Law):
 POWERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 
 
-def _invariants() -> tuple[sp.Symbol, ...]:
+def _invariant_symbols() -> tuple[sp.Symbol, ...]:
     return tuple(sp.symbols("I1 I2", positive=True))
 
 
@@ -361,7 +361,7 @@ class _Polynomial(KernelEnergy):
 
     @cached_property
     def variables(self) -> tuple[sp.Symbol, ...]:
-        return _invariants()
+        return _invariant_symbols()
 
     @cached_property
     def coefficients(self) -> tuple[sp.Symbol, ...]:

@@ -129,15 +129,15 @@ class ReducedForce:
 
     def share(self, depth: float, dt: float = 0.0) -> float:
         """Factor on the force, or its derivative, at a trial depth, m, reached in dt s."""
-        here = self._at(depth, dt)
+        here = self._history_at(depth, dt)
         return prod((effect.share(here) for effect in self._effects), start=1.0)
 
     def commit(self, depth: float, dt: float = 0.0) -> float:
         """Accept a depth, m, reached in dt s; returns the factor there."""
-        share, self.history = self.share(depth, dt), self._at(depth, dt)
+        share, self.history = self.share(depth, dt), self._history_at(depth, dt)
         return share
 
-    def _at(self, depth: float, dt: float) -> ToolHistory:
+    def _history_at(self, depth: float, dt: float) -> ToolHistory:
         return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
 
 

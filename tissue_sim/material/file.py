@@ -107,7 +107,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
             factors = np.array([known[name].declaration.factor for name in order])
             stated = CovarianceEntry(order=tuple(known[name].file_path for name in order),
-                                     matrix=_rows(matrix / np.outer(factors, factors)))
+                                     matrix=_to_tuples(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
         specimens = None if population is None else population_entry(population, known)
         given = as_json_types(provenance or {})
@@ -244,7 +244,7 @@ def checked(file: MaterialFile) -> MaterialFile:
                              field="covariance.matrix")
         matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
         check_covariance(matrix, len(order))
-        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
+        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_to_tuples(matrix)))
     if file.population is not None:
         known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
         file = msgspec.structs.replace(file, population=checked_population(file.population, known))
@@ -267,7 +267,7 @@ def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
 
 
-def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+def _to_tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 

@@ -137,7 +137,7 @@ class Material:
             if own.layers or own.regions or own.effects or own.puncture is not None:
                 raise InputError("a region has no layers, regions, effects or puncture; leave them out",
                                  field=f"regions.{name}")
-        object.__setattr__(self, "effects", read_only(_by_name(self.effects)))
+        object.__setattr__(self, "effects", read_only(_index_by_name(self.effects)))
         object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
@@ -209,12 +209,12 @@ class Material:
     @property
     def E0(self) -> float:
         """Initial Young's modulus in instantaneous loading, Pa: 9 K mu0 / (3 K + mu0); 3 mu0 if incompressible."""
-        return self._young(self.mu0)
+        return self._young_modulus(self.mu0)
 
     @property
     def E_long_term(self) -> float:
         """Initial Young's modulus in very slow loading, Pa; the bulk modulus does not relax."""
-        return self._young(self.mu_long_term)
+        return self._young_modulus(self.mu_long_term)
 
     @property
     def bulk_modulus(self) -> float:
@@ -242,7 +242,7 @@ class Material:
     def _drained(self) -> float:
         return 0.0 if self.poroelasticity is None else self.poroelasticity.phi
 
-    def _young(self, mu: float) -> float:
+    def _young_modulus(self, mu: float) -> float:
         K = self.bulk_modulus
         return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)
 
@@ -259,7 +259,7 @@ def law_declaration(law: Law, name: str) -> Declaration:
     return Declaration(name, unit, (-reach, reach), key=name)
 
 
-def _by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
+def _index_by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
     """Return effects by their names.
 
     Raises:

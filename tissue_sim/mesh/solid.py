@@ -68,10 +68,10 @@ class SolidMesh:
         areas = np.zeros(len(self.nodes))
         for name in names:
             faces = self.faces[name]
-            np.add.at(areas, faces, self._side_areas(faces)[:, None] * self.element.face_weights)
+            np.add.at(areas, faces, self._compute_side_areas(faces)[:, None] * self.element.face_weights)
         return areas
 
-    def _side_areas(self, faces: np.ndarray) -> np.ndarray:
+    def _compute_side_areas(self, faces: np.ndarray) -> np.ndarray:
         """Return the areas of faces, for curved faces of the plane projection with the largest area, m2, shape (m,).
 
         The area is half of the norm of the contour integral of x cross dx, computed with Simpson's rule, which is exact

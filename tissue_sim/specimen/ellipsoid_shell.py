@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tissue_sim.mesh.solid import SolidMesh
 
 
-def _size(symbol: str, key: str) -> Any:
+def _declare_size(symbol: str, key: str) -> Any:
     return parameter(symbol, "m", key=key, factor=1e-3, bounds=(1e-4, 1.0), shapes_mesh=True)
 
 
@@ -36,10 +36,10 @@ class EllipsoidShell(Specimen):
     shape = "ellipsoid_shell"
     is_prism = False
     is_flat = False
-    semi_axis_x: float = _size("a_x", "semi_axis_x_mm")
-    semi_axis_y: float = _size("a_y", "semi_axis_y_mm")
-    semi_axis_z: float = _size("a_z", "semi_axis_z_mm")
-    thickness: float = _size("t", "thickness_mm")
+    semi_axis_x: float = _declare_size("a_x", "semi_axis_x_mm")
+    semi_axis_y: float = _declare_size("a_y", "semi_axis_y_mm")
+    semi_axis_z: float = _declare_size("a_z", "semi_axis_z_mm")
+    thickness: float = _declare_size("t", "thickness_mm")
 
     def __post_init__(self):
         super().__post_init__()

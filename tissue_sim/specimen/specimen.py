@@ -41,7 +41,7 @@ class _ByShape(type):
         entries = {entry.name: entry for entry in sorted(fields(kind), key=lambda entry: entry.name in _COMMON)}
         unknown = [name for name in named if name not in entries]
         if unknown or len(values) > len(entries):
-            what = _words(unknown[0]) if unknown else "more sizes"
+            what = _spell_name(unknown[0]) if unknown else "more sizes"
             raise InputError(f"{with_article(kind.shape)} has no {what}; leave it out",
                              field=f"specimen.{unknown[0] if unknown else 'shape'}")
         named |= zip(entries, values, strict=False)
@@ -159,7 +159,7 @@ class Specimen(metaclass=_ByShape):
     @property
     def in_words(self) -> str:
         """Sizes in words, such as ``radius 40 mm, height 70 mm``."""
-        return ", ".join(f"{_words(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
+        return ", ".join(f"{_spell_name(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
                          for name, what in declared(type(self)).items() if name not in _COMMON)
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
@@ -205,13 +205,13 @@ class Specimen(metaclass=_ByShape):
 _COMMON = frozenset(entry.name for entry in fields(Specimen))
 
 
-def _words(name: str) -> str:
+def _spell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
 def with_article(name: str) -> str:
     """Name of a shape or a size with its article: ``an ellipsoid shell``."""
-    return f"{'an' if name[0] in 'aeiou' else 'a'} {_words(name)}"
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {_spell_name(name)}"
 
 
 #: Shape -> class.

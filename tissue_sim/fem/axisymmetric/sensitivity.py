@@ -73,7 +73,8 @@ class Sensitivity:
         kernels = respond_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
                                 memory.works, surface.slips)
         arrays = {
-            **equations.shared_arrays(), **self._rates_of(neighbours), **self._rates_at_points(m, terms),
+            **equations.shared_arrays(), **self._differentiate_materials(neighbours),
+            **self._allocate_point_rates(m, terms),
             "before": memory.before, "internal": memory.internal, "which": self._which,
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
@@ -83,7 +84,7 @@ class Sensitivity:
             "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
         self._differentiate_forces, self._differentiate_state = (BoundKernel.of(kernel, arrays) for kernel in kernels)
 
-    def _rates_of(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
+    def _differentiate_materials(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
         """Return the derivatives of law, bulk modulus, layers and memory with the parameters, by kernel names."""
         equations, m = self._equations, len(neighbours)
         inputs = equations.inputs(equations.material)
@@ -107,7 +108,7 @@ class Sensitivity:
                 "kappa_rates": kappa_rates,
                 "moduli_rates": np.ascontiguousarray(moduli_rates[:, equations.batches.elements].reshape(-1, LANES))}
 
-    def _rates_at_points(self, m: int, terms: int) -> dict[str, np.ndarray]:
+    def _allocate_point_rates(self, m: int, terms: int) -> dict[str, np.ndarray]:
         """Allocate the derivatives at the quadrature points, by kernel names.
 
         Rows of lanes are numbered by batch, point, parameter, term and component, the last fastest.
@@ -137,7 +138,7 @@ class Sensitivity:
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
             (self._past_rates[:, PastColumn.INSTANT], self._decay_rates[:],
-             self._gain_rates[:]) = self._relaxation_rates(memory.dt)
+             self._gain_rates[:]) = self._differentiate_relaxation(memory.dt)
         if self._pause or not self._may_refine():
             self._pause = max(self._pause - 1, 0)
             self._equations.respond(self._launch)
@@ -165,7 +166,7 @@ class Sensitivity:
             self._multiplier_rates[:] = before
         return not self._which[Switch.FACTORISES]
 
-    def _relaxation_rates(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _differentiate_relaxation(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the derivatives of instantaneous factor, decay and gain of each term in a step of duration dt, s."""
         if dt not in self._stored:
             if len(self._stored) >= SETTINGS.stored_step_lengths:

@@ -148,9 +148,9 @@ class CondensedContact:
         head = numbers[:_MODEL_HEAD].tolist()
         number, base_number, epoch, time, count, reach, modulus, residual, material, has_contact, *pose = head
         n, rest = int(count), numbers[_MODEL_HEAD:]
-        own = {"number": int(number), "base": int(base_number), "epoch": int(epoch), "time": time, "pose": _pose(pose),
-               "wrench": rest[:6], "free_displacement": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach,
-               "modulus": modulus,
+        own = {"number": int(number), "base": int(base_number), "epoch": int(epoch), "time": time,
+               "pose": _make_pose(pose), "wrench": rest[:6],
+               "free_displacement": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach, "modulus": modulus,
                "residual": residual, "material": int(material), "has_contact": bool(has_contact)}
         if number != base_number:
             return None if base is None or base.base != base_number else replace(base, **own)
@@ -211,8 +211,8 @@ class ContactState:
         """Return the state from an array of `pack`."""
         model, epoch, touched, time, *poses = numbers[:_STATE_HEAD].tolist()
         forces, anchors, states = np.split(numbers[_STATE_HEAD:], 3)
-        return cls(int(model), int(epoch), time, _pose(poses[:7]), poses[7], _pose(poses[8:]), forces.reshape(-1, 3),
-                   anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
+        return cls(int(model), int(epoch), time, _make_pose(poses[:7]), poses[7], _make_pose(poses[8:]),
+                   forces.reshape(-1, 3), anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
 
 
 def packed_state_size(surface: ContactSurface) -> int:
@@ -278,6 +278,6 @@ LINEARISATIONS: Registry[LinearisationMaker] = Registry(
     "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_linearisation"})
 
 
-def _pose(numbers: list[float]) -> Pose:
+def _make_pose(numbers: list[float]) -> Pose:
     x, y, z, a, b, c, d = numbers
     return Pose((x, y, z), (a, b, c, d))

@@ -84,11 +84,11 @@ class SparseSolver:
         tried = self._single_is_enough and matrix.shape[0] >= _SINGLE_FROM
         if tried:
             kind = MatrixType.DEFINITE if symmetric else MatrixType.UNSYMMETRIC
-            single = SingleFactor.of(_pattern(self._single, matrix, kind, single=True), matrix, symmetric)
+            single = SingleFactor.of(_find_pattern(self._single, matrix, kind, single=True), matrix, symmetric)
             if single is not None:
                 return single
         kind = MatrixType.SYMMETRIC if symmetric else MatrixType.UNSYMMETRIC
-        factor = _Pardiso.of(_pattern(self._kept, matrix, kind), matrix, symmetric)
+        factor = _Pardiso.of(_find_pattern(self._kept, matrix, kind), matrix, symmetric)
         if tried and factor is not None and factor.definite:
             self._single_is_enough = False
             self._single.clear()
@@ -113,8 +113,8 @@ class SparseSolver:
         return _CondensedPardiso.of(pattern, matrix)
 
 
-def _pattern(kept: dict[MatrixType, PardisoPattern], matrix: Any, kind: MatrixType, *,
-             single: bool = False) -> PardisoPattern:
+def _find_pattern(kept: dict[MatrixType, PardisoPattern], matrix: Any, kind: MatrixType, *,
+                  single: bool = False) -> PardisoPattern:
     pattern = kept.get(kind)
     if pattern is None or pattern.indices is not matrix.indices:
         pattern = kept[kind] = PardisoPattern(matrix, kind, single=single)
@@ -186,7 +186,7 @@ class _CondensedSuperLU:
 
 class _Pardiso:
     def __init__(self, pattern: PardisoPattern, definite: bool):
-        self._pattern, self.definite = pattern, definite
+        self._find_pattern, self.definite = pattern, definite
 
     @classmethod
     def of(cls, pattern: PardisoPattern, matrix: Any, symmetric: bool) -> _Pardiso | None:
@@ -199,14 +199,14 @@ class _Pardiso:
         return cls(pattern, not pattern.perturbed and not (symmetric and pattern.negative))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        return self._pattern.solve(right)
+        return self._find_pattern.solve(right)
 
 
 class _CondensedPardiso:
     definite = True
 
     def __init__(self, pattern: PardisoPattern, compliance: np.ndarray):
-        self._pattern, self.compliance = pattern, compliance
+        self._find_pattern, self.compliance = pattern, compliance
 
     @classmethod
     def of(cls, pattern: PardisoPattern, matrix: Any) -> _CondensedPardiso | None:
@@ -232,15 +232,15 @@ class _CondensedPardiso:
         return self.finish(self.begin(right))
 
     def begin(self, right: np.ndarray) -> np.ndarray:
-        begun, interface = self._pattern.reduce(right), self._pattern.require_interface()
+        begun, interface = self._find_pattern.reduce(right), self._find_pattern.require_interface()
         begun[interface] = self.compliance @ begun[interface]
         return begun
 
     def begin_push(self, forces: np.ndarray) -> np.ndarray:
         # Forward substitution does not change such a right-hand side.
-        begun = np.zeros(self._pattern.size)
-        begun[self._pattern.require_interface()] = self.compliance @ forces
+        begun = np.zeros(self._find_pattern.size)
+        begun[self._find_pattern.require_interface()] = self.compliance @ forces
         return begun
 
     def finish(self, begun: np.ndarray) -> np.ndarray:
-        return self._pattern.expand(begun)
+        return self._find_pattern.expand(begun)

@@ -162,7 +162,7 @@ class _Store:
         write_bytes(label, model.encode())
 
     def read(self, number: int) -> training.Snapshots | None:
-        path = self._path(number)
+        path = self._file_of(number)
         if path is None or not path.exists():
             return None
         try:
@@ -172,13 +172,13 @@ class _Store:
             return None  # an unreadable file is computed again
 
     def write(self, number: int, snapshots: training.Snapshots) -> None:
-        path = self._path(number)
+        path = self._file_of(number)
         if path is not None:
             stream = io.BytesIO()
             np.savez(stream, displacements=snapshots.displacements, wrenches=snapshots.wrenches)
             write_bytes(path, stream.getvalue())
 
-    def _path(self, number: int) -> Path | None:
+    def _file_of(self, number: int) -> Path | None:
         return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
 
 

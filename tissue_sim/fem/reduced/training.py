@@ -122,7 +122,7 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     parts = [states]
     for each in commuting:
         parts = [0.5 * (part + sign * each.displacements(part)) for part in parts for sign in (1.0, -1.0)]
-    found = [_singular(part, count) for part in parts]
+    found = [_singular_vectors(part, count) for part in parts]
     # The images of a state under the subgroup have equal norms, which scales the singular values.
     singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
     vectors = np.concatenate([vectors for _, vectors in found])
@@ -133,7 +133,7 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     return vectors[best[is_signal]].T, np.sort(singular)[::-1]
 
 
-def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return all singular values, descending, and at most `count` right singular vectors as rows, of values above 0."""
     # Method of snapshots: the Gram matrix of the states is much smaller than the covariance of the freedoms.
     values, vectors = np.linalg.eigh(states @ states.T)
@@ -295,14 +295,14 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
     left = np.maximum(0.0, error - explained)
     known = np.concatenate([np.column_stack([estimates, force, left]), others]) / np.tile(rms, 2)[:, None]
     factors, _ = nnls(known[:, :2], known[:, 2])
-    factors *= _coverage_factor(known[: len(error), :2] @ factors, left / rms)
+    factors *= _find_coverage_factor(known[: len(error), :2] @ factors, left / rms)
     return {"force_rms_error": float(np.sqrt(np.mean((error / rms) ** 2))),
             "force_largest_error": float((error / rms).max()), "force_rms_N": float(np.sqrt(np.mean(force**2))),
             "not_converged": lost / steps, **({"warnings": list(doubts)} if doubts else {})}, (
         float(factors[0]), float(factors[1]))
 
 
-def _coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
+def _find_coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
     """Return the smallest factor c >= 1 for which enough states satisfy error <= c estimate + negligible error.
 
     Args:

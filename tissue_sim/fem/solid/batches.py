@@ -95,16 +95,16 @@ class ElementBatches:
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
         equations = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
         self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
-        self._gradients = [self._lanes(gradients[..., i]) for i in range(3)]
-        self._weights, self._mode_values = self._lanes(self.weights), self._lanes(modes)
-        self._number(mesh.connectivity, len(mesh.nodes))
+        self._gradients = [self._arrange_in_lanes(gradients[..., i]) for i in range(3)]
+        self._weights, self._mode_values = self._arrange_in_lanes(self.weights), self._arrange_in_lanes(modes)
+        self._number_matrix_entries(mesh.connectivity, len(mesh.nodes))
 
-    def _lanes(self, values: np.ndarray) -> np.ndarray:
+    def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
         return np.ascontiguousarray(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
 
-    def _of_elements(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
-        """Rearrange lanes to elements, shape (elements, *inner); the inverse of `_lanes`."""
+    def _arrange_by_element(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
+        """Rearrange lanes to elements, shape (elements, *inner); the inverse of `_arrange_in_lanes`."""
         return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[self.lane_of]
 
     @cached_property
@@ -115,15 +115,15 @@ class ElementBatches:
             Gradients, 1/m, shape (elements, q, nodes, 3); orthonormal pressure modes, shape (elements, q, modes).
         """
         points, nodes = self.weights.shape[1], self._dofs.shape[1]
-        gradients = np.stack([self._of_elements(each, points, nodes) for each in self._gradients], axis=-1)
-        return gradients, self._of_elements(self._mode_values, points, self._modes)
+        gradients = np.stack([self._arrange_by_element(each, points, nodes) for each in self._gradients], axis=-1)
+        return gradients, self._arrange_by_element(self._mode_values, points, self._modes)
 
     @property
     def element_moduli(self) -> np.ndarray:
         """Ratio of the moduli of each element to those of the material, shape (elements,)."""
-        return self._of_elements(self.moduli)
+        return self._arrange_by_element(self.moduli)
 
-    def _number(self, connectivity: np.ndarray, nodes: int) -> None:
+    def _number_matrix_entries(self, connectivity: np.ndarray, nodes: int) -> None:
         """Compute the pattern of the matrix, and the positions of the stiffness of each pair of nodes in its data."""
         from scipy import sparse
 
@@ -150,7 +150,7 @@ class ElementBatches:
         direct = entries(places, connectivity[:, c], i, k)
         # A diagonal block has no mirror image.
         across = np.where((c == a)[:, None], unused, entries(mirrored, connectivity[:, a], k, i))
-        self._places, self._mirrored = (self._pair_lanes(each.reshape(len(connectivity), -1), unused)
+        self._places, self._mirrored = (self._arrange_pairs_in_lanes(each.reshape(len(connectivity), -1), unused)
                                         for each in (direct, across))
         self._stiffness = np.zeros((9 * c.size, LANES))
         self._data = np.zeros(unused + 1)
@@ -160,7 +160,7 @@ class ElementBatches:
         self.matrix = sparse.csc_array((self._data[:-1], indices.astype(np.int32), np.concatenate(
             [[0], np.cumsum(lengths)])), shape=(3 * nodes, 3 * nodes))
 
-    def _pair_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
+    def _arrange_pairs_in_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
         lanes = np.where(self._real[..., None], places[self._elements], unused)
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
@@ -185,7 +185,7 @@ class ElementBatches:
     @property
     def element_forces(self) -> np.ndarray:
         """Forces of each element on its degrees of freedom after the last assembly, N, shape (elements, freedoms)."""
-        return self._of_elements(self._forces, 3 * self._dofs.shape[1])
+        return self._arrange_by_element(self._forces, 3 * self._dofs.shape[1])
 
     def pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
         """Forces of pressures in lanes, Pa, on the degrees of freedom of the elements, at the last evaluated state.
@@ -193,7 +193,7 @@ class ElementBatches:
         Returns:
             N, shape (elements, freedoms of an element).
         """
-        rates = self._of_elements(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
+        rates = self._arrange_by_element(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
         return np.einsum("em,emi->ei", self.by_element(pressures), rates)
 
     @property
@@ -208,11 +208,11 @@ class ElementBatches:
 
     def by_element(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes of the pressure modes from lanes to elements, shape (elements, modes)."""
-        return self._of_elements(amplitudes, self._modes)
+        return self._arrange_by_element(amplitudes, self._modes)
 
     def in_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes from elements to lanes; the inverse of `by_element`."""
-        return self._lanes(amplitudes)
+        return self._arrange_in_lanes(amplitudes)
 
     def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
         """Update the pressures after a linear solution.

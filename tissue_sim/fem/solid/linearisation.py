@@ -113,7 +113,7 @@ class SolidLinearisation:
         chains, shapes = np.zeros((max(1, len(bodies)), lines, 5)), np.zeros((max(1, len(bodies)), 5))
         outlines, friction = np.zeros(mine.size, dtype=np.int32), np.zeros((mine.size, 2))
         for number, body in enumerate(bodies):
-            chain, shapes[number] = _outline(body)
+            chain, shapes[number] = _pack_outline(body)
             chains[number, :len(chain)] = chain
             own = np.isin(self.nodes, body.nodes)
             outlines[own], friction[own] = number, body.friction
@@ -146,7 +146,7 @@ class SolidLinearisation:
         if state.model != self._number:
             return None
         due = self._coming is None or self._coming.is_done
-        if due and self._change(state, state.pose, ahead):
+        if due and self._change_tangent(state, state.pose, ahead):
             self._settle()
         before, here = tuple(array.copy() for array in solver._state), solver.pose
         step = self._step(state)
@@ -156,16 +156,16 @@ class SolidLinearisation:
         for share in _SETTINGS.old_fractions if old else _SETTINGS.fractions:
             for array, one, other in zip(solver._state, before, after, strict=True):
                 array[:] = one + share * (other - one)
-            if not self._assembled(due):
+            if not self._assemble_forces(due):
                 continue
             pose, self._stale = between(here, state.pose, share), True
             if old:
                 self._settle()
-                if not step.leads_on(self._measured(self._settles), share, _SETTINGS.rounding * self._size):
+                if not step.leads_on(self._select_measured_part(self._settles), share, _SETTINGS.rounding * self._size):
                     continue
             begun = self._begin(state, pose, ahead, self.executor) if due else None
             if begun is not None and begun.is_done:
-                if not self._change(state, pose, ahead):
+                if not self._change_tangent(state, pose, ahead):
                     continue  # without parallel factorisation an iterate with a singular tangent is not accepted
                 self._stale = False
             if not (old and self._stale):
@@ -173,11 +173,11 @@ class SolidLinearisation:
             self._note_residual(state)
             self._commit(pose)
             self._time = state.time
-            return self._model(state, pose)
+            return self._make_condensed_model(state, pose)
         for array, old_one in zip(solver._state, before, strict=True):
             array[:] = old_one
         self._settles, self._stale = settles, old
-        if self._coming is None or not self._assembled(False):
+        if self._coming is None or not self._assemble_forces(False):
             self._tangent = None
         return None
 
@@ -196,14 +196,14 @@ class SolidLinearisation:
         for go_back in (solver._go_back, self._rest):
             go_back()
             pose = solver.pose if self._holds else state.pose
-            if not self._assembled(True):
+            if not self._assemble_forces(True):
                 continue
             self._begin(state, pose, ahead, run_now)
-            if self._change(state, pose, ahead):
+            if self._change_tangent(state, pose, ahead):
                 self._stale = False
                 self._settle()
                 self._note_residual(state)
-                return self._model(state, pose)
+                return self._make_condensed_model(state, pose)
         return None
 
     def _step(self, state: ContactState) -> _Step:
@@ -225,9 +225,9 @@ class SolidLinearisation:
         motion[solver._free] = tangent.finish(begun)
         solver.x += motion
         solver.tissue.follow(motion)
-        return _Step(*(self._measured(each) for each in (begun, pushed, carried)))
+        return _Step(*(self._select_measured_part(each) for each in (begun, pushed, carried)))
 
-    def _measured(self, begun: np.ndarray) -> np.ndarray:
+    def _select_measured_part(self, begun: np.ndarray) -> np.ndarray:
         """Return the part of a begun solution whose length is compared.
 
         The part is the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
@@ -252,7 +252,7 @@ class SolidLinearisation:
         if self._holds:
             self._reactions = right[solver._moved] + tangent.held[solver._free].T @ tangent.finish(self._settles)
 
-    def _assembled(self, tangent: bool) -> bool:
+    def _assemble_forces(self, tangent: bool) -> bool:
         """Assemble forces, and optionally the tangent, without contact; returns whether no element is inside out."""
         solver = self._solver
         solver._least = solver.tissue.assemble(tangent)
@@ -281,7 +281,7 @@ class SolidLinearisation:
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
         if spare is None or self._coming is not None:
             return None
-        solver, order, loaded = self._solver, *self._nearest(state, pose, ahead)
+        solver, order, loaded = self._solver, *self._order_nodes(state, pose, ahead)
         if not np.isin(order[:max(int(_SETTINGS.needed * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
         spare.assign(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
@@ -289,29 +289,29 @@ class SolidLinearisation:
         self._coming = spare
         return spare
 
-    def _change(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
+    def _change_tangent(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
         """Use the tangent whose condensation has ended; returns False if there is none or it is singular."""
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:
             return False
-        order, _ = self._nearest(state, pose, ahead)
+        order, _ = self._order_nodes(state, pose, ahead)
         nodes = order[np.isin(order, coming.interface)][:self._count]
         coming.choose(nodes, self._equations[nodes])
         self._tangent, self._base = coming, self._number + 1
         self._solver.batches.known_rates[:] = coming.volume_rates
         return True
 
-    def _nearest(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
+    def _order_nodes(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
         """Order the nodes that the tool may touch: loaded nodes first, then by gap.
 
         Returns:
             Indices, and the number of loaded nodes.
         """
         meets, loaded = self._meets, np.abs(state.forces).sum(axis=1) > 0.0
-        gaps = np.stack([self._gaps(each) for each in (pose, *ahead)])[:, meets]
+        gaps = np.stack([self._compute_gaps(each) for each in (pose, *ahead)])[:, meets]
         return meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))], int(loaded.sum())
 
-    def _gaps(self, pose: Pose) -> np.ndarray:
+    def _compute_gaps(self, pose: Pose) -> np.ndarray:
         """Distances of the surface nodes from the tool at a pose, m, shape (s,)."""
         solver, contact = self._solver, self._solver.contact
         frame, gaps = Frame(pose, solver.datum), np.full(self.nodes.size, np.inf)
@@ -322,20 +322,20 @@ class SolidLinearisation:
                 gaps[own] = nearest(body, at[own], pressed_in=True).gap
         return gaps
 
-    def _model(self, state: ContactState, pose: Pose) -> CondensedContact:
+    def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedContact:
         """Make the linearisation at the last iterate."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
         free_displacement = solver.x[self._freedoms[tangent.nodes]] + self._settles[self._equations[tangent.nodes]]
         wrench = np.zeros(6)
         if self._holds:
-            levers = Frame(pose, solver.datum).rates(solver._places_of(solver._bonded))
+            levers = Frame(pose, solver.datum).rates(solver._node_positions(solver._bonded))
             forces = -self._reactions.reshape(-1, 3)
             wrench = np.einsum("nik,ni->k", levers, forces)
             if self._number + 1 == self._base:
                 self._hold(tangent, levers, forces)
         left = np.setdiff1d(self._meets, tangent.nodes)
-        reach = float(np.maximum(0.0, self._gaps(pose)[left]).min(initial=np.inf))
+        reach = float(np.maximum(0.0, self._compute_gaps(pose)[left]).min(initial=np.inf))
         self._number += 1
         return CondensedContact(self._number, self._base, self._epoch, state.time, pose, tangent.nodes,
                                 free_displacement, tangent.compliance, tangent.tool_coupling, wrench, tangent.stiffness,
@@ -368,7 +368,7 @@ def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: Soli
     return SolidLinearisation(make_solver(model, resolution=resolution, mesh=mesh), candidates)
 
 
-def _outline(body: Body) -> tuple[np.ndarray, tuple[float, ...]]:
+def _pack_outline(body: Body) -> tuple[np.ndarray, tuple[float, ...]]:
     """Segments of a body's outline, and its row in `ContactSurface.shapes`."""
     profile, first = body.profile, body.first_line
     start, segment = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)

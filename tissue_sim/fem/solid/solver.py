@@ -81,7 +81,7 @@ class SolidSolver(PlacedSolver):
         self._reacting = np.flatnonzero(stays | moved)
         self._moved = freedoms[self._bonded].ravel()
         # Positions of the bonded nodes in the frame of the tool.
-        self._held_at = Frame(start, datum).into(self._places_of(self._bonded))
+        self._held_at = Frame(start, datum).into(self._node_positions(self._bonded))
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
@@ -135,7 +135,7 @@ class SolidSolver(PlacedSolver):
         if outcome.status is StepStatus.CONVERGED:
             if inertial and self._mass is not None and self._asked:
                 has_left = outcome.iterations < max_iterations
-                own = self._own_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
+                own = self._compute_static_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
                 outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
             if self._mass is not None:
                 self._mass.motion.commit(self._committed[0], self.x, dt, inertial)
@@ -161,7 +161,7 @@ class SolidSolver(PlacedSolver):
         way = np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
         # Nodes in contact with the tool move with it in the first linear solution.
-        tool_way = frame.out_of(here.into(self._places())) - self._places()
+        tool_way = frame.out_of(here.into(self._contact_positions())) - self._contact_positions()
         pending = (max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0))
                    > NEWTON.rest_motion * float(np.ptp(self.mesh.nodes)))
         changeable, bending, iterations, halvings, waits = ALL_POINTS, 0.0, 0, 0, 0
@@ -255,9 +255,9 @@ class SolidSolver(PlacedSolver):
     def _state(self) -> tuple[np.ndarray, ...]:
         return self.x, self.batches.pressures, self.contact.forces
 
-    def _places(self) -> np.ndarray:
+    def _contact_positions(self) -> np.ndarray:
         """Positions of the contact nodes, m, shape (n, 3)."""
-        return self._places_of(self.contact.nodes)
+        return self._node_positions(self.contact.nodes)
 
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
@@ -266,20 +266,20 @@ class SolidSolver(PlacedSolver):
         if self._mass is not None:
             self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
-    def _tool_constraint(self, frame: Frame) -> ToolConstraint:
-        return ToolConstraint(frame, self._moved, self._places_of(self._bonded),
-                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._places())
+    def _make_tool_constraint(self, frame: Frame) -> ToolConstraint:
+        return ToolConstraint(frame, self._moved, self._node_positions(self._bonded),
+                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._contact_positions())
 
     def _answer(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation, frame: Frame,
                 factor: Factor | None = None) -> Step:
         """Make the result of a step, with its stiffness if there is a factor of the last matrix."""
-        stiffness, constraint = None, self._tool_constraint(frame)
+        stiffness, constraint = None, self._make_tool_constraint(frame)
         if factor is not None:
             stiffness, self._along = constraint.stiffness(self._matrix.all, factor, self._free)
         return Step(status, iterations, ratio, cast("Screw", tuple(constraint.wrench().tolist())),
                     None if stiffness is None else rows(stiffness), evaluation.violation, evaluation.slipping)
 
-    def _own_stiffness(self, frame: Frame) -> Matrix | None:
+    def _compute_static_stiffness(self, frame: Frame) -> Matrix | None:
         """Static stiffness of the tissue directly after an inertial step; None if the static tangent is indefinite."""
         assert self._mass is not None
         self._mass.rate, rate = 0.0, self._mass.rate
@@ -288,7 +288,7 @@ class SolidSolver(PlacedSolver):
         factor = self._tangent.factorise(symmetric=not self.contact.state.slides.any())
         if factor is None or not factor.definite:
             return None
-        return rows(self._tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
+        return rows(self._make_tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
 
     def follow_motion(self, density: float) -> bool:
         """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.follow_motion`."""
@@ -304,7 +304,7 @@ class SolidSolver(PlacedSolver):
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
         return NextForce(wrench, rows(np.array(last.step_stiffness_matrix) + stiffer))
 
-    def _places_of(self, nodes: np.ndarray) -> np.ndarray:
+    def _node_positions(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:

@@ -44,10 +44,10 @@ def scratch(lanes: int, size: int):
     if lanes != LANES or size > VECTORS:
         raise ValueError(f"the scratch field has {VECTORS} vectors of {LANES} components; got a request for {size} of "
                          f"{lanes}")
-    return _field()
+    return _create_field()
 
 
 @cache
-def _field():
+def _create_field():
     ti = initialise()
     return ti.Vector.field(LANES, ti.f64, shape=VECTORS)

@@ -68,7 +68,7 @@ class _Keyword:
             raise InputError(f"the data of *{self.name} must be integers", line=self.line) from None
 
 
-def _keywords(text: str) -> Iterator[_Keyword]:
+def _iterate_keywords(text: str) -> Iterator[_Keyword]:
     """Yield the keywords of a file with their data lines; comments are skipped."""
     current: _Keyword | None = None
     waiting = ""
@@ -103,7 +103,7 @@ def read_inp(path: Path, largest: int) -> MeshContent:
     """
     text, _ = decode_text(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
     reader = _Reader()
-    for keyword in _keywords(text):
+    for keyword in _iterate_keywords(text):
         if keyword.name == "INCLUDE":
             raise InputError("*INCLUDE is not supported; write the whole mesh into one file", line=keyword.line)
         if keyword.name == "INSTANCE" and keyword.rows:
@@ -169,10 +169,11 @@ class _Reader:
         for row in keyword.rows if kind == "ELEMENT" else []:
             if len(row) > 1 and (side := _SIDE.fullmatch(row[1].upper())):
                 numbers = (np.array([int(row[0])]) if row[0].isdigit() else
-                           self._known(self._element_sets, row[0], keyword))
+                           self._require_known_set(self._element_sets, row[0], keyword))
                 sides.append((numbers, int(side[1]) - 1))
         for row in keyword.rows if kind == "NODE" else []:
-            numbers = np.array([int(row[0])]) if row[0].isdigit() else self._known(self._node_sets, row[0], keyword)
+            numbers = (np.array([int(row[0])]) if row[0].isdigit()
+                       else self._require_known_set(self._node_sets, row[0], keyword))
             self._add(self._node_sets, name, numbers)
 
     def _read_set(self, keyword: _Keyword, sets: dict[str, np.ndarray], option: str) -> None:
@@ -192,10 +193,10 @@ class _Reader:
         self._add(sets, name, np.array([int(word) for word in words if word.isdigit()], dtype=np.int64))
         for word in words:
             if not word.isdigit():
-                self._add(sets, name, self._known(sets, word, keyword))
+                self._add(sets, name, self._require_known_set(sets, word, keyword))
 
     @staticmethod
-    def _known(sets: dict[str, np.ndarray], name: str, keyword: _Keyword) -> np.ndarray:
+    def _require_known_set(sets: dict[str, np.ndarray], name: str, keyword: _Keyword) -> np.ndarray:
         if name.upper() not in sets:
             raise InputError(f"*{keyword.name} names the set {name!r}, which is not defined before this line",
                              line=keyword.line)
