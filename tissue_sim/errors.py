@@ -75,6 +75,10 @@ def sentence(problem: str, place: Iterable[str] = ()) -> str:
     """Join place and problem to one printable line of at most `MessageLimits.message` characters.
 
     A longer sentence is shortened in the middle: first its quotations, then the place, then the whole.
+
+    Examples:
+        >>> sentence("must be positive; got -1.", ["study.toml", "test[0].radius_mm"])
+        'study.toml: test[0].radius_mm: must be positive; got -1.'
     """
     parts = [_escape_unprintable(part) for part in (*place, problem)]
     if len(": ".join(parts)) > MESSAGE_LIMITS.message:
@@ -94,7 +98,12 @@ def _escape_unprintable(text: str) -> str:
 
 
 def shortened(text: str, longest: int) -> str:
-    """Return a text of at most `longest` characters; the middle of a longer text is left out."""
+    """Return a text of at most `longest` characters; the middle of a longer text is left out.
+
+    Examples:
+        >>> shortened("a text of thirty characters...", 20)
+        'a text  ... cters...'
+    """
     if len(text) <= longest:
         return text
     front = (longest - 5) // 2
@@ -141,7 +150,12 @@ class MissingBackendError(RuntimeError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a hint for an unknown word: ``; did you mean 'radius_mm'?``, or the known words if none is similar."""
+    """Return a hint for an unknown word: ``; did you mean 'radius_mm'?``, or the known words if none is similar.
+
+    Examples:
+        >>> nearest("radius", ["radius_mm", "height_mm"])
+        "; did you mean 'radius_mm'?"
+    """
     known = list(known)
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     if close:

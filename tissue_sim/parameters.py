@@ -124,7 +124,13 @@ def parameters(part: Any) -> dict[str, Parameter]:
 
 
 def parameter_values(part: Any) -> dict[str, float]:
-    """Return the values of all parameters of a part by path, SI."""
+    """Return the values of all parameters of a part by path, SI.
+
+    Examples:
+        >>> from tissue_sim import Layer, Material
+        >>> parameter_values(Material("neo_hooke", {"C10": 1000.0}, layers=(Layer(0.004, 2.0),)))
+        {'C10': 1000.0, 'layers[0].thickness': 0.004, 'layers[0].ratio': 2.0}
+    """
     return {each.path: each.value for each in _iterate_parameters(part, "")}
 
 
@@ -133,6 +139,11 @@ def value(part: Any, path: str) -> float:
 
     Raises:
         InputError: an unknown path; the message names the nearest.
+
+    Examples:
+        >>> from tissue_sim import Material
+        >>> value(Material("neo_hooke", {"C10": 1000.0}), "C10")
+        1000.0
     """
     known = parameters(part)
     if path not in known:
@@ -170,6 +181,12 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
 
     Raises:
         InputError: an unknown path (the message names the nearest), or an invalid value.
+
+    Examples:
+        >>> from tissue_sim import Material
+        >>> stiffer = with_values(Material("neo_hooke", {"C10": 1000.0}), {"C10": 1500.0})
+        >>> stiffer.mu0
+        3000.0
     """
     tree: dict = {}
     for path, number in values.items():
@@ -184,7 +201,12 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
 
 
 def tokens(path: str) -> list[str | int]:
-    """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``."""
+    """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``.
+
+    Examples:
+        >>> tokens("terms[0].g")
+        ['terms', 0, 'g']
+    """
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 

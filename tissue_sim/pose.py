@@ -88,7 +88,12 @@ class Pose:
 
     @classmethod
     def at_depth(cls, depth: float) -> Pose:
-        """Make the pose of an upright tool on the axis of the scene at a depth, m."""
+        """Make the pose of an upright tool on the axis of the scene at a depth, m.
+
+        Examples:
+            >>> Pose.at_depth(0.002)
+            Pose(position=(0.0, 0.0, -0.002), orientation=(1.0, 0.0, 0.0, 0.0))
+        """
         return cls((0.0, 0.0, -depth))
 
     @property
@@ -152,7 +157,12 @@ def added(one: Screw, other: Screw) -> Screw:
 
 
 def motion(start: Pose, end: Pose) -> Screw:
-    """Return the motion between two poses: translation, m, and rotation vector, rad, in the frame of the scene."""
+    """Return the motion between two poses: translation, m, and rotation vector, rad, in the frame of the scene.
+
+    Examples:
+        >>> motion(Pose.at_depth(0.0), Pose.at_depth(0.002))
+        (0.0, 0.0, -0.002, 0.0, 0.0, 0.0)
+    """
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
     if start.orientation == end.orientation:
         return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
@@ -171,6 +181,10 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
         share: fraction of the motion, 0 to 1; at 1 the result is `end` itself.
 
     Source: Shoemake, SIGGRAPH 1985, spherical linear interpolation.
+
+    Examples:
+        >>> between(Pose.at_depth(0.0), Pose.at_depth(0.002), 0.5).position
+        (0.0, 0.0, -0.001)
     """
     if share == 1.0:
         return end

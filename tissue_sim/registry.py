@@ -90,6 +90,11 @@ class Registry(Mapping[str, T], Generic[T]):
 
         Raises:
             InputError: no object has the name; the message names the nearest.
+
+        Examples:
+            >>> from tissue_sim.experiment.tools.tool import TOOLS
+            >>> TOOLS.find("flat").name
+            'flat'
         """
         if name not in self:
             raise InputError(f"unknown {self.what} {name!r}{nearest(str(name), self)}", field=field)

@@ -243,6 +243,15 @@ class Simulator(PathFollower, KernelOwner):
         Raises:
             InputError: a pose or a time that does not consist of numbers.
             BusyError: another thread is inside a call of this simulator.
+
+        Examples:
+            >>> from tissue_sim import KINDS, Bulk, Protocol, Specimen, Tool
+            >>> needle = KINDS["needle_indentation"].experiment(
+            ...     specimen=Specimen(0.040, 0.070), protocol=Protocol.ramp(0.002), tool=Tool("flat", radius=0.008))
+            >>> simulator = Simulator(Model(needle, Material("neo_hooke", {"C10": 1000.0}, Bulk("bulk_ratio", 1e3))))
+            >>> result = simulator.step(0.001, dt=0.001)
+            >>> result.status.name, round(result.force, 2)  # N
+            ('CONVERGED', 0.13)
         """
         if not self._guard.acquire(blocking=False):
             raise busy(self)

@@ -82,6 +82,13 @@ class Column:
 
     Source: equilibrium of a bar in its reference configuration, dP/dZ = w (Holzapfel, Nonlinear Solid Mechanics, 2000,
     section 4.3).
+
+    Examples:
+        >>> from tissue_sim import Specimen, find_law
+        >>> column = Column(Specimen(0.040, 0.070, density=1040.0, gravity=9.81))
+        >>> sag = column.settle(find_law("neo_hooke"), {"C10": 1000.0}).sag  # m
+        >>> round(1e3 * sag, 2)
+        3.85
     """
 
     specimen: Specimen

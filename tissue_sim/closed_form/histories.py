@@ -158,6 +158,12 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
             drains, without a contact radius.
 
     Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
+
+    Examples:
+        >>> from tissue_sim import Material, Prony, PronyTerm
+        >>> gel = Material("neo_hooke", {"C10": 1000.0}, viscoelastic=Prony((PronyTerm(0.3, 2.0),)))
+        >>> nominal_stress_history(gel, [0.0, 0.01, 10.0], [1.0, 0.9, 0.9]).round(1)
+        array([   0. , -668.7, -469.8])
     """
     return stress_history("uniaxial", material, time, stretch, contact_radius)
 
@@ -166,6 +172,12 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
     """Nominal shear stress P12 of simple shear, Pa, shape (n,); arguments and errors as in `nominal_stress_history`.
 
     P12 is the force along the sheared face over its undeformed area; it does not depend on the pressure.
+
+    Examples:
+        >>> from tissue_sim import Material, Prony, PronyTerm
+        >>> gel = Material("neo_hooke", {"C10": 1000.0}, viscoelastic=Prony((PronyTerm(0.3, 2.0),)))
+        >>> shear_stress_history(gel, [0.0, 0.01, 10.0], [0.0, 0.1, 0.1]).round(1)
+        array([  0. , 199.9, 140.4])
     """
     return stress_history("simple_shear", material, time, shear, contact_radius)
 

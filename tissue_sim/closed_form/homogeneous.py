@@ -32,7 +32,14 @@ class ClosedForm:
     lateral: float = 0.5
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """Nominal stress, Pa, negative in compression, shape of `abscissa`."""
+        """Nominal stress, Pa, negative in compression, shape of `abscissa`.
+
+        Examples:
+            >>> from tissue_sim import KINDS, find_law
+            >>> tension = KINDS["uniaxial_tension"].require_closed_form()
+            >>> float(tension.stress(find_law("neo_hooke"), 1.1, {"C10": 1000.0}).round(1))
+            547.1
+        """
         return law.nominal_stress(abscissa, values, self.law_mode)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:

@@ -94,7 +94,13 @@ class Protocol:
 
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = STUDY_SPEED) -> Protocol:
-        """Make a ramp to `depth`, m, at `speed`, m/s, with `points` samples, the first at rest."""
+        """Make a ramp to `depth`, m, at `speed`, m/s, with `points` samples, the first at rest.
+
+        Examples:
+            >>> ramp = Protocol.ramp(0.002, points=3, speed=1e-3)
+            >>> ramp.time, ramp.displacement
+            (array([0., 1., 2.]), array([0.   , 0.001, 0.002]))
+        """
         require_length(depth, "protocol.depth")
         _require_sampling(points, speed)
         displacement = np.linspace(0.0, depth, points)
@@ -116,6 +122,11 @@ class Protocol:
 
         Raises:
             InputError: an error in the text, with its position and an example.
+
+        Examples:
+            >>> protocol = Protocol.parse("ramp 2mm @1mm/s; hold 3s", points=3)
+            >>> float(protocol.time[-1]), float(protocol.displacement.max())
+            (5.0, 0.002)
         """
         _require_sampling(points, speed)
         if points > MOST_SAMPLES:

@@ -114,6 +114,11 @@ class Law:
 
         Raises:
             InputError: a missing or unknown name, or a value that is not finite.
+
+        Examples:
+            >>> from tissue_sim.laws import find_law
+            >>> find_law("mooney_rivlin").as_array({"C01": 200.0, "C10": 1000.0})
+            array([1000.,  200.])
         """
         if isinstance(values, Mapping):
             for name in values:
@@ -157,6 +162,11 @@ class Law:
             mode: ``uniaxial`` (equations 4 to 7 of the reference study), ``planar``, ``equibiaxial``, ``simple_shear``.
 
         Source: P = dW/dlambda along the mode (Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.5).
+
+        Examples:
+            >>> from tissue_sim.laws import find_law
+            >>> find_law("neo_hooke").nominal_stress([0.9, 1.0, 1.1], {"C10": 1000.0}).round(1)
+            array([-669.1,    0. ,  547.1])
         """
         return np.array(self._evaluate(mode, stretch, values)[0])
 

@@ -112,6 +112,12 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
         values: parameters, SI.
         stretch_range: (lowest, highest) stretch to check.
         points: number of samples in each direction.
+
+    Examples:
+        >>> from tissue_sim.laws import find_law
+        >>> found = check_stability(find_law("reduced_polynomial_2"), {"C10": 1000.0, "C20": -300.0})
+        >>> found.stable, round(found.stable_from, 2), round(found.stable_to, 2)
+        (False, 0.81, 1.25)
     """
     array = law.as_array(values)
     directions = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}

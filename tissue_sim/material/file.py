@@ -92,6 +92,12 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
 
         Raises:
             InputError: an invalid value, with its dotted path.
+
+        Examples:
+            >>> from tissue_sim import Material
+            >>> file = MaterialFile.of(Material("neo_hooke", {"C10": 1000.0}), standard_errors={"C10": 20.0})
+            >>> file.standard_errors
+            {'C10': 20.0}
         """
         law, known = material.energy_law, _with_errors(material)
         errors = {name: float(error) for name, error in (standard_errors or {}).items()}
@@ -179,6 +185,13 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 
     Raises:
         InputError: an invalid value, or a path that cannot be written; nothing is written then.
+
+    Examples:
+        >>> from tissue_sim import Material
+        >>> gel = Material("neo_hooke", {"C10": 1000.0})
+        >>> write_material_file(MaterialFile.of(gel), "gel.material.json")
+        >>> load_material("gel.material.json") == gel
+        True
     """
     with located(file=path):
         data = msgspec.to_builtins(checked(material_file))

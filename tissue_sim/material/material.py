@@ -112,6 +112,11 @@ class Material:
     Raises:
         InputError: unknown law or parameter, parameters whose initial shear modulus is not positive, too many relaxing
             terms (drainage included), or relaxing fractions whose sum is 1 or more.
+
+    Examples:
+        >>> gel = Material("neo_hooke", {"C10": 1000.0}, Bulk("bulk_ratio", 1e3))
+        >>> gel.mu0, gel.bulk_modulus
+        (2000.0, 2000000.0)
     """
 
     law: str

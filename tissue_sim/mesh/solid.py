@@ -95,6 +95,12 @@ def block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray,
         y: element boundaries along y, ascending, m.
         z: element boundaries along z, base first, m.
         element: element type.
+
+    Examples:
+        >>> from tissue_sim.mesh.hexahedra import HEX8P0
+        >>> cube = block_mesh([0.0, 0.01], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
+        >>> cube.nodes.shape, sorted(cube.sets)
+        ((8, 3), ['base', 'side', 'top'])
     """
     section = Section(element.order)
     section.add_rectangle(np.asarray(x, dtype=float), np.asarray(y, dtype=float))

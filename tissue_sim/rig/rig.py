@@ -192,6 +192,11 @@ class Rig:
 
         Raises:
             InputError: a recording without time, if the effects need it, or more than 10,000,000 samples.
+
+        Examples:
+            >>> true = Recording({"displacement": [0.0, 1e-3], "force": [0.0, 2.0]})
+            >>> Rig(sensor_gain=0.1, zero_offset=0.5).read(true).force
+            array([0.5, 2.7])
         """
         if self.ideal or not len(recording):
             return recording

@@ -76,6 +76,12 @@ class Specimen(metaclass=_ByShape):
     Raises:
         InputError: an unknown shape; a size that is missing, not positive or not one of the shape; gravity without a
             density.
+
+    Examples:
+        >>> Specimen(0.040, 0.070).area == math.pi * 0.040**2
+        True
+        >>> Specimen(shape="block", length=0.02, width=0.03, height=0.01).shape
+        'block'
     """
 
     shape: ClassVar[str]

@@ -140,6 +140,10 @@ class TestKind:
 
         Raises:
             InputError: the kind has no closed form.
+
+        Examples:
+            >>> round(KINDS["lubricated_compression"].strain(0.9), 3)
+            0.1
         """
         return self.sign * (abscissa - self.require_closed_form().rest)
 
@@ -148,6 +152,10 @@ class TestKind:
 
         Raises:
             InputError: the kind has no closed form.
+
+        Examples:
+            >>> KINDS["lubricated_compression"].abscissa(0.1)
+            0.9
         """
         return self.require_closed_form().rest + self.sign * strain
 
@@ -197,6 +205,13 @@ class TestKind:
 
         Raises:
             InputError: see `Experiment`; or a kind without a tool.
+
+        Examples:
+            >>> from tissue_sim import Protocol, Specimen, Tool
+            >>> needle = KINDS["needle_indentation"].experiment(
+            ...     specimen=Specimen(0.040, 0.070), protocol=Protocol.ramp(0.002), tool=Tool("flat", radius=0.008))
+            >>> needle.friction
+            'bonded'
         """
         from tissue_sim.experiment.experiment import Experiment
 

@@ -97,6 +97,10 @@ class Tool(metaclass=_ByShape):
 
         For a pointed or round tool that on an elastic half-space (Hertz; Sneddon, Int. J. Eng. Sci. 3 (1965) 47), for a
         plate the radius of the specimen.
+
+        Examples:
+            >>> Tool("sphere", radius=0.008).contact_radius(0.002)
+            0.004
         """
         raise NotImplementedError
 
