@@ -40,7 +40,7 @@ class ForceError:
     shorter: bool = False
 
     def in_words(self, displacement: np.ndarray, remedy: str) -> str:
-        """The warning in words.
+        """Return the text of the warning: size of the error, range of the displacement, and remedy.
 
         Args:
             displacement: of all samples, m, shape (n,).

@@ -1,4 +1,4 @@
-"""Model: experiment, material and rig."""
+"""Complete model of a test: experiment, material and rig."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ Part = TypeVar("Part")
 
 @dataclass(frozen=True)
 class Declaration:
-    """Declaration of a parameter.
+    """Description of a parameter: symbol, unit, key in files, bounds.
 
     Attributes:
         symbol: symbol in reports, such as ``g``.
@@ -52,7 +52,7 @@ class Declaration:
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of one model.
+    """Parameter of a model, with its path, declaration and value.
 
     Attributes:
         path: path from the part that was searched.
@@ -108,11 +108,11 @@ def declaration(entry: Field) -> Declaration | None:
 
 
 def declared(kind: type) -> dict[str, Declaration]:
-    """Declarations of a dataclass by field, in order."""
+    """Return the declarations of the parameters of a dataclass by field name, in the order of the fields."""
     return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
 
 
-def declaring(base: type) -> Callable[[Any], bool]:
+def accepts_declared(base: type) -> Callable[[Any], bool]:
     """Return a check for registries: whether an object is a dataclass that derives from `base` and has parameters."""
     return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
                          and bool(declared(kind)))

@@ -151,7 +151,7 @@ def scaled(factor: float, screw: Screw) -> Screw:
 
 
 def added(one: Screw, other: Screw) -> Screw:
-    """Add two screws."""
+    """Return the sum of two screws."""
     (x, y, z, u, v, w), (a, b, c, d, e, f) = one, other
     return (x + a, y + b, z + c, u + d, v + e, w + f)
 

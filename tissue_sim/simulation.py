@@ -155,7 +155,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if progress:
         progress(0, protocol.displacement.size)
     drive, largest = _Drive(tissue, model), 0.0
-    for sample, (position, dt, steps) in enumerate(drive.along(np.arange(protocol.time.size))):
+    for sample, (position, dt, steps) in enumerate(drive.iterate_samples(np.arange(protocol.time.size))):
         for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
@@ -171,7 +171,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             raise ConvergenceError(message, recording=record("not_converged", message) if wrenches else None,
                                    depth=depth)
         _note_largest(report, step)
-        wrenches.append(drive.arrive(step.wrench, dt))
+        wrenches.append(drive.register_sample(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
@@ -226,12 +226,12 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
                            along, tolerance=_SETTINGS.rough_tolerance)
         except ConvergenceError:
             return np.zeros(0)
-        for _, dt, steps in drive.along(np.arange(samples.size)):
+        for _, dt, steps in drive.iterate_samples(np.arange(samples.size)):
             for step in steps:
                 solves += step.iterations
             if step.status is not StepStatus.CONVERGED or solves > most_solves:
                 break
-            other.append(model.experiment.resistance(drive.arrive(step.wrench, dt)))
+            other.append(model.experiment.resistance(drive.register_sample(step.wrench, dt)))
         return np.array(other)
 
     samples = coarse_samples(protocol.displacement)
@@ -278,7 +278,7 @@ class _LoadTrain:
         """Register depth and force of a sample."""
         self._known = [*self._known[-1:], (depth, force)]
 
-    def expect(self, position: float) -> tuple[float, float]:
+    def predict_depth(self, position: float) -> tuple[float, float]:
         """Predict the depth of the next sample, and the slope of d + compliance F there, from the last two samples."""
         (d0, f0), (d1, f1) = self._known if len(self._known) == 2 else ((0.0, 0.0), (0.0, 0.0))
         growth = 1.0 + self.compliance * max(0.0, (f1 - f0) / (d1 - d0)) if d1 != d0 else 1.0
@@ -308,14 +308,14 @@ class _Drive:
         """Factor of effects in reduced form on the force at the present depth."""
         return self._reduced.share(self._solver.pose.depth)
 
-    def arrive(self, wrench: Screw, dt: float) -> Screw:
+    def register_sample(self, wrench: Screw, dt: float) -> Screw:
         """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
         share = self._reduced.commit(self._solver.pose.depth, dt)
         wrench = scaled(share, wrench)
         self._train.note(self.travel, self._experiment.resistance(wrench))
         return wrench
 
-    def along(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
+    def iterate_samples(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
         """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
         protocol = self._experiment.protocol
         positions = self._model.rig.tool_motion(protocol.displacement)[samples]
@@ -324,9 +324,9 @@ class _Drive:
             if number < first:
                 # The tool is in the air: nothing is solved.
                 self.travel = min(position, 0.0)
-            yield position, dt, self.to(position, dt) if number >= first else [_NOTHING]
+            yield position, dt, self.iterate_steps_to(position, dt) if number >= first else [_NOTHING]
 
-    def to(self, position: float, dt: float) -> Iterator[Step]:
+    def iterate_steps_to(self, position: float, dt: float) -> Iterator[Step]:
         """Yield the steps to one sample; the last one is that of the sample.
 
         Args:
@@ -339,7 +339,7 @@ class _Drive:
             yield from _step_towards(solver, self._pose(position), dt, **self._options)
             return
         saved = solver.save()
-        depth, growth = train.expect(position)
+        depth, growth = train.predict_depth(position)
         before = None
         for trial in range(_SETTINGS.most_trials):
             # With cut steps friction takes another path in each trial, and the secant method does not converge: when

@@ -14,7 +14,7 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.explicit_coupling import MotionCheck
 from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
-from tissue_sim.kernel_owner import KernelOwner, busy, exclusive
+from tissue_sim.kernel_owner import KernelOwner, busy_error, exclusive
 from tissue_sim.live_material import require_live, require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import Material
@@ -162,7 +162,7 @@ class Simulator(PathFollower, KernelOwner):
 
     @property
     def mesh(self) -> Any:
-        """The undeformed mesh."""
+        """Undeformed mesh of the specimen."""
         return self._solver.mesh
 
     @property
@@ -254,7 +254,7 @@ class Simulator(PathFollower, KernelOwner):
             ('CONVERGED', 0.13)
         """
         if not self._guard.acquire(blocking=False):
-            raise busy(self)
+            raise busy_error(self)
         try:
             return self._step(checked_pose(pose), dt, time.perf_counter())
         finally:

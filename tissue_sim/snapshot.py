@@ -18,7 +18,7 @@ from tissue_sim.tool_force import Tissue
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Triangulated surface.
+    """Triangulated surface of the tissue, for drawing.
 
     Attributes:
         vertices: in the frame of the scene, m, shape (vertices, 3).
@@ -49,7 +49,7 @@ class Snapshot:
 
     @property
     def depth(self) -> float:
-        """Tool displacement, m."""
+        """Depth of the tool, m."""
         return self.pose.depth
 
     @property

@@ -110,7 +110,7 @@ class ForceStatus(IntEnum):
 
     @property
     def message(self) -> str:
-        """Meaning and remedy."""
+        """Meaning of the status, and remedy."""
         return {
             ForceStatus.CONVERGED: "in equilibrium at this pose",
             ForceStatus.LATE: "the time or the linear solutions of the step ended before equilibrium: force and "
@@ -148,7 +148,7 @@ class NextForce:
 
 @dataclass(frozen=True, slots=True)
 class ToolForce:
-    """Result of one step.
+    """Force on the tool after a step, with its status, stiffness and error estimate.
 
     Attributes:
         wrench: force, then torque about the tool's deepest point, on the tool, in the frame of the scene, N and N m.

@@ -55,7 +55,7 @@ class WaveScale:
 
     @classmethod
     def of(cls, model: Model, density: float) -> WaveScale:
-        """Of a model whose tissue has this density, kg/m3."""
+        """Make the scale of the waves of a model whose tissue has a density, kg/m3."""
         experiment, material = model.experiment, model.material
         shear_modulus = material.mu0
         speed, radius = math.sqrt(shear_modulus / density), experiment.contact_radius
@@ -133,5 +133,5 @@ def _moving_momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: 
 
 
 def _change_rate(now: Vector, before: Vector, dt: float) -> Vector:
-    """Change per time."""
+    """Return the change of a vector per time."""
     return (now[0] - before[0]) / dt, (now[1] - before[1]) / dt, (now[2] - before[2]) / dt

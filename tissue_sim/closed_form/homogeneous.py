@@ -43,11 +43,11 @@ class ClosedForm:
         return law.nominal_stress(abscissa, values, self.law_mode)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """d(stress)/d(abscissa), Pa, shape of `abscissa`."""
+        """Return the derivative of the nominal stress with respect to the abscissa, Pa, shape of `abscissa`."""
         return law.nominal_stress_slope(abscissa, values, self.law_mode)
 
     def derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """d(stress)/d(parameter), shape (*abscissa.shape, m)."""
+        """Return the derivatives of the nominal stress with respect to m parameters, shape (*abscissa.shape, m)."""
         return law.nominal_stress_derivatives(abscissa, values, self.law_mode)
 
     def history(self, material: Material, time: np.ndarray, abscissa: np.ndarray, contact_radius: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from tissue_sim.material.viscoelasticity import Prony
 
 
 class PastColumn(IntEnum):
-    """Columns of `Memory.past`."""
+    """Columns of `Memory.past`, the numbers of the history that are equal at all points."""
 
     #: Instantaneous stress over the stress of the law, 1.
     FACTOR = 0

@@ -138,7 +138,7 @@ class Motion:
         self._before[:] = 0.0
 
     def stop(self) -> None:
-        """Set the velocity to zero."""
+        """Set the velocity of all degrees of freedom to zero."""
         self.velocity[:], self._before[:] = 0.0, 0.0
 
     @property

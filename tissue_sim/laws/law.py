@@ -56,7 +56,7 @@ class KernelEnergy:
 
     @property
     def count(self) -> int:
-        """Number of coefficients."""
+        """Number of coefficients of the energy."""
         return len(self.coefficients)
 
     @property
@@ -102,7 +102,7 @@ class Law:
 
     @property
     def kernel_energy(self) -> KernelEnergy:
-        """Symbolic energy for kernels."""
+        """Symbolic energy from which the kernels are compiled."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     def kernel_coefficients(self, values) -> np.ndarray:
@@ -210,7 +210,7 @@ class Law:
         return "W = " + self._print_formula("sstr").replace("**", "^")
 
     def latex(self) -> str:
-        """Energy as LaTeX, for reports."""
+        """Return the formula of the energy in LaTeX, for reports."""
         return "W = " + self._print_formula("latex")
 
     def _print_formula(self, by: str) -> str:
@@ -227,7 +227,7 @@ class Law:
         return " + ".join(write(term) for term in terms).replace("+ -", "- ")
 
     def formula_expression(self) -> sp.Expr:
-        """Symbolic energy that is printed."""
+        """Return the symbolic energy that `formula` and `latex` print."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
 

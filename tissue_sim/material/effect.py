@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissue_sim.parameters import declaring
+from tissue_sim.parameters import accepts_declared
 from tissue_sim.registry import Registry
 
 
@@ -144,5 +144,5 @@ class ReducedForce:
 #: Name -> class of an effect.
 EFFECTS: Registry[type[TissueEffect]] = Registry(
     "effect of the tissue", "tissue_sim.effects",
-    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"}, accepts=declaring(TissueEffect),
+    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"}, accepts=accepts_declared(TissueEffect),
     expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

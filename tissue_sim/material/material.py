@@ -187,7 +187,7 @@ class Material:
 
     @property
     def energy_law(self) -> Law:
-        """Object of the law."""
+        """The `Law` of the strain energy."""
         return find_law(self.law)
 
     @property

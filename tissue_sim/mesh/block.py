@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.section import Section, arc, side_of_box
+from tissue_sim.mesh.section import Section, quarter_circle, side_of_box
 from tissue_sim.mesh.solid import SolidMesh, block_mesh, extrude_section, ring_radii, with_tool_sets
 
 
@@ -74,7 +74,7 @@ def block_under_tool(length: float, width: float, height: float, grading: Gradin
     section.add_disc(centre, radius, ring_radii(grading, radius), grading.around)
     outward = grading.line(float(half_widths.max()) - radius)
     for quarter in range(4):
-        section.add_ring(arc(quarter, radius, centre), side_of_box(quarter, low, high, centre),
+        section.add_ring(quarter_circle(quarter, radius, centre), side_of_box(quarter, low, high, centre),
                          outward / outward[-1], grading.around)
     last = min(max(outward[-1] - outward[-2], grading.smallest) * grading.growth, grading.largest)
     parts = []

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.mesh.elements import lagrange
+from tissue_sim.mesh.elements import evaluate_lagrange
 from tissue_sim.mesh.solid_element import SolidElement
 
 
@@ -80,7 +80,7 @@ class Hexahedron(SolidElement):
 
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        values, slopes = zip(*(lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
+        values, slopes = zip(*(evaluate_lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
         factors = [(values[axis][:, self._indices[:, axis]], slopes[axis][:, self._indices[:, axis]])
                    for axis in range(3)]
         (vx, sx), (vy, sy), (vz, sz) = factors

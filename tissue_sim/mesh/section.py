@@ -73,7 +73,7 @@ class Section:
 
         self.add(square, line, line)
         for quarter in range(4):
-            self.add_ring(_make_core_side(quarter, core, origin), arc(quarter, radius, centre),
+            self.add_ring(_make_core_side(quarter, core, origin), quarter_circle(quarter, radius, centre),
                           (rings - rings[0]) / (1.0 - rings[0]), around, through)
 
     def add_ring(self, near: Curve, far: Curve, fractions: np.ndarray, around: int,
@@ -116,7 +116,7 @@ class Section:
         return np.sort(np.concatenate([line, 0.5 * (line[1:] + line[:-1])]))
 
 
-def arc(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
+def quarter_circle(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
     """Return a quarter of a circle, counter-clockwise; quarter 0 is centred on +x."""
     def curve(t: np.ndarray) -> np.ndarray:
         angle = 0.25 * np.pi * (2.0 * t - 1.0) + 0.5 * np.pi * quarter

@@ -17,7 +17,7 @@ _CORNERS = {3: ((0, 1), (0, 2), (0, 3)), 1: ((0, 3), (1, 3), (2, 3)), 2: ((0, 2)
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Points on edges between nodes.
+    """Points at which edges between nodes cross a plane.
 
     Attributes:
         ends: node numbers, the node below first, shape (m, 2); a node on the surface is both ends.

@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.section import Section, arc
+from tissue_sim.mesh.section import Section, quarter_circle
 from tissue_sim.mesh.solid_element import SolidElement
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 
@@ -132,8 +132,8 @@ def cylinder_solid(radius: float, height: float, element: Hexahedron, *, around:
     section = Section(element.order)
     section.add_disc(centre, face_radius, np.asarray(inward, dtype=float), around)
     for quarter in range(4):
-        section.add_ring(arc(quarter, face_radius, centre), arc(quarter, radius), np.asarray(outward, dtype=float),
-                         around)
+        section.add_ring(quarter_circle(quarter, face_radius, centre), quarter_circle(quarter, radius),
+                         np.asarray(outward, dtype=float), around)
     return with_tool_sets(extrude_section(section, z, element), face_radius, centre)
 
 

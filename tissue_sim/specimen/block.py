@@ -1,4 +1,4 @@
-"""A rectangular block."""
+"""Rectangular block as a specimen."""
 
 from __future__ import annotations
 

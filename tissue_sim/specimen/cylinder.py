@@ -1,4 +1,4 @@
-"""A cylinder."""
+"""Cylinder as a specimen."""
 
 from __future__ import annotations
 

@@ -83,7 +83,7 @@ class MeshSpecimen(Specimen):
 
     @property
     def mesh_of_file(self) -> FileMesh:
-        """Mesh of the file."""
+        """Nodes, elements and named sets of the mesh file, as read."""
         return self._mesh
 
     @cached_property

@@ -182,7 +182,7 @@ class Specimen(metaclass=_ByShape):
         return self.height
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
-        """Make the three-dimensional mesh.
+        """Make the three-dimensional mesh of the specimen.
 
         Its faces are ``top`` (may touch the tool), ``base`` (held) and ``side`` (others); under a needle it has the
         sets ``face`` and ``free`` of `SolidMesh`.

@@ -45,8 +45,9 @@ class Face:
 
 @dataclass(frozen=True, kw_only=True)
 class TestKind:
-    """A kind of test.
+    """Kind of test: default tool, interfaces, channels, sign of the load, and closed form if one exists.
 
+    Attributes:
         name: name in files and on the command line.
         title: name in reports.
         tool: default tool; a plate admits plates only, a needle all tools but plates. None: the specimen is gripped at
@@ -128,7 +129,7 @@ class TestKind:
 
     @property
     def faces(self) -> dict[str, Face]:
-        """Field of `Experiment` -> face."""
+        """Interfaces of the test by the name of the field of `Experiment`."""
         return {"friction": self.face, "friction_base": self.base, "friction_wall": self.shaft}
 
     def fits(self, tool: type[Tool] | Tool) -> bool:
@@ -160,7 +161,7 @@ class TestKind:
         return self.require_closed_form().rest + self.sign * strain
 
     def require_closed_form(self) -> ClosedForm:
-        """Return the closed form.
+        """Return the closed form of the stress of this kind of test.
 
         Raises:
             InputError: the kind has no closed form.
@@ -170,7 +171,7 @@ class TestKind:
         return self.closed_form
 
     def require_tool(self) -> Tool:
-        """Return the default tool.
+        """Return the default tool of this kind of test.
 
         Raises:
             InputError: the specimen is gripped.

@@ -1,4 +1,4 @@
-"""A ball."""
+"""Spherical tool (ball) without a shaft."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tissue_sim.experiment.tools.tool import Tool
 
 @dataclass(frozen=True)
 class Sphere(Tool):
-    """A ball.
+    """Spherical tool (ball) without a shaft.
 
     Attributes:
         radius: m.

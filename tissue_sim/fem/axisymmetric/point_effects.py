@@ -35,7 +35,7 @@ def effects_function(formulas: tuple[Formula, ...]):
 
 
 def _add_effects(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
-    """Evaluate `add_effects` on Taichi expressions."""
+    """Evaluate the formulas of effects at a quadrature point on Taichi expressions."""
     F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
     states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]

@@ -125,7 +125,7 @@ class CondensedContact:
         return bool(self.stiffness.any())
 
     def pack(self) -> np.ndarray:
-        """Return one array of numbers, without the arrays that a linearisation shares with its base."""
+        """Pack the linearisation in one array of numbers."""
         n = len(self.nodes)
         head = (self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
                 self.material, self.has_contact, *self.pose.position, *self.pose.orientation)
@@ -201,7 +201,7 @@ class ContactState:
     touched: bool = True
 
     def pack(self) -> np.ndarray:
-        """Return one array of numbers."""
+        """Pack the state in one array of numbers."""
         head = (self.model, self.epoch, self.touched, self.time, *self.pose.position, *self.pose.orientation,
                 self.earlier, *self.before.position, *self.before.orientation)
         return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.states.ravel()])

@@ -26,7 +26,7 @@ class MatrixType(IntEnum):
 
 
 class _Phase(IntEnum):
-    """Phases of Pardiso."""
+    """Phases of a call of Pardiso (`phase`)."""
 
     ANALYSE = 11
     FACTORISE = 22

@@ -21,7 +21,7 @@ _SINGLE_FROM = 1000
 
 
 class Factor(Protocol):
-    """Factor of a matrix.
+    """Factorised matrix, which solves linear equations.
 
     Attributes:
         definite: whether a symmetric matrix is positive definite; True for other matrices.

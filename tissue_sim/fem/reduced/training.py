@@ -35,7 +35,7 @@ LIFTING = 12
 
 
 def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
-    """Create the full-order solver."""
+    """Create the full-order solver of a model on a mesh."""
     return make_solver(model, mesh=mesh)
 
 

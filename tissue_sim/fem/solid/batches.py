@@ -135,8 +135,8 @@ class ElementBatches:
         pattern = (holds.T @ holds).tocsc()
         pattern.sort_indices()
         # Index of the block of each pair of nodes of an element, in the column of the second node.
-        places = places_of(pattern, connectivity[:, a], connectivity[:, c])
-        mirrored = places_of(pattern, connectivity[:, c], connectivity[:, a])
+        places = find_entry_indices(pattern, connectivity[:, a], connectivity[:, c])
+        mirrored = find_entry_indices(pattern, connectivity[:, c], connectivity[:, a])
         starts, rows = pattern.indptr.astype(np.int64), pattern.indices
         blocks = np.diff(starts)
         i, k = np.tile(np.arange(3), 3), np.repeat(np.arange(3), 3)
@@ -251,7 +251,7 @@ class ElementBatches:
         return np.moveaxis(own[self._elements], 1, -1)
 
 
-def places_of(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def find_entry_indices(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Indices of entries in the data of a matrix in compressed columns with sorted rows."""
     count = pattern.shape[0]
     keys = np.repeat(np.arange(count, dtype=np.int64), np.diff(pattern.indptr)) * count + pattern.indices

@@ -52,7 +52,7 @@ class Faceting:
         return _HERTZ_EXPONENT * self.inside / self.depth if self.depth else math.inf
 
 
-def faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> Faceting | None:
+def estimate_faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> Faceting | None:
     """Compute the faceting error of a round tool that presses on nodes only.
 
     A flat side between nodes at distance h is inside of a surface with principal curvatures k1 and k2 by
@@ -93,7 +93,7 @@ def faceting_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndar
     Returns:
         N; None if the error is not known.
     """
-    found = faceting(contact, mesh, displacement)
+    found = estimate_faceting(contact, mesh, displacement)
     if found is None:
         return None
     # The estimate holds for small fractions; beyond one half it is at least the whole force.
@@ -113,7 +113,7 @@ def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
     Returns:
         One sentence, or none: the error is small, or the elements have curved sides.
     """
-    found = faceting(contact, mesh, displacement)
+    found = estimate_faceting(contact, mesh, displacement)
     if found is None or not found.depth or found.share <= _SETTINGS.warning_fraction:
         return []
     share, size = found.share, 1e3 * found.size

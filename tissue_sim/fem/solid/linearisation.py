@@ -43,7 +43,7 @@ class _Step:
     pushed: np.ndarray
     carried: np.ndarray
 
-    def leads_on(self, settles: np.ndarray, share: float, rounding: float) -> bool:
+    def reduces_next_step(self, settles: np.ndarray, share: float, rounding: float) -> bool:
         """Whether a damped step reduces the next step (restricted monotonicity test).
 
         Source: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3.
@@ -161,7 +161,8 @@ class SolidLinearisation:
             pose, self._stale = between(here, state.pose, share), True
             if old:
                 self._settle()
-                if not step.leads_on(self._select_measured_part(self._settles), share, _SETTINGS.rounding * self._size):
+                measured = self._select_measured_part(self._settles)
+                if not step.reduces_next_step(measured, share, _SETTINGS.rounding * self._size):
                     continue
             begun = self._begin(state, pose, ahead, self.executor) if due else None
             if begun is not None and begun.is_done:

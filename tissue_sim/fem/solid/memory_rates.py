@@ -100,7 +100,7 @@ class MemoryRates:
             array[:] = before
 
     def directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Arrays of the history that the assembly reads, and their derivatives with respect to parameter k."""
+        """Return the arrays of the history that the assembly reads, with their derivatives by parameter k."""
         memory = self.memory
         if not memory.works:
             return []

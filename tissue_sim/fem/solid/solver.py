@@ -216,7 +216,7 @@ class SolidSolver(PlacedSolver):
                 status = StepStatus.DIVERGED
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
                 return self._answer(status, iterations, ratio, evaluation, frame)
-            if tangent.stale and status is None and not tangent.serves(ratio, tolerance, evaluation.switched > 0):
+            if tangent.stale and status is None and not tangent.is_accurate(ratio, tolerance, evaluation.switched > 0):
                 tangent.stale, changeable, waits = False, 0, evaluation.wanting
                 continue
             if status is not None or not tangent.stale:
@@ -264,7 +264,7 @@ class SolidSolver(PlacedSolver):
         if tangent:
             self.batches.keep_volume_rates()
         if self._mass is not None:
-            self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
+            self._mass.add_inertial_forces(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
     def _make_tool_constraint(self, frame: Frame) -> ToolConstraint:
         return ToolConstraint(frame, self._moved, self._node_positions(self._bonded),

@@ -215,7 +215,7 @@ class _Reader:
         starts = np.cumsum([0, *(len(block.numbers) for block in cells)])
 
         def by_block(numbers: np.ndarray) -> list[np.ndarray]:
-            indices = np.sort(elements.known(np.unique(numbers)))
+            indices = np.sort(elements.find_known_indices(np.unique(numbers)))
             return [indices[(indices >= first) & (indices < last)] - first
                     for first, last in pairwise(starts.tolist())]
 
@@ -223,7 +223,8 @@ class _Reader:
                                  for block, indices in enumerate(by_block(numbers)) for index in indices.tolist()],
                                 dtype=np.intp).reshape(-1, 3) for name, rows in self._surfaces.items() if rows}
         return MeshContent(points, nodes.numbers, cells,
-                           {name: nodes.known(np.unique(numbers)) for name, numbers in self._node_sets.items()},
+                           {name: nodes.find_known_indices(np.unique(numbers))
+                            for name, numbers in self._node_sets.items()},
                            {name: by_block(numbers) for name, numbers in self._element_sets.items()}, sides)
 
 
@@ -251,7 +252,7 @@ class _Index:
         at = np.minimum(np.searchsorted(self._sorted, numbers), self._sorted.size - 1)
         return self._order[at], self._sorted[at] == numbers
 
-    def known(self, numbers: np.ndarray) -> np.ndarray:
+    def find_known_indices(self, numbers: np.ndarray) -> np.ndarray:
         """Return the indices of the numbers that exist in the file."""
         indices, exists = self._look_up(numbers)
         return indices[exists]
