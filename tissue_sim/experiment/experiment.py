@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.adhesion import Adhesion
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.contact_law import ContactLaw
-from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, checked_interface
+from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, check_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.frozen_mapping import read_only
@@ -75,7 +75,7 @@ class Experiment:
         if self.friction_base is None:
             object.__setattr__(self, "friction_base", self._choose_base_interface())
         for name in ("friction", "friction_base", "friction_wall"):
-            object.__setattr__(self, name, checked_interface(getattr(self, name), name))
+            object.__setattr__(self, name, check_interface(getattr(self, name), name))
         if self.friction_wall == "bonded":
             raise InputError("must not be 'bonded': tissue meets the shaft during the test. Use 'stick', "
                              "'frictionless' or a coefficient of friction", field="friction_wall")

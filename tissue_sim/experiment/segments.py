@@ -74,12 +74,12 @@ def expand_legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg
         InputError: a segment that cannot follow the one before, such as an unload at the touch.
     """
     here, deepest, cycle, withdrawn, begun = 0.0, 0.0, 1, False, False
-    for segment in _in_order(steps):
+    for segment in _expand_repeats(steps):
         speed = speed if segment.speed is None else segment.speed
         if segment.kind == "approach" and not begun:
             here = -_start_of_approach(segment)
         begun = True
-        end = _end(segment, here, deepest)
+        end = _find_end(segment, here, deepest)
         if end > here and withdrawn:
             cycle, withdrawn = cycle + 1, False
         withdrawn = withdrawn or end < here
@@ -96,7 +96,7 @@ def protocol_error(position: str, problem: str) -> InputError:
     return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
 
 
-def _in_order(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
+def _expand_repeats(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
     for step in steps:
         for _ in range(step.times if isinstance(step, Repeat) else 1):
             yield from step.segments if isinstance(step, Repeat) else (step,)
@@ -109,7 +109,7 @@ def _start_of_approach(segment: Segment) -> float:
     return segment.amount
 
 
-def _end(segment: Segment, here: float, deepest: float) -> float:
+def _find_end(segment: Segment, here: float, deepest: float) -> float:
     """Displacement at the end of a segment, m; `here`: at its start, `deepest`: largest so far."""
     kind, amount = segment.kind, segment.amount
     match kind:

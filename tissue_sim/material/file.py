@@ -20,7 +20,7 @@ from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.law_entry import BulkEntry, Entry, ParameterEntry, law_entries, parameters_in_SI, values_of
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.material.population import PopulationEntry, checked_population, population_entry
+from tissue_sim.material.population import PopulationEntry, check_population, population_entry
 from tissue_sim.material.schema import (
     CovarianceEntry,
     LayerEntry,
@@ -119,7 +119,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         given = as_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
-        return checked(cls(
+        return check_material_file(cls(
             schema=SCHEMA, name=material.name, **law_entries(material, errors),
             covariance=stated, population=specimens, **entries_of(material, errors),
             density_kg_m3=material.density,
@@ -194,7 +194,7 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
         True
     """
     with located(file=path):
-        data = msgspec.to_builtins(checked(material_file))
+        data = msgspec.to_builtins(check_material_file(material_file))
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line break inside brackets is never part of a JSON string.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
@@ -212,7 +212,7 @@ def decode_material_file(data: Any) -> MaterialFile:
                 if isinstance(entry, dict):
                     _decode_one_by_one(entry, "parameters", ParameterEntry)
                 decode(entry, RegionEntry)
-    return checked(decode(data, MaterialFile, ""))
+    return check_material_file(decode(data, MaterialFile, ""))
 
 
 def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> None:
@@ -223,7 +223,7 @@ def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> Non
             decode(entry, kind, f"{key}.{name}")
 
 
-def checked(file: MaterialFile) -> MaterialFile:
+def check_material_file(file: MaterialFile) -> MaterialFile:
     """Return a file in SI, after all checks that its types do not express.
 
     Raises:
@@ -260,7 +260,7 @@ def checked(file: MaterialFile) -> MaterialFile:
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_to_tuples(matrix)))
     if file.population is not None:
         known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
-        file = msgspec.structs.replace(file, population=checked_population(file.population, known))
+        file = msgspec.structs.replace(file, population=check_population(file.population, known))
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa overflows in Pa
     return file
 

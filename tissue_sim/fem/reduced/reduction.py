@@ -87,7 +87,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
-    solver = training.whole_solver(model, mesh)
+    solver = training.make_full_order_solver(model, mesh)
     memory = training.settled_memory(solver)
     if also and experiment.specimen.specific_weight:
         raise InputError("must be empty for a solid with self-weight, which has one material only. Leave the further "
@@ -125,7 +125,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         done = store.read(number)
         if done is None or len(done.wrenches) != len(path):
             solver.set_material(material)
-            done = training.snapshots(solver, path, memory=memory)
+            done = training.simulate_snapshots(solver, path, memory=memory)
             store.write(number, done)
         taken.append(done)
         tell("strokes", len(taken), count)

@@ -34,7 +34,7 @@ from tissue_sim.pose import Pose, between
 LIFTING = 12
 
 
-def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
+def make_full_order_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
     """Create the full-order solver of a model on a mesh."""
     return make_solver(model, mesh=mesh)
 
@@ -44,7 +44,7 @@ def settled_memory(solver: SolidSolver) -> tuple[np.ndarray, ...]:
     return tuple(array.copy() for array in solver.tissue.kept) if solver.tissue.specific_weight else ()
 
 
-def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
+def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
               tolerance: float = 1e-7) -> Snapshots:
     """Simulate the full-order solid along poses, from rest without loading history.
 
@@ -106,7 +106,7 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
     return linear_response(solver, motions.reshape(-1, LIFTING))
 
 
-def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
+def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute the leading modes of displacements and their symmetric images (proper orthogonal decomposition).
 
     Args:
@@ -163,7 +163,7 @@ class Sample(NamedTuple):
     material: Material
 
 
-def samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
+def iterate_samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
             group: Sequence[Symmetry], start: Pose) -> Iterator[Sample]:
     """Yield states for the choice of the sampled elements, evenly spaced, each mapped by the next symmetry in turn.
 
@@ -201,7 +201,7 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
         basis: displacements of all modes, shape (freedoms, modes).
         lifting: number of prescribed modes, the first ones.
         watched: number of error modes, the last ones.
-        looked_at: states, see `samples`. The states are projected on the modes other than the error modes.
+        looked_at: states, see `iterate_samples`. The states are projected on the modes other than the error modes.
         tolerance: relative error of the modal forces.
         bulk_ratio: upper limit of the bulk modulus over the shear modulus.
         progress: called with the number of elements and their relative error so far.
@@ -266,7 +266,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
         for each in (solver, small, fewer) if materials else ():
             if each.material is not (material := materials[done % len(materials)]):
                 each.set_material(material)
-        whole = snapshots(solver, poses, memory=memory)
+        whole = simulate_snapshots(solver, poses, memory=memory)
         true, doubts = whole.wrenches, whole.doubts or doubts
         for each in (small, fewer):
             each.forget()
@@ -336,7 +336,7 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
         group: symmetry group including the identity; none: the group is computed.
         progress: called with the number of elements and their relative error so far.
     """
-    solver, start = whole_solver(model, mesh), model.experiment.tool_pose(0.0)
+    solver, start = make_full_order_solver(model, mesh), model.experiment.tool_pose(0.0)
     group = group or symmetries(solver, start)
     states = np.concatenate([each.displacements for each in taken])
     ways = [pose for each in poses for pose in each]
@@ -344,10 +344,10 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     lifting = lifted.shape[1]
     amplitudes = np.array([lifted_amplitudes(solver, pose) for pose in ways])[:, :lifting]
     # The prescribed part commutes with the symmetries, so the images of the remainder need no new subtraction.
-    found, singular = modes(states - amplitudes @ lifted.T, group, count + TRAINING.error_modes)
+    found, singular = compute_modes(states - amplitudes @ lifted.T, group, count + TRAINING.error_modes)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
-    looked_at = samples(taken, poses, materials or [model.material] * len(taken), group, start)
+    looked_at = iterate_samples(taken, poses, materials or [model.material] * len(taken), group, start)
     elements, shares = sample_elements(solver, basis, lifting, watched, looked_at, tolerance,
                                        max(bulk_ratio, TRAINING.min_sampling_bulk_ratio), progress)
     kept = found.shape[1] - watched

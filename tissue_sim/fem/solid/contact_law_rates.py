@@ -15,7 +15,7 @@ from tissue_sim.fem.solid.frame import Frame
 
 
 @dataclass(frozen=True)
-class DifferenceSettings:
+class LawDifferenceSettings:
     """Settings of the differences of contact laws.
 
     Attributes:
@@ -27,7 +27,7 @@ class DifferenceSettings:
     min_force: float = 1e-3
 
 
-_DIFFERENCES = DifferenceSettings()
+_DIFFERENCES = LawDifferenceSettings()
 
 
 class LawRates(NamedTuple):

@@ -334,7 +334,7 @@ class SolidLinearisation:
             forces = -self._reactions.reshape(-1, 3)
             wrench = np.einsum("nik,ni->k", levers, forces)
             if self._number + 1 == self._base:
-                self._hold(tangent, levers, forces)
+                self._store_held_derivatives(tangent, levers, forces)
         left = np.setdiff1d(self._meets, tangent.nodes)
         reach = float(np.maximum(0.0, self._compute_gaps(pose)[left]).min(initial=np.inf))
         self._number += 1
@@ -343,7 +343,7 @@ class SolidLinearisation:
                                 reach,
                                 solver.material.mu0, self.residual)
 
-    def _hold(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
+    def _store_held_derivatives(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
         """Store the derivatives of nodes and wrench with respect to the pose of a tool that holds tissue.
 
         Args:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
-class NewtonSettings:
+class SolidNewtonSettings:
     """Settings of Newton's method.
 
     Attributes:
@@ -64,6 +64,6 @@ class LinearisationSettings:
 
 
 #: Settings of every solid.
-NEWTON = NewtonSettings()
+NEWTON = SolidNewtonSettings()
 #: Settings of every specimen with self-weight.
 SETTLING = SettlingSettings()
