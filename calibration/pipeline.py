@@ -54,6 +54,30 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         InputError: a campaign or recording is invalid, or `output` contains other files; nothing is written.
         ConvergenceError: no law of a campaign could be fitted; the results of the other campaigns are written.
         WorkerError: a worker process ends each time it works on a part.
+
+    Examples:
+        >>> import numpy as np
+        >>> from pathlib import Path
+        >>> import tissue_sim as ts
+        >>> displacement = np.linspace(0.0, 0.010, 41)
+        >>> stress = ts.find_law("neo_hooke").nominal_stress(1.0 - displacement / 0.070, {"C10": 1000.0})
+        >>> force = -ts.Specimen(0.040, 0.070).area * stress
+        >>> ts.write_recording(ts.Recording({"displacement": displacement, "force": force}), "plates.csv")
+        >>> _ = Path("study.toml").write_text('''
+        ... [[specimen]]
+        ... radius_mm = 40.0
+        ... height_mm = 70.0
+        ... [[test]]
+        ... kind = "lubricated_compression"
+        ... recordings = ["plates.csv"]
+        ... [fit]
+        ... laws = ["neo_hooke"]
+        ... [noise]
+        ... force_N = 0.02
+        ... ''')
+        >>> result, = calibrate(["study.toml"], "results", figures=False)
+        >>> round(result.best.parameters["C10"], 1)
+        1000.0
     """
     output = Path(output)
     _check_figures_format(figures_format)

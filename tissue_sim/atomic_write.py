@@ -1,4 +1,4 @@
-"""Atomic writing of files."""
+"""Write files atomically: a reader sees the old or the new content, never a part."""
 
 from __future__ import annotations
 

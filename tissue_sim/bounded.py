@@ -86,11 +86,11 @@ def bounded(function: Callable[..., Any], *arguments: Any, file: str | Path, siz
     except Exception as error:
             raise InputError(f"the reader cannot be sent to the process in which files are read ({error}); define it "
                              "in a module, and pass plain options", file=file) from error
-    seconds = LIMITS.seconds + LIMITS.seconds_per_byte * (size if size is not None else _size(file))
+    seconds = LIMITS.seconds + LIMITS.seconds_per_byte * (size if size is not None else _file_size(file))
     return _PROCESS.answer(task, LIMITS.wall_time + LIMITS.wall_time_per_second * seconds, file)
 
 
-def _size(file: str | Path) -> int:
+def _file_size(file: str | Path) -> int:
     try:
         return Path(file).stat().st_size
     except (OSError, ValueError):
@@ -125,7 +125,7 @@ class _Process:
             late.daemon = True
             late.start()
             try:
-                answer = self._talk(child, task)
+                answer = self._exchange_message(child, task)
             except BaseException:
                 self.close(kill=True)
                 raise
@@ -134,7 +134,7 @@ class _Process:
             if answer is None:
                 code = child.wait()
                 self.close()
-                raise InputError(_crash_reason(code), file=file)
+                raise InputError(_describe_exit_code(code), file=file)
             done, value, grown = pickle.loads(answer)
             if grown:
                 self.close()
@@ -143,7 +143,7 @@ class _Process:
         raise value
 
     @staticmethod
-    def _talk(child: subprocess.Popen[bytes], task: bytes) -> bytes | None:
+    def _exchange_message(child: subprocess.Popen[bytes], task: bytes) -> bytes | None:
         """Send a task and return the answer; None if the process has ended."""
         assert child.stdin is not None and child.stdout is not None
         try:
@@ -184,7 +184,7 @@ _PROCESS = _Process()
 atexit.register(_PROCESS.close)
 
 
-def _crash_reason(code: int) -> str:
+def _describe_exit_code(code: int) -> str:
     """Problem of a process that ended with an exit code."""
     if resource is not None and code == -signal.SIGPROF:
         return ("exceeds the CPU time for a file of its size (2 s, and 2 s for each megabyte); it is damaged or "
@@ -200,7 +200,7 @@ def serve() -> None:
     # Output of libraries to stdout is discarded, because stdout carries the answers.
     os.dup2(2, 1)
     sys.stdin = io.StringIO()
-    first = _memory()
+    first = _read_data_memory()
     while len(head := tasks.read(_LENGTH.size)) == _LENGTH.size:
         answer = _execute(tasks.read(*_LENGTH.unpack(head)), first)
         answers.write(_LENGTH.pack(len(answer)) + answer)
@@ -216,14 +216,14 @@ def _execute(task: bytes, first: int) -> bytes:
         done, value = False, error
     except Exception as error:
         done, value = False, InputError(f"the reader cannot be used in the process in which files are read ({error})")
-    return pickle.dumps((done, value, _memory() > first + LIMITS.memory_growth))
+    return pickle.dumps((done, value, _read_data_memory() > first + LIMITS.memory_growth))
 
 
 def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str, size: int | None) -> Any:
     """Call a function within the limits of CPU time and memory."""
     os.chdir(folder)
     try:
-        with _bounds(_size(file) if size is None else size):
+        with _limit_resources(_file_size(file) if size is None else size):
             if size is None:
                 require_small_archive(file)
             return function(*arguments)
@@ -242,13 +242,13 @@ def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str,
 
 
 @contextlib.contextmanager
-def _bounds(size: int) -> Iterator[None]:
+def _limit_resources(size: int) -> Iterator[None]:
     """Context with limits of CPU time and memory for an input of `size` bytes."""
     if resource is None:
         yield
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
-    if used := _memory():
+    if used := _read_data_memory():
         resource.setrlimit(resource.RLIMIT_DATA, (used + LIMITS.memory + LIMITS.memory_per_byte * size, hard))
     # The timer's signal ends the process also within a library.
     signal.setitimer(signal.ITIMER_PROF, LIMITS.seconds + LIMITS.seconds_per_byte * size)
@@ -259,7 +259,7 @@ def _bounds(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))
 
 
-def _memory() -> int:
+def _read_data_memory() -> int:
     """Data memory of this process in bytes, as Linux limits it; 0 if unknown."""
     try:
         for line in Path("/proc/self/status").read_text(encoding="ascii", errors="replace").splitlines():

@@ -107,13 +107,13 @@ def decode(value: Any, kind: Any, field: str = "", words: Mapping[str, str] | No
     place = place.rstrip("`").lstrip(".")
     path = ".".join(part for part in (field, place) if part)
     if unknown := re.search(r"unknown field `(.*)`$", message):
-        raise InputError(f"unknown key{nearest(unknown[1], _keys_at(kind, place))}",
+        raise InputError(f"unknown key{nearest(unknown[1], _find_keys(kind, place))}",
                          field=f"{path}.{unknown[1]}".lstrip("."))
     if missing := re.search(r"missing required field `(.*)`$", message):
         hint = "; give a unit such as Pa, kPa or 1" if missing[1] == "unit" else "; add it"
         raise InputError(f"is missing{hint}", field=f"{path}.{missing[1]}".lstrip("."))
     if choice := re.match(r"Invalid enum value '(.*)'$", message):
-        raise InputError(f"unknown value {choice[1]!r}{nearest(choice[1], _choices_at(kind, place))}", field=path)
+        raise InputError(f"unknown value {choice[1]!r}{nearest(choice[1], _find_choices(kind, place))}", field=path)
     known = {**_WORDS, **(words or {})}
     sentence = re.sub(r"`([^`]*)`", lambda match: " or ".join(known.get(word, word) for word in match[1].split(" | ")),
                       message)
@@ -206,26 +206,26 @@ def _without_duplicates(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     return seen
 
 
-def _keys_at(kind: Any, place: str) -> list[str]:
+def _find_keys(kind: Any, place: str) -> list[str]:
     """Keys of the struct at a dotted path such as ``provenance.recordings[0]``."""
-    return [field.encode_name for field in _struct(_type_at(kind, place)).fields]
+    return [field.encode_name for field in _find_struct_type(_find_type(kind, place)).fields]
 
 
-def _choices_at(kind: Any, place: str) -> list[str]:
+def _find_choices(kind: Any, place: str) -> list[str]:
     """Valid values of the text at a dotted path."""
-    info = _type_at(kind, place)
+    info = _find_type(kind, place)
     options = info.types if isinstance(info, UnionType) else (info,)
     return [str(choice) for option in options if isinstance(option, LiteralType) for choice in option.values]
 
 
-def _type_at(kind: Any, place: str) -> Any:
+def _find_type(kind: Any, place: str) -> Any:
     info = type_info(kind)
     for name in filter(None, re.split(r"\.|\[[^\]]*\]", place)):
-        info = next(field.type for field in _struct(info).fields if field.encode_name == name)
+        info = next(field.type for field in _find_struct_type(info).fields if field.encode_name == name)
     return info
 
 
-def _struct(info: Any) -> StructType:
+def _find_struct_type(info: Any) -> StructType:
     """Struct type inside of options, lists and maps."""
     while not isinstance(info, StructType):
         if isinstance(info, UnionType):

@@ -18,10 +18,25 @@ from tissue_sim.parameters import Parameter, find_parameters, parameters, value,
 from tissue_sim.recording.recording import Recording
 from tissue_sim.simulation import simulate
 
-#: Relative width of differences of formulas within the exact method.
-FORMULA_WIDTH = 1e-6
-#: Relative width of differences of whole simulations.
-SIMULATION_WIDTH = 1e-3
+
+@dataclass(frozen=True)
+class DifferenceSettings:
+    """Widths of central differences, relative to the value of the parameter.
+
+    Attributes:
+        formula_width: width of differences of formulas within the exact method, 1.
+        simulation_width: width of differences of whole simulations, 1. A larger width is less sensitive to the
+            tolerance of the solver, and less accurate where the force is nonlinear in the parameter.
+    """
+
+    formula_width: float = 1e-6
+    simulation_width: float = 1e-3
+
+
+#: Widths of all derivatives.
+DIFFERENCES = DifferenceSettings()
+
+
 @dataclass(frozen=True, eq=False)
 class Sensitivities:
     """A simulated recording and its derivatives.
@@ -53,16 +68,19 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     differentiated implicitly, with history, slip and stick anchors. The bulk response is held as the material states
     it: `bulk.bulk_ratio` if it is a ratio, `bulk.K_Pa` if it is a modulus.
 
-    Derivatives are central differences of two simulations at the relative distance `SIMULATION_WIDTH`, one-sided at the
-    end of a range, in these cases: parameters of experiment, rig or mesh; a compliant rig; a tilted tool or partial
-    slip; additional effects of the material; a solver without derivatives (the axisymmetric solver with self-weight,
-    adhesion or another contact law). Changes of geometry move the nodes of one mesh, so that the differences contain
-    no jumps by remeshing.
+    Derivatives are central differences of two simulations at the relative distance
+    `DifferenceSettings.simulation_width`, one-sided at the end of a range, in these cases: parameters of experiment,
+    rig or mesh; a compliant rig; a tilted tool or partial slip; additional effects of the material; a solver without
+    derivatives (the axisymmetric solver with self-weight, adhesion or another contact law). Changes of geometry move
+    the nodes of one mesh, so that the differences contain no jumps by remeshing.
 
     Args:
         model: experiment, material, rig; forces are those on the tool, before the sensor reads them.
         names: parameters; None: all of the material.
-        resolution, mesh, solver, topology: as in `simulate`; with a solver without derivatives all are differences.
+        resolution: as in `simulate`.
+        mesh: as in `simulate`.
+        solver: as in `simulate`; with a solver without derivatives all derivatives are differences.
+        topology: as in `simulate`.
         one_sided: use one-sided differences to the simulation of the model, which saves one simulation for each.
 
     Raises:
@@ -77,11 +95,13 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     asked = find_parameters(model, names)
     model = replace(model, rig=model.rig.motion_only)
     own = {f"material.{path}" for path in of_material}
-    exact = np.array([parameter.path in own and _exact(model, parameter) for parameter in asked], dtype=bool)
+    exact = np.array([parameter.path in own and _has_exact_derivative(model, parameter) for parameter in asked],
+                     dtype=bool)
     options = {"resolution": resolution, "mesh": mesh, "solver": solver, "topology": topology or model,
                "estimate_error": False}
-    watch = _Watch([_pair(model, parameter) for parameter, one in zip(asked, exact, strict=True) if one],
-                   model.experiment.approach)
+    neighbours = [_make_neighbour_materials(model, parameter)
+                  for parameter, one in zip(asked, exact, strict=True) if one]
+    watch = _Watch(neighbours, model.experiment.approach)
     recording = simulate(model, watch=watch, **options)
     exact &= watch.exact
     values = np.zeros((len(watch.rates), len(names)))
@@ -91,7 +111,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
         raise ConvergenceError("the tangent of a converged step is singular, so that the force has no derivative there",
                                recording=recording, depth=float(recording.displacement[-1]))
     for k in np.flatnonzero(~exact):
-        values[:, k] = _difference(model, asked[k], recording.force, options, one_sided=one_sided)
+        values[:, k] = _difference_simulations(model, asked[k], recording.force, options, one_sided=one_sided)
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
@@ -123,7 +143,7 @@ class _Watch:
         self.kinks.append(derivatives is not None and derivatives.pop_changed())
 
 
-def _exact(model: Model, parameter: Parameter) -> bool:
+def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:
     """Whether a solver may differentiate its equations with respect to a parameter of the material."""
     if model.experiment.tilt or model.experiment.slip or model.rig.compliance:
         return False
@@ -135,13 +155,13 @@ def _exact(model: Model, parameter: Parameter) -> bool:
     return not (issubclass(parameter.part, Poroelasticity) and value(model, phi) == 0.0)
 
 
-def _pair(model: Model, parameter: Parameter):
+def _make_neighbour_materials(model: Model, parameter: Parameter):
     """Material with a parameter increased, material with it decreased, and the difference of the parameter."""
-    half = 0.5 * FORMULA_WIDTH * (abs(parameter.value) or 1.0)
-    return _neighbours(lambda new: with_values(model, {parameter.path: new}).material, parameter.value, half)
+    half = 0.5 * DIFFERENCES.formula_width * (abs(parameter.value) or 1.0)
+    return _evaluate_neighbours(lambda new: with_values(model, {parameter.path: new}).material, parameter.value, half)
 
 
-def _neighbours(change: Callable, value: float, half: float):
+def _evaluate_neighbours(change: Callable, value: float, half: float):
     """Results for an increased and a decreased value, and the difference; one-sided at the end of the range.
 
     Raises:
@@ -157,7 +177,8 @@ def _neighbours(change: Callable, value: float, half: float):
     return more, less, high - low
 
 
-def _difference(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *, one_sided: bool) -> np.ndarray:
+def _difference_simulations(model: Model, parameter: Parameter, force: np.ndarray, options: dict, *,
+                            one_sided: bool) -> np.ndarray:
     """Central difference of two simulations on one mesh, whose nodes move with the geometry, N per unit, shape (n,).
 
     The difference is one-sided, with the force of the model itself, N, if requested or if only one side is valid.
@@ -167,7 +188,7 @@ def _difference(model: Model, parameter: Parameter, force: np.ndarray, options: 
     """
     length = model.experiment.tool.radius or model.experiment.specimen.margin()
     size, value = abs(parameter.value) or (length if parameter.declaration.unit == "m" else 1.0), parameter.value
-    half, sides = 0.5 * SIMULATION_WIDTH * size, []
+    half, sides = 0.5 * DIFFERENCES.simulation_width * size, []
     for step in (2.0 * half, -2.0 * half) if one_sided else (half, -half):
         try:
             neighbour = with_values(model, {parameter.path: value + step})

@@ -6,17 +6,31 @@ import difflib
 import re
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
-#: Largest number of characters of a message.
-LONGEST_SENTENCE = 300
-#: Largest number of characters of a quotation from the input.
-_QUOTED = 60
-#: Largest number of characters of the reason of another library's exception, which may quote a damaged file at length.
-_REASON = 80
-#: Number of characters to which a place (file, field) is shortened at most.
-_PLACE = 50
-_QUOTATION = re.compile(rf"""(?<!\w)(?:'[^']{{{_QUOTED},}}'|"[^"]{{{_QUOTED},}}")(?!\w)""")
+
+@dataclass(frozen=True)
+class MessageLimits:
+    """Lengths of the parts of a message, characters.
+
+    Attributes:
+        message: largest length of a message.
+        quotation: largest length of a quotation from the input in a message that is too long.
+        reason: largest length of the reason of another library's exception, which may quote a damaged file at length.
+        place: length to which a place (file, field) is shortened at most.
+    """
+
+    message: int = 300
+    quotation: int = 60
+    reason: int = 80
+    place: int = 50
+
+
+#: Lengths of all messages.
+MESSAGE_LIMITS = MessageLimits()
+_LONG = f"{{{MESSAGE_LIMITS.quotation},}}"
+_QUOTATION = re.compile(rf"""(?<!\w)(?:'[^']{_LONG}'|"[^"]{_LONG}")(?!\w)""")
 #: Exceptions that a malformed file may cause in a reader.
 _MALFORMED = (ArithmeticError, LookupError, MemoryError, OSError, RecursionError, TypeError, ValueError)
 
@@ -58,20 +72,24 @@ def _remake(kind, problem, file, line, field):
 
 
 def sentence(problem: str, place: Iterable[str] = ()) -> str:
-    """Join place and problem to one printable line of at most `LONGEST_SENTENCE` characters.
+    """Join place and problem to one printable line of at most `MessageLimits.message` characters.
 
     A longer sentence is shortened in the middle: first its quotations, then the place, then the whole.
+
+    Examples:
+        >>> sentence("must be positive; got -1.", ["study.toml", "test[0].radius_mm"])
+        'study.toml: test[0].radius_mm: must be positive; got -1.'
     """
-    parts = [_printable(part) for part in (*place, problem)]
-    if len(": ".join(parts)) > LONGEST_SENTENCE:
-        quoted = _QUOTATION.sub(lambda match: shortened(match[0], _QUOTED), parts.pop())
+    parts = [_escape_unprintable(part) for part in (*place, problem)]
+    if len(": ".join(parts)) > MESSAGE_LIMITS.message:
+        quoted = _QUOTATION.sub(lambda match: shortened(match[0], MESSAGE_LIMITS.quotation), parts.pop())
         # The problem contains the remedy and keeps its length; the user knows the place.
-        length = max(_PLACE, (LONGEST_SENTENCE - len(quoted)) // max(len(parts), 1) - 2)
+        length = max(MESSAGE_LIMITS.place, (MESSAGE_LIMITS.message - len(quoted)) // max(len(parts), 1) - 2)
         parts = [*(shortened(part, length) for part in parts), quoted]
-    return shortened(": ".join(parts), LONGEST_SENTENCE)
+    return shortened(": ".join(parts), MESSAGE_LIMITS.message)
 
 
-def _printable(text: str) -> str:
+def _escape_unprintable(text: str) -> str:
     """Replace line ends by blanks, and control characters and halves of surrogate pairs by escapes."""
     if text.isprintable():
         return text
@@ -80,7 +98,12 @@ def _printable(text: str) -> str:
 
 
 def shortened(text: str, longest: int) -> str:
-    """Return a text of at most `longest` characters; the middle of a longer text is left out."""
+    """Return a text of at most `longest` characters; the middle of a longer text is left out.
+
+    Examples:
+        >>> shortened("a text of thirty characters...", 20)
+        'a text  ... cters...'
+    """
     if len(text) <= longest:
         return text
     front = (longest - 5) // 2
@@ -88,8 +111,8 @@ def shortened(text: str, longest: int) -> str:
 
 
 def reason_of(error: BaseException) -> str:
-    """Return the message of another library's exception, on one line of at most 80 printable characters."""
-    return shortened(_printable(" ".join(str(error).split())), _REASON) or type(error).__name__
+    """Return the message of another library's exception, on one line of at most `MessageLimits.reason` characters."""
+    return shortened(_escape_unprintable(" ".join(str(error).split())), MESSAGE_LIMITS.reason) or type(error).__name__
 
 
 @contextmanager
@@ -127,7 +150,12 @@ class MissingBackendError(RuntimeError):
 
 
 def nearest(word: str, known: Iterable[str]) -> str:
-    """Return a hint for an unknown word: ``; did you mean 'radius_mm'?``, or the known words if none is similar."""
+    """Return a hint for an unknown word: ``; did you mean 'radius_mm'?``, or the known words if none is similar.
+
+    Examples:
+        >>> nearest("radius", ["radius_mm", "height_mm"])
+        "; did you mean 'radius_mm'?"
+    """
     known = list(known)
     close = difflib.get_close_matches(word, known, n=1, cutoff=0.6)
     if close:

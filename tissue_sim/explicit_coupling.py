@@ -18,13 +18,25 @@ Gerbeau and Nobile, Comput. Methods Appl. Mech. Eng. 194 (2005) 4506.
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 
 from tissue_sim.tool_force import Matrix
 
-#: Added mass (k_step - k) dt2 of the tissue times this is the tool mass at which an explicit coupling becomes unstable.
-ADDED_MASS_FACTOR = 16.0 / 9.0
-#: Stiffness times dt2 times this is the tool mass at which semi-implicit Euler steps become unstable.
-STIFFNESS_FACTOR = 0.25
+
+@dataclass(frozen=True)
+class StabilityFactors:
+    """Factors of the smallest tool mass of a stable explicit coupling; the derivation is above.
+
+    Attributes:
+        added_mass: tool mass over the added mass (k_step - k) dt2 of the tissue, 1.
+        stiffness: tool mass over the stiffness of the tissue times dt2, 1.
+    """
+
+    added_mass: float = 16.0 / 9.0
+    stiffness: float = 0.25
+
+
+_STABILITY = StabilityFactors()
 
 
 def least_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float) -> float:
@@ -39,11 +51,11 @@ def least_tool_mass(stiffness: Matrix, step_stiffness: Matrix | None, dt: float)
     """
     (kx, _, _, _, _, _), (_, ky, _, _, _, _), (_, _, kz, _, _, _), *_ = stiffness
     if step_stiffness is None:
-        return STIFFNESS_FACTOR * dt * dt * max(kx, ky, kz, 0.0)
+        return _STABILITY.stiffness * dt * dt * max(kx, ky, kz, 0.0)
     (sx, _, _, _, _, _), (_, sy, _, _, _, _), (_, _, sz, _, _, _), *_ = step_stiffness
-    own = STIFFNESS_FACTOR - ADDED_MASS_FACTOR
-    return dt * dt * max(own * kx + ADDED_MASS_FACTOR * sx, own * ky + ADDED_MASS_FACTOR * sy,
-                         own * kz + ADDED_MASS_FACTOR * sz, 0.0)
+    added_mass = _STABILITY.added_mass
+    own = _STABILITY.stiffness - added_mass
+    return dt * dt * max(own * kx + added_mass * sx, own * ky + added_mass * sy, own * kz + added_mass * sz, 0.0)
 
 
 class LightToolWarning(UserWarning):
@@ -83,8 +95,10 @@ class MotionCheck:
         """Register a step.
 
         Args:
-            x, y, z: translation of the tool in this step, m.
-            dt: s.
+            x: translation of the tool in this step along x, m.
+            y: translation of the tool in this step along y, m.
+            z: translation of the tool in this step along z, m.
+            dt: duration of the step, s.
             is_fast: whether the motion is fast enough to count as a reversal.
         """
         self.quiet += dt

@@ -66,7 +66,7 @@ def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) 
         raise InputError(f"no such file, expected {expected}; check the name and the folder", file=path) from None
     except (OSError, ValueError) as error:
         if isinstance(error, IsADirectoryError) or _is_folder(path):
-            raise _folder(path, expected) from None
+            raise _folder_error(path, expected) from None
         reason = getattr(error, "strerror", None) or error
         raise InputError(f"cannot be read ({reason}), expected {expected}; check the name and the permissions",
                          file=path) from error
@@ -75,7 +75,7 @@ def open_file(path: str | Path, expected: str, largest: int = LIMITS.recording) 
         return file
     file.close()
     if stat.S_ISDIR(found.st_mode):
-        raise _folder(path, expected)
+        raise _folder_error(path, expected)
     if not stat.S_ISREG(found.st_mode):
         raise InputError(f"is a pipe, socket or device, expected {expected} in a file; save it as one", file=path)
     raise InputError(f"has {found.st_size / 1e6:.3g} MB, expected {expected} of at most {largest / 1e6:g} MB; use a "
@@ -89,7 +89,7 @@ def _is_folder(path: Path) -> bool:
         return False
 
 
-def _folder(path: Path, expected: str) -> InputError:
+def _folder_error(path: Path, expected: str) -> InputError:
     return InputError(f"is a folder, expected {expected}; name a file in it", file=path)
 
 

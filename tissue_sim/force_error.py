@@ -6,10 +6,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-#: An error above this fraction of the largest force gives a warning.
-WORTH_A_WARNING = 0.025
-#: The range of samples named in the warning is where the error exceeds this fraction of its maximum.
-_RANGE_FRACTION = 0.5
+
+@dataclass(frozen=True)
+class ForceErrorSettings:
+    """Settings of the warning of an inaccurate force.
+
+    Attributes:
+        warning_fraction: error over the largest force above which a warning is given, 1.
+        range_fraction: the warning names the range of samples where the error exceeds this fraction of its maximum, 1.
+    """
+
+    warning_fraction: float = 0.025
+    range_fraction: float = 0.5
+
+
+#: Settings of all simulations.
+FORCE_ERROR = ForceErrorSettings()
 
 
 @dataclass(frozen=True)
@@ -28,7 +40,7 @@ class ForceError:
     shorter: bool = False
 
     def in_words(self, displacement: np.ndarray, remedy: str) -> str:
-        """The warning in words.
+        """Return the text of the warning: size of the error, range of the displacement, and remedy.
 
         Args:
             displacement: of all samples, m, shape (n,).
@@ -87,7 +99,7 @@ def force_error(force: np.ndarray, samples: np.ndarray, other: np.ndarray, fract
         return None
     error = fraction * abs(force[samples] - other) / largest
     worst = first = last = int(np.argmax(error))
-    is_large = error > _RANGE_FRACTION * error[worst]
+    is_large = error > FORCE_ERROR.range_fraction * error[worst]
     while first > 0 and is_large[first - 1]:
         first -= 1
     while last + 1 < samples.size and is_large[last + 1]:

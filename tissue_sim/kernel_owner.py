@@ -44,7 +44,7 @@ def exclusive(method: _Method) -> _Method:
     @wraps(method)
     def guarded(self: Any, *args: Any, **kwargs: Any) -> Any:
         if not self._guard.acquire(blocking=False):
-            raise busy(self)
+            raise busy_error(self)
         try:
             return method(self, *args, **kwargs)
         finally:
@@ -52,7 +52,7 @@ def exclusive(method: _Method) -> _Method:
     return cast("_Method", guarded)
 
 
-def busy(owner: object) -> BusyError:
+def busy_error(owner: object) -> BusyError:
     """Make the error of a simultaneous call."""
     name = type(owner).__name__
     return BusyError(f"{name} was called from two threads at the same time ({threading.current_thread().name} came "

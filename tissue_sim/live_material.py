@@ -2,15 +2,29 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.material.material import Material
 from tissue_sim.parameters import parameters
 
-#: Smallest shear modulus of a real-time simulation, Pa; softer than any gel.
-SOFTEST = 1e-2
-#: Largest modulus, Pa; stiffer than any tissue.
-STIFFEST = 1e9
+
+@dataclass(frozen=True)
+class ModulusRange:
+    """Moduli that a real-time simulation accepts.
+
+    Attributes:
+        smallest: smallest shear modulus, Pa; softer than any gel.
+        largest: largest modulus, Pa; stiffer than any tissue.
+    """
+
+    smallest: float = 1e-2
+    largest: float = 1e9
+
+
+#: Range of every real-time simulation.
+MODULI = ModulusRange()
 
 
 def require_live(experiment: Experiment) -> None:
@@ -31,14 +45,15 @@ def require_tissue(material: Material) -> None:
     """Check that the moduli of a material are in the range of tissues and gels.
 
     Raises:
-        InputError: a modulus above `STIFFEST`, or a shear modulus below `SOFTEST`.
+        InputError: a modulus above `ModulusRange.largest`, or a shear modulus below `ModulusRange.smallest`.
     """
     for each in parameters(material).values():
-        if each.declaration.unit == "Pa" and not abs(each.value) <= STIFFEST:
-            raise InputError(f"must be at most {STIFFEST:g} Pa; got {each.value:g} Pa.",
+        if each.declaration.unit == "Pa" and not abs(each.value) <= MODULI.largest:
+            raise InputError(f"must be at most {MODULI.largest:g} Pa; got {each.value:g} Pa.",
                              field=each.path)
-    if not SOFTEST <= material.mu0 <= STIFFEST:
-        raise InputError(f"must give a shear modulus of {SOFTEST:g} to {STIFFEST:g} Pa; got {material.mu0:g} Pa.",
+    if not MODULI.smallest <= material.mu0 <= MODULI.largest:
+        raise InputError(f"must give a shear modulus of {MODULI.smallest:g} to {MODULI.largest:g} Pa; got "
+                         f"{material.mu0:g} Pa.",
                          field="parameters")
 
 

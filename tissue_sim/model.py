@@ -1,4 +1,4 @@
-"""Model: experiment, material and rig."""
+"""Complete model of a test: experiment, material and rig."""
 
 from __future__ import annotations
 
@@ -18,6 +18,14 @@ class Model:
         experiment: specimen, tool, interfaces and protocol.
         material: material of the tissue.
         rig: load frame and sensor.
+
+    Examples:
+        >>> from tissue_sim import KINDS, Bulk, Protocol, Specimen, simulate
+        >>> plates = KINDS["lubricated_compression"].experiment(
+        ...     specimen=Specimen(0.040, 0.070), protocol=Protocol.ramp(0.007, points=3))
+        >>> model = Model(plates, Material("neo_hooke", {"C10": 1000.0}, Bulk("bulk_ratio", 1e3)))
+        >>> simulate(model).force.round(2)  # N
+        array([0.  , 1.59, 3.36])
     """
 
     depends_on_way = OldName("is_path_dependent")

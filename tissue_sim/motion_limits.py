@@ -24,14 +24,14 @@ def checked_pose(pose: float | Pose) -> Pose:
     if type(pose) is float:
         return Pose((0.0, 0.0, -pose))
     if isinstance(pose, str | bytes):
-        raise _not_a_pose(pose)
+        raise _pose_error(pose)
     try:
         return Pose.at_depth(float(pose))
     except (TypeError, ValueError, OverflowError):
-        raise _not_a_pose(pose) from None
+        raise _pose_error(pose) from None
 
 
-def _not_a_pose(pose: object) -> InputError:
+def _pose_error(pose: object) -> InputError:
     return InputError(f"must be a Pose, or a depth in m; got {pose!r}. Write Pose((x, y, z), (w, x, y, z)).",
                       field="pose")
 

@@ -45,10 +45,10 @@ def run_packed(task: bytes) -> Any:
 def _is_installed(module: str) -> bool:
     """Whether every worker can import the module."""
     package = module.partition(".")[0]
-    return package in sys.stdlib_module_names or package in _packages()
+    return package in sys.stdlib_module_names or package in _list_importable_packages()
 
 
 @cache
-def _packages() -> frozenset[str]:
+def _list_importable_packages() -> frozenset[str]:
     # The packages of this program are importable also if they run from their sources.
     return frozenset(packages_distributions()) | {"tissue_sim", "calibration", "haptics", "scenes"}

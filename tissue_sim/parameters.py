@@ -27,7 +27,7 @@ Part = TypeVar("Part")
 
 @dataclass(frozen=True)
 class Declaration:
-    """Declaration of a parameter.
+    """Description of a parameter: symbol, unit, key in files, bounds.
 
     Attributes:
         symbol: symbol in reports, such as ``g``.
@@ -52,7 +52,7 @@ class Declaration:
 
 @dataclass(frozen=True)
 class Parameter:
-    """Parameter of one model.
+    """Parameter of a model, with its path, declaration and value.
 
     Attributes:
         path: path from the part that was searched.
@@ -108,11 +108,11 @@ def declaration(entry: Field) -> Declaration | None:
 
 
 def declared(kind: type) -> dict[str, Declaration]:
-    """Declarations of a dataclass by field, in order."""
+    """Return the declarations of the parameters of a dataclass by field name, in the order of the fields."""
     return {entry.name: what for entry in fields(kind) if (what := declaration(entry)) is not None}
 
 
-def declaring(base: type) -> Callable[[Any], bool]:
+def accepts_declared(base: type) -> Callable[[Any], bool]:
     """Return a check for registries: whether an object is a dataclass that derives from `base` and has parameters."""
     return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
                          and bool(declared(kind)))
@@ -120,12 +120,18 @@ def declaring(base: type) -> Callable[[Any], bool]:
 
 def parameters(part: Any) -> dict[str, Parameter]:
     """Return all parameters of a part (`Model`, `Material`, `Experiment`, `Rig`, ...) by path."""
-    return {each.path: each for each in _walk(part, "")}
+    return {each.path: each for each in _iterate_parameters(part, "")}
 
 
 def parameter_values(part: Any) -> dict[str, float]:
-    """Return the values of all parameters of a part by path, SI."""
-    return {each.path: each.value for each in _walk(part, "")}
+    """Return the values of all parameters of a part by path, SI.
+
+    Examples:
+        >>> from tissue_sim import Layer, Material
+        >>> parameter_values(Material("neo_hooke", {"C10": 1000.0}, layers=(Layer(0.004, 2.0),)))
+        {'C10': 1000.0, 'layers[0].thickness': 0.004, 'layers[0].ratio': 2.0}
+    """
+    return {each.path: each.value for each in _iterate_parameters(part, "")}
 
 
 def value(part: Any, path: str) -> float:
@@ -133,6 +139,11 @@ def value(part: Any, path: str) -> float:
 
     Raises:
         InputError: an unknown path; the message names the nearest.
+
+    Examples:
+        >>> from tissue_sim import Material
+        >>> value(Material("neo_hooke", {"C10": 1000.0}), "C10")
+        1000.0
     """
     known = parameters(part)
     if path not in known:
@@ -154,7 +165,7 @@ def _find(model: Any, name: str, known: Mapping[str, Parameter]) -> Parameter:
     for path in (name, f"material.{name}"):
         if path in known:
             return known[path]
-        word = _at(model, path)
+        word = _find_part(model, path)
         if isinstance(word, str):
             raise InputError(f"must be a number to be changed; got {word!r}.", field=name)
     raise InputError(f"unknown parameter{nearest(name, [path.removeprefix('material.') for path in known])}",
@@ -170,21 +181,32 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
 
     Raises:
         InputError: an unknown path (the message names the nearest), or an invalid value.
+
+    Examples:
+        >>> from tissue_sim import Material
+        >>> stiffer = with_values(Material("neo_hooke", {"C10": 1000.0}), {"C10": 1500.0})
+        >>> stiffer.mu0
+        3000.0
     """
     tree: dict = {}
     for path, number in values.items():
         *outer, last = tokens(path)
-        if not _has(_at(part, path.rpartition(".")[0]), last):
+        if not _has(_find_part(part, path.rpartition(".")[0]), last):
             raise InputError(f"there is no parameter {path!r}{nearest(path, parameters(part))}", field="parameters")
         branch = tree
         for token in outer:
             branch = branch.setdefault(token, {})
         branch[last] = float(number)
-    return _changed(part, tree)
+    return _replace_values(part, tree)
 
 
 def tokens(path: str) -> list[str | int]:
-    """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``."""
+    """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``.
+
+    Examples:
+        >>> tokens("terms[0].g")
+        ['terms', 0, 'g']
+    """
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
 
 
@@ -222,7 +244,7 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **othe
         raise InputError(refused.problem, field=".".join(filter(None, (field, named)))) from None
 
 
-def _at(part: Any, path: str) -> Any:
+def _find_part(part: Any, path: str) -> Any:
     """Object at a path, the part itself at the empty path; None if there is none."""
     for token in tokens(path):
         if isinstance(token, int):
@@ -236,29 +258,29 @@ def _has(part: Any, name: str | int) -> bool:
     """Whether the part itself, not one below it, has a parameter of the name."""
     if not is_dataclass(part):
         return False
-    return any(each.path == name for each in _parameters_of(part, ""))
+    return any(each.path == name for each in _iterate_own_parameters(part, ""))
 
 
-def _walk(part: Any, place: str) -> Iterator[Parameter]:
+def _iterate_parameters(part: Any, place: str) -> Iterator[Parameter]:
     """Yield every parameter of a part and of the parts below it."""
-    yield from _parameters_of(part, place)
+    yield from _iterate_own_parameters(part, place)
     for entry in fields(part):
         content = getattr(part, entry.name)
         if declaration(entry) is not None:
             continue
         if is_dataclass(content):
-            yield from _walk(content, f"{place}{entry.name}.")
+            yield from _iterate_parameters(content, f"{place}{entry.name}.")
         elif isinstance(content, tuple) and content and all(map(is_dataclass, content)):
             for index, item in enumerate(content):
-                yield from _walk(item, f"{place}{entry.name}[{index}].")
+                yield from _iterate_parameters(item, f"{place}{entry.name}[{index}].")
         elif isinstance(content, Mapping) and content and all(map(is_dataclass, content.values())):
             for name, item in content.items():
-                yield from _walk(item, f"{place}{entry.name}.{name}.")
+                yield from _iterate_parameters(item, f"{place}{entry.name}.{name}.")
 
 
-def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
+def _iterate_own_parameters(part: Any, place: str) -> Iterator[Parameter]:
     """Yield the parameters of a part itself."""
-    if _states_its_own(part):
+    if _has_own_parameters(part):
         for name, (what, number) in part.own_parameters().items():
             yield Parameter(place + name, what, number, type(part))
     for entry in fields(part):
@@ -270,23 +292,24 @@ def _parameters_of(part: Any, place: str) -> Iterator[Parameter]:
                 yield Parameter(place + entry.name, stated, float(content), type(part))
 
 
-def _states_its_own(part: Any) -> TypeGuard[HasParameters]:
-    return _of_a_kind_that_does(type(part))  # type: ignore[arg-type]
+def _has_own_parameters(part: Any) -> TypeGuard[HasParameters]:
+    return _is_parameter_class(type(part))  # type: ignore[arg-type]
 
 
 @cache
-def _of_a_kind_that_does(kind: type) -> bool:
+def _is_parameter_class(kind: type) -> bool:
     """Whether a class implements `HasParameters`; cached, because `issubclass` with a protocol is slow."""
     return issubclass(kind, HasParameters)
 
 
-def _changed(part: Any, tree: Mapping[Any, Any]) -> Any:
+def _replace_values(part: Any, tree: Mapping[Any, Any]) -> Any:
     if isinstance(part, tuple):
-        return tuple(_changed(item, tree[index]) if index in tree else item for index, item in enumerate(part))
+        return tuple(_replace_values(item, tree[index]) if index in tree else item for index, item in enumerate(part))
     if isinstance(part, Mapping):
-        return {name: _changed(item, tree[name]) if name in tree else item for name, item in part.items()}
-    changes = {name: _changed(getattr(part, name), sub) if isinstance(sub, dict) else sub for name, sub in tree.items()}
-    if _states_its_own(part):
+        return {name: _replace_values(item, tree[name]) if name in tree else item for name, item in part.items()}
+    changes = {name: _replace_values(getattr(part, name), sub) if isinstance(sub, dict) else sub
+               for name, sub in tree.items()}
+    if _has_own_parameters(part):
         own = {name: changes.pop(name) for name in part.own_parameters() if name in changes}
         if own:
             return part.with_own_parameters(own, **changes)

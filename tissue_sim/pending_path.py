@@ -108,24 +108,24 @@ class PendingPath:
         """
         if len(self.ticks) < 2:
             return
-        count = self._straight(start, radius, tolerance, timed)
+        count = self._count_straight_ticks(start, radius, tolerance, timed)
         if len(self.ticks) - count >= MOST_TICKS:
             count, self.lost = len(self.ticks) - MOST_TICKS + 1, lasts
         if count > 1:
             merged = self.ticks[:count]
             self.ticks[:count] = [replace(merged[-1], dt=sum(tick.dt for tick in merged))]
 
-    def _straight(self, start: Pose, radius: float, tolerance: float, timed: bool) -> int:
+    def _count_straight_ticks(self, start: Pose, radius: float, tolerance: float, timed: bool) -> int:
         """Number of the first ticks in which the tool moves along one line."""
         count, before = 1, start
         passed: list[float] = []
         for number, tick in enumerate(self.ticks):
-            length = tick.dt if timed else _distance(before, tick.pose, radius)
+            length = tick.dt if timed else _pose_distance(before, tick.pose, radius)
             passed.append(length + (passed[-1] if passed else 0.0))
             before, total = tick.pose, passed[-1]
             if number and self.ticks[number - 1].touches:
                 break
-            away = max(_distance(between(start, tick.pose, at / total if total else 0.0), skipped.pose, radius)
+            away = max(_pose_distance(between(start, tick.pose, at / total if total else 0.0), skipped.pose, radius)
                        for at, skipped in zip(passed, self.ticks, strict=False))
             if away > tolerance:
                 break
@@ -150,6 +150,6 @@ class PendingPath:
             self.ticks[0] = replace(first, dt=max(0.0, first.dt - dt))
 
 
-def _distance(one: Pose, other: Pose, radius: float) -> float:
+def _pose_distance(one: Pose, other: Pose, radius: float) -> float:
     x, y, z, a, b, c = motion(one, other)
     return math.hypot(x, y, z) + radius * math.hypot(a, b, c)

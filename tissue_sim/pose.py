@@ -14,25 +14,41 @@ Quaternion = tuple[float, float, float, float]
 #: Translation (or force) along x, y, z, then rotation (or torque) about them.
 Screw = tuple[float, float, float, float, float, float]
 
-#: Largest difference between the length of a quaternion and 1. Poses of logs and trackers differ by up to 1e-4.
-LENGTH_TOLERANCE = 1e-3
-#: A quaternion whose length differs from 1 by less is kept bit for bit.
-_ROUNDING = 1e-12
 #: Orientation of an upright tool.
 NO_ROTATION: Quaternion = (1.0, 0.0, 0.0, 0.0)
-#: Sine of half an angle below which orientations are interpolated linearly.
-_SMALL = 1e-9
+
+
+@dataclass(frozen=True)
+class QuaternionTolerances:
+    """Tolerances of orientations.
+
+    Attributes:
+        length: largest difference between the length of a quaternion and 1, 1. Poses of logs and trackers differ by up
+            to 1e-4.
+        rounding: a quaternion whose length differs from 1 by less is kept bit for bit, 1.
+        small_sine: sine of half an angle below which orientations are interpolated linearly, 1.
+    """
+
+    length: float = 1e-3
+    rounding: float = 1e-12
+    small_sine: float = 1e-9
+
+
+#: Tolerances of all poses.
+QUATERNION = QuaternionTolerances()
 
 
 @dataclass(frozen=True, slots=True)
 class Pose:
-    """Position and orientation of the tool in the frame of the scene: origin at the centre of the undeformed top, z out
-    of the tissue.
+    """Position and orientation of the tool in the frame of the scene.
+
+    The origin of the frame is the centre of the undeformed top; z points out of the tissue.
 
     Attributes:
         position: of the tool's deepest point, x, y, z, m.
-        orientation: quaternion (w, x, y, z), normalised if its length is within `LENGTH_TOLERANCE` of 1. Numbers that
-            are not finite are kept: a tissue refuses such a pose and keeps its state (`ForceStatus.REFUSED`).
+        orientation: quaternion (w, x, y, z), normalised if its length is within `QuaternionTolerances.length` of 1.
+            Numbers that are not finite are kept: a tissue refuses such a pose and keeps its state
+            (`ForceStatus.REFUSED`).
 
     Raises:
         InputError: position or orientation that is not a sequence of three or four numbers, or a quaternion of another
@@ -44,18 +60,19 @@ class Pose:
 
     def __post_init__(self):
         if type(self.position) is not tuple or len(self.position) != 3:
-            object.__setattr__(self, "position", _numbers(self.position, 3, "position", "x, y, z in m"))
+            object.__setattr__(self, "position", _convert_to_floats(self.position, 3, "position", "x, y, z in m"))
         if self.orientation is NO_ROTATION:
             return
         if type(self.orientation) is not tuple or len(self.orientation) != 4:
-            object.__setattr__(self, "orientation", _numbers(self.orientation, 4, "orientation", "w, x, y, z"))
+            numbers = _convert_to_floats(self.orientation, 4, "orientation", "w, x, y, z")
+            object.__setattr__(self, "orientation", numbers)
         try:
             w, x, y, z = self.orientation
             length = math.sqrt(w * w + x * x + y * y + z * z)
         except TypeError:
-            raise _not_numbers(self.orientation, 4, "orientation", "w, x, y, z") from None
+            raise _numbers_error(self.orientation, 4, "orientation", "w, x, y, z") from None
         excess = length - 1.0
-        if -_ROUNDING < excess < _ROUNDING:
+        if -QUATERNION.rounding < excess < QUATERNION.rounding:
             return
         if not math.isfinite(length):
             if not all(map(math.isfinite, self.orientation)):
@@ -63,15 +80,20 @@ class Pose:
             length = math.hypot(w, x, y, z)  # the squares overflow; hypot scales them
             excess = length - 1.0
         # NaN is refused, too: where denormal numbers are flushed to zero, hypot of huge components is NaN.
-        if not abs(excess) <= LENGTH_TOLERANCE:
+        if not abs(excess) <= QUATERNION.length:
             raise InputError(f"must be a unit quaternion (w, x, y, z), of length 1 within "
-                             f"{LENGTH_TOLERANCE:g}; got length {_length_text(length)}. Divide it by its length.",
+                             f"{QUATERNION.length:g}; got length {_format_length(length)}. Divide it by its length.",
                              field="orientation")
         object.__setattr__(self, "orientation", (w / length, x / length, y / length, z / length))
 
     @classmethod
     def at_depth(cls, depth: float) -> Pose:
-        """Make the pose of an upright tool on the axis of the scene at a depth, m."""
+        """Make the pose of an upright tool on the axis of the scene at a depth, m.
+
+        Examples:
+            >>> Pose.at_depth(0.002)
+            Pose(position=(0.0, 0.0, -0.002), orientation=(1.0, 0.0, 0.0, 0.0))
+        """
         return cls((0.0, 0.0, -depth))
 
     @property
@@ -93,28 +115,28 @@ class Pose:
         return math.isfinite(sum(self.position) + sum(self.orientation))
 
 
-def _numbers(values: object, count: int, field: str, names: str) -> tuple[float, ...]:
+def _convert_to_floats(values: object, count: int, field: str, names: str) -> tuple[float, ...]:
     """Convert a sequence of numbers to a tuple of floats.
 
     Raises:
         InputError: another type, or another number of entries.
     """
     if isinstance(values, str | bytes):
-        raise _not_numbers(values, count, field, names)
+        raise _numbers_error(values, count, field, names)
     try:
         numbers = tuple(map(float, values))  # type: ignore[call-overload]
     except (TypeError, ValueError, OverflowError):
-        raise _not_numbers(values, count, field, names) from None
+        raise _numbers_error(values, count, field, names) from None
     if len(numbers) != count:
-        raise _not_numbers(values, count, field, names)
+        raise _numbers_error(values, count, field, names)
     return numbers
 
 
-def _not_numbers(values: object, count: int, field: str, names: str) -> InputError:
+def _numbers_error(values: object, count: int, field: str, names: str) -> InputError:
     return InputError(f"must be {count} numbers, {names}; got {values!r}.", field=field)
 
 
-def _length_text(length: float) -> str:
+def _format_length(length: float) -> str:
     """Text of a length with four significant digits of its difference from 1."""
     if not 0.5 < length < 2.0:
         return f"{length:.4g}"
@@ -129,19 +151,24 @@ def scaled(factor: float, screw: Screw) -> Screw:
 
 
 def added(one: Screw, other: Screw) -> Screw:
-    """Add two screws."""
+    """Return the sum of two screws."""
     (x, y, z, u, v, w), (a, b, c, d, e, f) = one, other
     return (x + a, y + b, z + c, u + d, v + e, w + f)
 
 
 def motion(start: Pose, end: Pose) -> Screw:
-    """Return the motion between two poses: translation, m, and rotation vector, rad, in the frame of the scene."""
+    """Return the motion between two poses: translation, m, and rotation vector, rad, in the frame of the scene.
+
+    Examples:
+        >>> motion(Pose.at_depth(0.0), Pose.at_depth(0.002))
+        (0.0, 0.0, -0.002, 0.0, 0.0, 0.0)
+    """
     (x0, y0, z0), (x1, y1, z1) = start.position, end.position
     if start.orientation == end.orientation:
         return (x1 - x0, y1 - y0, z1 - z0, 0.0, 0.0, 0.0)
-    w, x, y, z = _relative(start.orientation, end.orientation)
+    w, x, y, z = _relative_rotation(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
-    factor = 2.0 if sine < _SMALL else 2.0 * math.atan2(sine, w) / sine
+    factor = 2.0 if sine < QUATERNION.small_sine else 2.0 * math.atan2(sine, w) / sine
     return (x1 - x0, y1 - y0, z1 - z0, factor * x, factor * y, factor * z)
 
 
@@ -149,10 +176,15 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     """Interpolate between two poses: linearly in position, and at constant angular velocity about one axis.
 
     Args:
-        start, end: poses.
+        start: first pose.
+        end: last pose.
         share: fraction of the motion, 0 to 1; at 1 the result is `end` itself.
 
     Source: Shoemake, SIGGRAPH 1985, spherical linear interpolation.
+
+    Examples:
+        >>> between(Pose.at_depth(0.0), Pose.at_depth(0.002), 0.5).position
+        (0.0, 0.0, -0.001)
     """
     if share == 1.0:
         return end
@@ -160,12 +192,12 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
     position = (x0 + share * (x1 - x0), y0 + share * (y1 - y0), z0 + share * (z1 - z0))
     if start.orientation == end.orientation:
         return Pose(position, start.orientation)
-    w, x, y, z = _relative(start.orientation, end.orientation)
+    w, x, y, z = _relative_rotation(start.orientation, end.orientation)
     sine = math.sqrt(x * x + y * y + z * z)
     half = share * math.atan2(sine, w)
-    factor = share if sine < _SMALL else math.sin(half) / sine
+    factor = share if sine < QUATERNION.small_sine else math.sin(half) / sine
     turn = (math.cos(half), factor * x, factor * y, factor * z)
-    return Pose(position, _product(turn, start.orientation))
+    return Pose(position, _multiply_quaternions(turn, start.orientation))
 
 
 def turned(pose: Pose, rotation: Vector) -> Pose:
@@ -174,14 +206,14 @@ def turned(pose: Pose, rotation: Vector) -> Pose:
     if angle == 0.0:
         return pose
     x, y, z = (math.sin(0.5 * angle) * part / angle for part in rotation)
-    return Pose(pose.position, _product((math.cos(0.5 * angle), x, y, z), pose.orientation))
+    return Pose(pose.position, _multiply_quaternions((math.cos(0.5 * angle), x, y, z), pose.orientation))
 
 
 def twist_about_axis(orientation: Quaternion) -> Quaternion | None:
     """Rotation about the tool's own axis that a quaternion contains (swing-twist decomposition); None: no rotation."""
     w, _, _, z = orientation
     size = math.hypot(w, z)
-    if size < _SMALL or abs(z) < _ROUNDING * size:
+    if size < QUATERNION.small_sine or abs(z) < QUATERNION.rounding * size:
         return None
     return (w / size, 0.0, 0.0, z / size)
 
@@ -191,12 +223,12 @@ def without_twist(pose: Pose, twist: Quaternion | None) -> Pose:
     if twist is None:
         return pose
     w, _, _, z = twist
-    return Pose(pose.position, _product(pose.orientation, (w, 0.0, 0.0, -z)))
+    return Pose(pose.position, _multiply_quaternions(pose.orientation, (w, 0.0, 0.0, -z)))
 
 
 def with_twist(pose: Pose, twist: Quaternion | None) -> Pose:
     """Inverse of `without_twist`."""
-    return pose if twist is None else Pose(pose.position, _product(pose.orientation, twist))
+    return pose if twist is None else Pose(pose.position, _multiply_quaternions(pose.orientation, twist))
 
 
 def raised(pose: Pose, height: float) -> Pose:
@@ -205,17 +237,17 @@ def raised(pose: Pose, height: float) -> Pose:
     return Pose((x, y, z + height), pose.orientation)
 
 
-def _relative(start: Quaternion, end: Quaternion) -> Quaternion:
+def _relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion:
     """Rotation from one orientation to another, by at most half a turn."""
     w, x, y, z = start
-    relative = _product(end, (w, -x, -y, -z))
+    relative = _multiply_quaternions(end, (w, -x, -y, -z))
     if relative[0] >= 0.0:
         return relative
     w, x, y, z = relative
     return (-w, -x, -y, -z)
 
 
-def _product(left: Quaternion, right: Quaternion) -> Quaternion:
+def _multiply_quaternions(left: Quaternion, right: Quaternion) -> Quaternion:
     a, b, c, d = left
     e, f, g, h = right
     return (a * e - b * f - c * g - d * h, a * f + b * e + c * h - d * g,

@@ -11,16 +11,14 @@ from typing import Protocol
 from tissue_sim.fem.solver import ResolutionLevel
 from tissue_sim.tool_force import ToolForce
 
-#: Time step of the test motion, s.
-TICK = 1e-3
-
 
 @dataclass(frozen=True)
 class TestMotion:
     """Test motion by which the time of a tick is measured: a cosine in depth.
 
     Attributes:
-        ticks: number of time steps of `TICK`.
+        ticks: number of time steps.
+        tick: time step, s.
         period: of the motion, s.
         depth_fraction: largest depth of the motion over the largest depth of the protocol, 1.
         lift_fraction: largest height above the tissue over the largest depth of the protocol, 1.
@@ -30,13 +28,15 @@ class TestMotion:
     __test__ = False  # for pytest
 
     ticks: int = 300
+    tick: float = 1e-3
     period: float = 0.15
     depth_fraction: float = 0.5
     lift_fraction: float = 0.05
     in_time: float = 0.99
 
 
-_MOTION = TestMotion()
+#: Motion of every measurement.
+MOTION = TestMotion()
 #: Least ratio of the time of a tick of a finer mesh to that of the next coarser mesh.
 _LEAST_COST_RATIO = 1.5
 
@@ -58,18 +58,18 @@ def measure_tick(simulator: Stepped, depth: float, *, lifts: bool, budget: float
         budget: s; the result is infinity as soon as more than 1 % of the ticks took longer, so that a mesh that is too
             fine is rejected early.
     """
-    height = _MOTION.lift_fraction * depth if lifts else 0.0
+    height = MOTION.lift_fraction * depth if lifts else 0.0
     spent: list[float] = []
-    slow, most = 0, _MOTION.ticks - math.ceil(_MOTION.in_time * _MOTION.ticks)
-    for k in range(_MOTION.ticks):
-        swing = 0.5 - 0.5 * math.cos(2.0 * math.pi * k * TICK / _MOTION.period)
+    slow, most = 0, MOTION.ticks - math.ceil(MOTION.in_time * MOTION.ticks)
+    for k in range(MOTION.ticks):
+        swing = 0.5 - 0.5 * math.cos(2.0 * math.pi * k * MOTION.tick / MOTION.period)
         began = time.thread_time()
-        simulator.step((_MOTION.depth_fraction * depth + height) * swing - height, TICK)
+        simulator.step((MOTION.depth_fraction * depth + height) * swing - height, MOTION.tick)
         spent.append(time.thread_time() - began)
         slow += spent[-1] > budget
         if slow > most:
             return math.inf
-    return sorted(spent)[math.ceil(_MOTION.in_time * _MOTION.ticks) - 1]
+    return sorted(spent)[math.ceil(MOTION.in_time * MOTION.ticks) - 1]
 
 
 def choose_level(levels: Sequence[ResolutionLevel], start: int, budget: float,

@@ -64,10 +64,10 @@ class Registry(Mapping[str, T], Generic[T]):
                 module, _, attribute = thing.partition(":")
                 thing = self._things[name] = getattr(import_module(module), attribute)
             return thing
-        thing = self._things[name] = self._checked(name, self._installed[name].load())
+        thing = self._things[name] = self._check_entry(name, self._installed[name].load())
         return thing
 
-    def _checked(self, name: str, thing: T) -> T:
+    def _check_entry(self, name: str, thing: T) -> T:
         if not self._accepts(thing):
             raise InputError(f"{name!r} is not a valid {self.what}; give {self._expected}", field=self.group)
         return thing
@@ -90,6 +90,11 @@ class Registry(Mapping[str, T], Generic[T]):
 
         Raises:
             InputError: no object has the name; the message names the nearest.
+
+        Examples:
+            >>> from tissue_sim.experiment.tools.tool import TOOLS
+            >>> TOOLS.find("flat").name
+            'flat'
         """
         if name not in self:
             raise InputError(f"unknown {self.what} {name!r}{nearest(str(name), self)}", field=field)
@@ -114,7 +119,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 return thing
             raise InputError(f"the name {name!r} is taken by another {self.what}; give yours another name",
                              field=self.group)
-        self._things[name] = self._added[name] = self._checked(name, thing)
+        self._things[name] = self._added[name] = self._check_entry(name, thing)
         return thing
 
     def unregister(self, name: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solver import SOLVERS, Solver, Step, StepStatus
-from tissue_sim.force_error import WORTH_A_WARNING, ForceError, coarse_samples, force_error
+from tissue_sim.force_error import FORCE_ERROR, ForceError, coarse_samples, force_error
 from tissue_sim.laws import check_stability
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
@@ -85,8 +85,8 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     with its own load train; fields are those of the bonded one. The law's stress is linear between samples.
 
     The error of the force is estimated from a second solution on another mesh with every second sample, if the solver
-    has such a mesh; more than `force_error.WORTH_A_WARNING` of the largest force gives a warning. The estimate doubles
-    the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
+    has such a mesh; more than `ForceErrorSettings.warning_fraction` of the largest force gives a warning. The estimate
+    doubles the time with ``"fast"`` and adds about a fifth with ``"accurate"``.
 
     Args:
         model: experiment, material, rig.
@@ -102,14 +102,13 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
 
     Returns:
         Recording at the times of the protocol, with its labels, as the rig reports it. The displacement is that along
-        the tool's direction of motion, and the force is the component opposite to this direction, as measured by a load
-        cell on the tool's stage. If the wrench has other components than a force along z, the channels Fx to Tz contain
-        it in the frame of the scene. ``metadata["solver"]`` contains status, message, warnings, force_error (estimated,
-        over the largest force; None if unknown), newton_iterations (linear solves), cuts, residual (the largest),
-        dissipated_J (by artificial damping), wall_s, element, mesh and resolution; with contact also penetration_mm
-        (the largest violation of a contact condition) and penetration_tolerance_mm; with friction slipping_points (the
-        largest number); for a specimen under its weight self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm,
-        moulded_height_mm}.
+        the tool's direction of motion, and the force is the component opposite to this direction, as a load cell on the
+        stage measures it. If the wrench has other components than a force along z, the channels Fx to Tz contain it in
+        the frame of the scene. ``metadata["solver"]`` contains status, message, warnings, force_error (over the largest
+        force; None if unknown), newton_iterations (linear solves), cuts, residual (the largest), dissipated_J (by
+        artificial damping), wall_s, element, mesh and resolution; with contact penetration_mm (the largest violation of
+        a contact condition) and penetration_tolerance_mm; with friction slipping_points (the largest number); with
+        self-weight self_weight {density_kg_m3, gravity_m_s2, height_is, sag_mm, moulded_height_mm}.
 
     Raises:
         ConvergenceError: the smallest step did not converge; `recording` contains the converged part.
@@ -156,7 +155,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     if progress:
         progress(0, protocol.displacement.size)
     drive, largest = _Drive(tissue, model), 0.0
-    for sample, (position, dt, steps) in enumerate(drive.along(np.arange(protocol.time.size))):
+    for sample, (position, dt, steps) in enumerate(drive.iterate_samples(np.arange(protocol.time.size))):
         for step in steps:
             report["newton_iterations"] += step.iterations
             report["cuts"] += step.status is not StepStatus.CONVERGED
@@ -172,7 +171,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             raise ConvergenceError(message, recording=record("not_converged", message) if wrenches else None,
                                    depth=depth)
         _note_largest(report, step)
-        wrenches.append(drive.arrive(step.wrench, dt))
+        wrenches.append(drive.register_sample(step.wrench, dt))
         if (size := math.hypot(*wrenches[-1][:3])) >= largest:
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
@@ -184,20 +183,20 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             progress(sample + 1, protocol.displacement.size)
     report["wall_s"] = time.perf_counter() - started  # without the error estimate
     if estimate_error and mesh is None:
-        found = _compare(tissue, model, np.array([model.experiment.resistance(one) for one in wrenches]), solver,
-                         resolution, topology, max(_SETTINGS.always_to_compare,
-                                                   _SETTINGS.most_to_compare * report["newton_iterations"]))
+        forces = np.array([model.experiment.resistance(one) for one in wrenches])
+        most = max(_SETTINGS.always_to_compare, _SETTINGS.most_to_compare * report["newton_iterations"])
+        found = _estimate_force_error(tissue, model, forces, solver, resolution, topology, most)
         if found is not None:
             report["force_error"] = found.fraction
-            if found.fraction > WORTH_A_WARNING:
+            if found.fraction > FORCE_ERROR.warning_fraction:
                 report["warnings"] = [found.in_words(protocol.displacement, _REMEDIES.get(resolution, _REMEDY)),
                                       *report["warnings"]]
     cuts = report["cuts"]
     return record("converged", f"converged at every sample{f', step cuts: {cuts}' if cuts else ''}")
 
 
-def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str, topology: Model | None,
-             most_solves: int) -> ForceError | None:
+def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solver: str, resolution: str,
+                          topology: Model | None, most_solves: int) -> ForceError | None:
     """Estimate the error of a force from a second solution on another mesh with other steps.
 
     If the error is worth a warning, a third solution with half the steps on the other mesh is used as well.
@@ -206,7 +205,9 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
         tissue: solver of the first solution.
         model: model of the test.
         force: force of the first solution at each sample, N, shape (n,).
-        solver, resolution, topology: as in `simulate`.
+        solver: as in `simulate`.
+        resolution: as in `simulate`.
+        topology: as in `simulate`.
         most_solves: largest number of linear solves of the second solution.
 
     Returns:
@@ -225,19 +226,19 @@ def _compare(tissue: Solver, model: Model, force: np.ndarray, solver: str, resol
                            along, tolerance=_SETTINGS.rough_tolerance)
         except ConvergenceError:
             return np.zeros(0)
-        for _, dt, steps in drive.along(np.arange(samples.size)):
+        for _, dt, steps in drive.iterate_samples(np.arange(samples.size)):
             for step in steps:
                 solves += step.iterations
             if step.status is not StepStatus.CONVERGED or solves > most_solves:
                 break
-            other.append(model.experiment.resistance(drive.arrive(step.wrench, dt)))
+            other.append(model.experiment.resistance(drive.register_sample(step.wrench, dt)))
         return np.array(other)
 
     samples = coarse_samples(protocol.displacement)
     other = forces(samples)
     common = np.flatnonzero(samples[:other.size] % 1.0 == 0.0)
     found = force_error(force, samples[common].astype(int), other[common], estimate.fraction)
-    if found is None or found.fraction <= WORTH_A_WARNING:
+    if found is None or found.fraction <= FORCE_ERROR.warning_fraction:
         return found
     # A step in which contact begins again may err by many times more than a step half as long. Errors in proportion to
     # the step length, and the error of the mesh, are at most twice the difference to steps half as long.
@@ -254,7 +255,7 @@ def _note_largest(report: dict, step: Step) -> None:
             report[name] = max(report[name], value)
 
 
-def _times_from_touch(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
+def _find_times_from_touch(positions: np.ndarray, time: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the time of the motion to each position of the tool, s, and the index of the first sample in contact.
 
     For that sample only the time after the touch counts.
@@ -277,7 +278,7 @@ class _LoadTrain:
         """Register depth and force of a sample."""
         self._known = [*self._known[-1:], (depth, force)]
 
-    def expect(self, position: float) -> tuple[float, float]:
+    def predict_depth(self, position: float) -> tuple[float, float]:
         """Predict the depth of the next sample, and the slope of d + compliance F there, from the last two samples."""
         (d0, f0), (d1, f1) = self._known if len(self._known) == 2 else ((0.0, 0.0), (0.0, 0.0))
         growth = 1.0 + self.compliance * max(0.0, (f1 - f0) / (d1 - d0)) if d1 != d0 else 1.0
@@ -307,25 +308,25 @@ class _Drive:
         """Factor of effects in reduced form on the force at the present depth."""
         return self._reduced.share(self._solver.pose.depth)
 
-    def arrive(self, wrench: Screw, dt: float) -> Screw:
+    def register_sample(self, wrench: Screw, dt: float) -> Screw:
         """Register a converged sample, dt s after the last one; returns its wrench with effects in reduced form."""
         share = self._reduced.commit(self._solver.pose.depth, dt)
         wrench = scaled(share, wrench)
         self._train.note(self.travel, self._experiment.resistance(wrench))
         return wrench
 
-    def along(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
+    def iterate_samples(self, samples: np.ndarray) -> Iterator[tuple[float, float, Iterable[Step]]]:
         """Yield position, m, time since the last sample, s, and the steps, for samples of the protocol."""
         protocol = self._experiment.protocol
         positions = self._model.rig.tool_motion(protocol.displacement)[samples]
-        waits, first = _times_from_touch(positions, protocol.time[samples])
+        waits, first = _find_times_from_touch(positions, protocol.time[samples])
         for number, (position, dt) in enumerate(zip(positions.tolist(), waits.tolist(), strict=True)):
             if number < first:
                 # The tool is in the air: nothing is solved.
                 self.travel = min(position, 0.0)
-            yield position, dt, self.to(position, dt) if number >= first else [_NOTHING]
+            yield position, dt, self.iterate_steps_to(position, dt) if number >= first else [_NOTHING]
 
-    def to(self, position: float, dt: float) -> Iterator[Step]:
+    def iterate_steps_to(self, position: float, dt: float) -> Iterator[Step]:
         """Yield the steps to one sample; the last one is that of the sample.
 
         Args:
@@ -335,10 +336,10 @@ class _Drive:
         solver, train = self._solver, self._train
         if not train.compliance:
             self.travel = position
-            yield from _approach(solver, self._pose(position), dt, **self._options)
+            yield from _step_towards(solver, self._pose(position), dt, **self._options)
             return
         saved = solver.save()
-        depth, growth = train.expect(position)
+        depth, growth = train.predict_depth(position)
         before = None
         for trial in range(_SETTINGS.most_trials):
             # With cut steps friction takes another path in each trial, and the secant method does not converge: when
@@ -348,7 +349,7 @@ class _Drive:
             if trial and not near:
                 solver.restore(saved)
             self.travel = depth
-            for step in _approach(solver, self._pose(depth), 0.0 if near else dt, **self._options):
+            for step in _step_towards(solver, self._pose(depth), 0.0 if near else dt, **self._options):
                 yield step
             if step.status is not StepStatus.CONVERGED:
                 return
@@ -366,7 +367,7 @@ class _Drive:
         return self._solver.project_pose(self._experiment.tool_pose(travel))
 
 
-def _approach(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
+def _step_towards(solver: Solver, target: Pose, dt: float = 0.0, **options: Any) -> Iterator[Step]:
     """Yield steps to a pose along a rigid motion; a step is halved after a failure and doubled after a success.
 
     Args:

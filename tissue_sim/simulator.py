@@ -14,7 +14,7 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.explicit_coupling import MotionCheck
 from tissue_sim.fem.solver import SOLVERS, ResolutionLevel, Surface
-from tissue_sim.kernel_owner import KernelOwner, busy, exclusive
+from tissue_sim.kernel_owner import KernelOwner, busy_error, exclusive
 from tissue_sim.live_material import require_live, require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.material.material import Material
@@ -71,7 +71,7 @@ class Simulator(PathFollower, KernelOwner):
             number that fits into the budget, as measured by `warm_up`; without a budget no limit.
         strict_axis: whether an axisymmetric scene refuses a pose off its axis or tilted (`ForceStatus.REFUSED`),
             instead of marking the result (`ToolForce.is_on_axis`). The tolerances are
-            `tissue_sim.tool_track.AXIS_OFFSET` and `AXIS_ANGLE`.
+            `tissue_sim.tool_track.AxisTolerances`.
         limits: of poses and time steps; see `MotionLimits`.
 
     One thread at a time may call a simulator; simultaneous calls raise `BusyError`. It cannot be copied or pickled:
@@ -162,7 +162,7 @@ class Simulator(PathFollower, KernelOwner):
 
     @property
     def mesh(self) -> Any:
-        """The undeformed mesh."""
+        """Undeformed mesh of the specimen."""
         return self._solver.mesh
 
     @property
@@ -243,9 +243,18 @@ class Simulator(PathFollower, KernelOwner):
         Raises:
             InputError: a pose or a time that does not consist of numbers.
             BusyError: another thread is inside a call of this simulator.
+
+        Examples:
+            >>> from tissue_sim import KINDS, Bulk, Protocol, Specimen, Tool
+            >>> needle = KINDS["needle_indentation"].experiment(
+            ...     specimen=Specimen(0.040, 0.070), protocol=Protocol.ramp(0.002), tool=Tool("flat", radius=0.008))
+            >>> simulator = Simulator(Model(needle, Material("neo_hooke", {"C10": 1000.0}, Bulk("bulk_ratio", 1e3))))
+            >>> result = simulator.step(0.001, dt=0.001)
+            >>> result.status.name, round(result.force, 2)  # N
+            ('CONVERGED', 0.13)
         """
         if not self._guard.acquire(blocking=False):
-            raise busy(self)
+            raise busy_error(self)
         try:
             return self._step(checked_pose(pose), dt, time.perf_counter())
         finally:
@@ -256,12 +265,12 @@ class Simulator(PathFollower, KernelOwner):
         try:
             self.limits.require(pose, tool.pose, dt)
         except LimitError:
-            return self._refused(began)
+            return self._make_refused_result(began)
         seen = tool.untwisted(pose)
         target = solver.project_pose(seen)
         on_axis = target is seen or is_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
-            return replace(self._refused(began), is_on_axis=False)
+            return replace(self._make_refused_result(began), is_on_axis=False)
         tick, is_behind = dt, not self._pending.is_empty
         if not tool.touch.has_touched:
             first = tool.touch.height is None or tool.touch.height <= 0.0
@@ -287,7 +296,7 @@ class Simulator(PathFollower, KernelOwner):
         self._answer = answer if on_axis else replace(answer, is_on_axis=False)
         return self._answer
 
-    def _refused(self, began: float) -> ToolForce:
+    def _make_refused_result(self, began: float) -> ToolForce:
         return replace(self._answer, status=ForceStatus.REFUSED, iterations=0,
                        compute_time=time.perf_counter() - began)
 
@@ -306,8 +315,10 @@ class Simulator(PathFollower, KernelOwner):
 
     @exclusive
     def restore(self, state: SimulatorState) -> None:
-        """Restore a saved state, in this simulator or in one of the same solver, mesh, experiment and structure of the
-        material; the values of parameters may differ.
+        """Restore a saved state of this simulator or of a similar one.
+
+        The similar simulator has the same solver, mesh, experiment and structure of the material; the values of
+        parameters may differ.
 
         Raises:
             InputError: not a saved state, or one of another solver, mesh, experiment or material structure; nothing is

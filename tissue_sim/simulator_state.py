@@ -135,10 +135,10 @@ class StateOrigin:
         """Make the origin of the states of a model in a solver whose mesh has a digest."""
         experiment = {each.name: getattr(model.experiment, each.name) for each in fields(model.experiment)
                       if each.name != "protocol"}
-        return cls(solver, mesh, repr(experiment), structure(model.material))
+        return cls(solver, mesh, repr(experiment), describe_structure(model.material))
 
     def require(self, other: StateOrigin) -> None:
-        """Require an equal origin.
+        """Require that a state comes from the same solver, mesh, experiment and material structure.
 
         Raises:
             InputError: another solver, mesh, experiment or structure of the material.
@@ -150,18 +150,18 @@ class StateOrigin:
                                  "the simulator that saved it, or in a clone() of that one.", field="state")
 
 
-def structure(value: Any) -> str:
+def describe_structure(value: Any) -> str:
     """Text of a material without its numbers, name and bulk response, to compare structures."""
     if is_dataclass(value):
-        inner = [f"{each.name}={structure(getattr(value, each.name))}" for each in fields(value)
+        inner = [f"{each.name}={describe_structure(getattr(value, each.name))}" for each in fields(value)
                  if each.name not in ("name", "bulk", "parameters", "density", "source")]
         return f"{type(value).__name__}({', '.join(inner)})"
     if isinstance(value, Mapping):
-        return "{" + ", ".join(f"{key}: {structure(entry)}" for key, entry in sorted(value.items())) + "}"
+        return "{" + ", ".join(f"{key}: {describe_structure(entry)}" for key, entry in sorted(value.items())) + "}"
     if isinstance(value, str):
         return repr(value)
     if isinstance(value, Sequence):
-        return "[" + ", ".join(map(structure, value)) + "]"
+        return "[" + ", ".join(map(describe_structure, value)) + "]"
     return "None" if value is None else "number" if isinstance(value, Real) else type(value).__name__
 
 

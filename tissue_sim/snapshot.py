@@ -18,7 +18,7 @@ from tissue_sim.tool_force import Tissue
 
 @dataclass(frozen=True, eq=False)
 class Skin:
-    """Triangulated surface.
+    """Triangulated surface of the tissue, for drawing.
 
     Attributes:
         vertices: in the frame of the scene, m, shape (vertices, 3).
@@ -49,13 +49,13 @@ class Snapshot:
 
     @property
     def depth(self) -> float:
-        """Tool displacement, m."""
+        """Depth of the tool, m."""
         return self.pose.depth
 
     @property
     def in_space(self) -> bool:
         """Whether the tissue is three-dimensional, so that the tool may move sideways."""
-        return self.skin is not None or (self.fields is not None and _mesh_in_space(self.fields))
+        return self.skin is not None or (self.fields is not None and _has_solid_mesh(self.fields))
 
     @property
     def node_positions(self) -> np.ndarray:
@@ -74,28 +74,28 @@ class Snapshot:
         """Arrays that differ between snapshots of one tissue, besides pose and datum; empty without shared fields."""
         if self.skin is not None:
             return (self.skin.vertices,)
-        return self.fields.arrays() if _are_shared(self.fields) else ()
+        return self.fields.arrays() if _is_shared_fields(self.fields) else ()
 
     def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
         """Make another snapshot of this tissue from its `arrays`."""
         fields, skin = self.fields, self.skin
         if skin is not None:
             skin = replace(skin, vertices=arrays[0])
-        elif _are_shared(fields):
+        elif _is_shared_fields(fields):
             fields = fields.with_arrays(arrays)
         return Snapshot(pose, datum, fields, skin)
 
     def of_the_material(self) -> dict[str, Any]:
         """Return the data, besides the arrays, that change with the parameters of the material."""
-        return self.fields.of_the_material() if _are_shared(self.fields) else {}
+        return self.fields.of_the_material() if _is_shared_fields(self.fields) else {}
 
     def with_material(self, changed: Mapping[str, Any]) -> Snapshot:
         """Return this snapshot with the data of `of_the_material` of another material."""
         fields = self.fields
-        return replace(self, fields=fields.with_material(changed)) if _are_shared(fields) else self
+        return replace(self, fields=fields.with_material(changed)) if _is_shared_fields(fields) else self
 
 
-def _are_shared(fields: Any) -> TypeGuard[SharedFields]:
+def _is_shared_fields(fields: Any) -> TypeGuard[SharedFields]:
     # isinstance with a protocol takes longer than all other work on a snapshot.
     kind: Any = type(fields)
     return _is_shared(kind)
@@ -118,13 +118,13 @@ def snapshot(solver: Solver) -> Snapshot:
     """Make a snapshot of the last committed state of a solver."""
     surface, skin = solver.surface(), None
     fields = solver.fields([solver.sample()])
-    if surface.outline is None and not (_are_shared(fields) and _mesh_in_space(fields)):
+    if surface.outline is None and not (_is_shared_fields(fields) and _has_solid_mesh(fields)):
         vertices, triangles = surface.triangles()
         skin = Skin(np.asarray(vertices, dtype=float).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3))
     return Snapshot(solver.pose, solver.datum, fields, skin)
 
 
-def _mesh_in_space(fields: Fields) -> bool:
+def _has_solid_mesh(fields: Fields) -> bool:
     """Whether fields belong to three-dimensional elements with faces as their surface; see `SolidMesh`."""
     mesh = fields.mesh
     return hasattr(mesh, "faces") and mesh.nodes.shape[1] == 3

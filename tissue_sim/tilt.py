@@ -31,7 +31,7 @@ def tilted(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
         return recording
     curve = LoadingCurve(recording.with_channels(displacement=depth))
     samples = np.arange(recording.force.size, dtype=float)
-    force = sum(share * curve.force_behind(_behind(depth, lag), 0.0, samples) for lag, share in strips(tilt))
+    force = sum(share * curve.force_behind(_delayed_depth(depth, lag), 0.0, samples) for lag, share in strips(tilt))
     return recording.with_channels(force=force)
 
 
@@ -43,6 +43,6 @@ def strips(tilt: float) -> list[tuple[float, float]]:
     return list(zip((0.5 * tilt * (1.0 - np.cos(angle))).tolist(), shares.tolist(), strict=True))
 
 
-def _behind(displacement: np.ndarray, lag: float) -> np.ndarray:
+def _delayed_depth(displacement: np.ndarray, lag: float) -> np.ndarray:
     """Depth of a strip that touches later; above the touch all strips are in the air."""
     return np.where(displacement > 0, np.maximum(displacement - lag, 0.0), displacement)

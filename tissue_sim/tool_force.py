@@ -110,7 +110,7 @@ class ForceStatus(IntEnum):
 
     @property
     def message(self) -> str:
-        """Meaning and remedy."""
+        """Meaning of the status, and remedy."""
         return {
             ForceStatus.CONVERGED: "in equilibrium at this pose",
             ForceStatus.LATE: "the time or the linear solutions of the step ended before equilibrium: force and "
@@ -148,7 +148,7 @@ class NextForce:
 
 @dataclass(frozen=True, slots=True)
 class ToolForce:
-    """Result of one step.
+    """Force on the tool after a step, with its status, stiffness and error estimate.
 
     Attributes:
         wrench: force, then torque about the tool's deepest point, on the tool, in the frame of the scene, N and N m.
@@ -195,8 +195,19 @@ class ToolForce:
     @classmethod
     def axial(cls, force: float, stiffness: float, status: ForceStatus, iterations: int = 0, residual: float = 0.0,
               compute_time: float = 0.0, inertial: bool = False, age: float = 0.0, depth: float = 0.0) -> ToolForce:
-        """Make the result of a scene of axial motion only: force, N, stiffness, N/m, and depth, m, of the last
-        equilibrium."""
+        """Make the result of a scene of axial motion only.
+
+        Args:
+            force: axial force, N.
+            stiffness: axial stiffness, N/m.
+            status: see `ToolForce`.
+            iterations: see `ToolForce`.
+            residual: see `ToolForce`.
+            compute_time: s.
+            inertial: whether the mass of the tissue acts.
+            age: time since the last equilibrium, s.
+            depth: depth of the tool at the last equilibrium, m.
+        """
         return cls(axial_wrench(force), axial_stiffness(stiffness), status, iterations, residual, compute_time,
                    inertial, age, Pose.at_depth(depth))
 

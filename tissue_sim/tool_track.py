@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 from tissue_sim.fem.solver import Solver
 from tissue_sim.pose import Pose, Quaternion, between, motion, raised, twist_about_axis, with_twist, without_twist
@@ -10,10 +11,23 @@ from tissue_sim.tool_force import TouchState
 
 #: Halvings in the search for the pose of a touch: the last part of the air is 1/4096 of the step.
 _HALVINGS = 12
-#: A tool on the axis of an axisymmetric scene is at most this fraction of the contact radius away from it.
-AXIS_OFFSET = 0.01
-#: A tool that is parallel to the axis of an axisymmetric scene leans by at most this angle, rad.
-AXIS_ANGLE = 2e-3
+
+
+@dataclass(frozen=True)
+class AxisTolerances:
+    """Largest deviations of a tool that counts as on the axis of an axisymmetric scene.
+
+    Attributes:
+        offset: distance from the axis over the contact radius, 1.
+        angle: angle between the axes of the tool and of the scene, rad.
+    """
+
+    offset: float = 0.01
+    angle: float = 2e-3
+
+
+#: Tolerances of every axisymmetric scene.
+AXIS = AxisTolerances()
 
 
 class ToolTrack:
@@ -127,9 +141,9 @@ def is_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
         radius: radius of the contact, m.
     """
     (x, y, _), (u, v, _) = pose.position, seen.position
-    if abs(x - u) + abs(y - v) > 0.0 and math.hypot(x - u, y - v) > AXIS_OFFSET * radius:
+    if abs(x - u) + abs(y - v) > 0.0 and math.hypot(x - u, y - v) > AXIS.offset * radius:
         return False
     if pose.orientation is seen.orientation:
         return True
     untwisted = without_twist(pose, twist_about_axis(pose.orientation))
-    return math.hypot(*motion(seen, untwisted)[3:]) <= AXIS_ANGLE
+    return math.hypot(*motion(seen, untwisted)[3:]) <= AXIS.angle

@@ -65,6 +65,13 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
 
     Raises:
         InputError: unknown unit, or a unit of another quantity.
+
+    Examples:
+        >>> to_si("mm")
+        (0.001, 0.0)
+        >>> factor, offset = to_si("degC")
+        >>> 20.0 * factor + offset
+        293.15
     """
     unit = known_unit(unit) or unit.strip()
     if unit not in UNITS:
@@ -77,7 +84,12 @@ def to_si(unit: str, quantity: str | None = None) -> tuple[float, float]:
 
 
 def known_unit(text: str) -> str | None:
-    """Name in `UNITS` of a unit in another spelling or in brackets: ``(sec)`` gives ``s``; None if it is not known."""
+    """Name in `UNITS` of a unit in another spelling or in brackets: ``(sec)`` gives ``s``; None if it is not known.
+
+    Examples:
+        >>> known_unit("(sec)")
+        's'
+    """
     text = text.strip()
     if text[:1] in ("[", "(") and text[-1:] in ("]", ")"):
         text = text[1:-1].strip()
@@ -86,18 +98,33 @@ def known_unit(text: str) -> str | None:
 
 
 def quantity_of(unit: str | None) -> str | None:
-    """Quantity of a unit, such as ``force``; ``signal`` for volts and counts; None if the unit is not known."""
+    """Quantity of a unit, such as ``force``; ``signal`` for volts and counts; None if the unit is not known.
+
+    Examples:
+        >>> quantity_of("kPa"), quantity_of("mV")
+        ('stress', 'signal')
+    """
     name = None if unit is None else known_unit(unit)
     return None if name is None else UNITS[name][0]
 
 
 def shown(unit: str) -> tuple[str, float]:
-    """Return the unit in which values of an SI unit are displayed, and the factor from SI to it."""
+    """Return the unit in which values of an SI unit are displayed, and the factor from SI to it.
+
+    Examples:
+        >>> shown("Pa")
+        ('kPa', 0.001)
+    """
     return _SHOWN.get(unit, (unit, 1.0))
 
 
 def split_header(header: str) -> tuple[str, str | None]:
-    """Split a header: ``'Load (N)'`` -> ``('Load', 'N')``; ``'Stretch'`` -> ``('Stretch', None)``."""
+    """Split a header: ``'Load (N)'`` -> ``('Load', 'N')``; ``'Stretch'`` -> ``('Stretch', None)``.
+
+    Examples:
+        >>> split_header("Load (N)")
+        ('Load', 'N')
+    """
     match = _HEADER.match(header.strip()) if len(header) <= _LONGEST_HEADER else None
     if not match:
         return header.strip(), None
@@ -108,6 +135,12 @@ def loose_header(header: str) -> tuple[str, str | None]:
     """Split a header in one of the forms that testing machines write: ``'Fz, gf'``, ``'Force_N'``, ``'Weg / mm'``.
 
     Only a known unit is split off: ``Run_2`` and ``Position (z)`` are names without a unit.
+
+    Examples:
+        >>> loose_header("Weg / mm")
+        ('Weg', 'mm')
+        >>> loose_header("Run_2")
+        ('Run_2', None)
     """
     name, unit = split_header(header)
     if unit is not None:

@@ -55,7 +55,7 @@ class WaveScale:
 
     @classmethod
     def of(cls, model: Model, density: float) -> WaveScale:
-        """Of a model whose tissue has this density, kg/m3."""
+        """Make the scale of the waves of a model whose tissue has a density, kg/m3."""
         experiment, material = model.experiment, model.material
         shear_modulus = material.mu0
         speed, radius = math.sqrt(shear_modulus / density), experiment.contact_radius
@@ -74,11 +74,11 @@ class WaveError:
         is_supersonic: whether the tool was faster than the shear waves in the last step.
     """
 
-    __slots__ = ("_dt", "_inertial", "_momentum", "_slope", "_square", "_velocity", "force", "is_supersonic")
+    __slots__ = ("_dt", "_inertial", "_moving_momentum", "_slope", "_square", "_velocity", "force", "is_supersonic")
 
     def __init__(self) -> None:
         self.force, self._square, self._dt, self.is_supersonic = 0.0, 0.0, math.inf, False
-        self._momentum: Vector | None = None
+        self._moving_momentum: Vector | None = None
         self._inertial, self._slope, self._velocity = _AT_REST, _AT_REST, _STANDS
 
     def copy(self) -> WaveError:
@@ -96,41 +96,42 @@ class WaveError:
             dt: time of the step, s.
         """
         self.force, self._square, self._dt, self.is_supersonic = 0.0, 0.0, math.inf, False
-        self._momentum, self._inertial, self._slope = None, _AT_REST, _AT_REST
+        self._moving_momentum, self._inertial, self._slope = None, _AT_REST, _AT_REST
         self._velocity = scaled(1.0 / dt, way) if way is not None and dt > 0.0 else _STANDS
 
     def advance(self, stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float, scale: WaveScale) -> None:
         """Register a step in which the mass counts.
 
         Args:
-            stiffness, step_stiffness: without mass and within the step, as in a `ToolForce`.
+            stiffness: stiffness of the tissue without its mass, as in a `ToolForce`.
+            step_stiffness: stiffness within the step, with the mass of the tissue, as in a `ToolForce`.
             way: motion of the tool in the step, m and rad.
             dt: time of the step, s.
             scale: of the shear waves.
         """
-        momentum = _momentum(stiffness, step_stiffness, way, dt)
-        before = self._momentum
+        momentum = _moving_momentum(stiffness, step_stiffness, way, dt)
+        before = self._moving_momentum
         if before is None:
-            before = _momentum(stiffness, step_stiffness, scaled(dt, self._velocity), dt)
-        inertial = _rate(momentum, before, dt)
-        slope = _rate(inertial, self._inertial, dt)
+            before = _moving_momentum(stiffness, step_stiffness, scaled(dt, self._velocity), dt)
+        inertial = _change_rate(momentum, before, dt)
+        slope = _change_rate(inertial, self._inertial, dt)
         # A force of a step that was shorter has lasted for the time of that step only.
         lasts = min(dt, self._dt)
         change = lasts * min(math.hypot(*slope), math.dist(slope, self._slope))
-        self._momentum, self._inertial, self._slope, self._dt = momentum, inertial, slope, dt
+        self._moving_momentum, self._inertial, self._slope, self._dt = momentum, inertial, slope, dt
         impulse = change * lasts
         self._square = self._square * math.exp(-2.0 * dt / REVERBERATION) + impulse * impulse
         self.force = max(change, math.sqrt(self._square) / max(scale.duration, dt))
         self.is_supersonic = math.hypot(*way[:3]) >= scale.shear_speed * dt
 
 
-def _momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
+def _moving_momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
     """Momentum of the tissue that moves with the tool, N s, along the three axes."""
     x, y, z = (0.0 if own is within else dt * sum((b - a) * part for a, b, part in zip(own, within, way, strict=True))
                for own, within in zip(stiffness[:3], step_stiffness[:3], strict=True))
     return (x, y, z)
 
 
-def _rate(now: Vector, before: Vector, dt: float) -> Vector:
-    """Change per time."""
+def _change_rate(now: Vector, before: Vector, dt: float) -> Vector:
+    """Return the change of a vector per time."""
     return (now[0] - before[0]) / dt, (now[1] - before[1]) / dt, (now[2] - before[2]) / dt

@@ -67,7 +67,7 @@ def work(name: str, seed: int, first: int, last: int, folder: Path) -> None:
     from benchmarks.inputs.mutations import damaged
     from benchmarks.inputs.readers import REFUSALS, readers
     from tissue_sim import bounded
-    from tissue_sim.errors import LONGEST_SENTENCE
+    from tissue_sim.errors import MESSAGE_LIMITS
 
     resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
     every = readers(folder)
@@ -85,7 +85,7 @@ def work(name: str, seed: int, first: int, last: int, folder: Path) -> None:
         except REFUSALS as error:
             what = next((name for name, words in WORDS.items() if any(word in str(error) for word in words)), "refused")
             said = str(error)
-            if len(str(error)) > LONGEST_SENTENCE or "\n" in str(error):
+            if len(str(error)) > MESSAGE_LIMITS.message or "\n" in str(error):
                 what = f"more than a short sentence: {str(error)[:400]!r}"
         except Exception as error:
             what = f"{type(error).__name__}: {str(error)[:400]}"

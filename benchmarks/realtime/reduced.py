@@ -97,14 +97,14 @@ def measure(name: str, case: tuple, seconds: float, seeds: range, folder: Path |
     reduced = reduce_solid(model, box, resolution=resolution, strokes=strokes, modes=modes, bulk_ratio=bulk_ratio,
                            folder=kept)
     offline = time.process_time() - started
-    whole = training.whole_solver(model, reduced.mesh)
+    whole = training.make_full_order_solver(model, reduced.mesh)
     small = ReducedSolver(reduced, MATERIAL)
     small.ask_for_stiffness()
     start = experiment.tool_pose(0.0)
     times, missed, forces, jumps, lost, solves = [], [], [], [], 0, 0
     for seed in seeds:
         poses = walk(box, start, seconds, seed, holds)
-        true = training.snapshots(whole, poses[::WHOLE_EVERY]).wrenches[:, :3]
+        true = training.simulate_snapshots(whole, poses[::WHOLE_EVERY]).wrenches[:, :3]
         small.lift_off()
         wrenches = []
         for pose in poses:

@@ -27,7 +27,7 @@ from tissue_sim.fem.condensed.model import (
     ContactSurface,
     packed_state_size,
 )
-from tissue_sim.fem.condensed.predictive_linearisation import LEAD_FACTOR, PredictiveLinearisation
+from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import pack
@@ -134,7 +134,7 @@ class DelayedBulk:
         if self._coming is None:
             began, self._now = time.process_time(), state.time
             serves = 2.0 * (self._delay if self._tangent is None else self._tangent)
-            model = self._predictive.linearise(state, LEAD_FACTOR * self._delay, serves)
+            model = self._predictive.linearise(state, PREDICTION.lead_factor * self._delay, serves)
             self._coming = state.time + self._delay, model
             self.linearising += time.process_time() - began
 

@@ -30,7 +30,7 @@ from tissue_sim.fem.condensed.model import (
     ContactSurface,
     max_packed_size,
 )
-from tissue_sim.fem.condensed.predictive_linearisation import LEAD_FACTOR, PredictiveLinearisation
+from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import run_packed
@@ -152,7 +152,7 @@ def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisat
             continue
         (models if model.has_own_tangent else corrections).write(model.pack().tobytes())
         now = time.monotonic()
-        lead = LEAD_FACTOR * (now - began)
+        lead = PREDICTION.lead_factor * (now - began)
         if model.has_own_tangent:
             # A tangent is used until the next one is finished, whose computation begins when this one is published.
             changed, serves = now, 2.0 * (now - changed)

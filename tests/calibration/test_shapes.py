@@ -349,7 +349,7 @@ def test_a_block_that_weighs_is_fitted_with_exact_derivatives(tmp_path, coarse, 
     recording = ts.simulate(ts.Model(pressed(block), MATERIAL), solver="solid", resolution="coarse, second order")
     write_run(tmp_path, recording.displacement, recording.force)
     differences = []
-    monkeypatch.setattr("tissue_sim.differentiation._difference", lambda *asked: differences.append(asked))
+    monkeypatch.setattr("tissue_sim.differentiation._difference_simulations", lambda *asked: differences.append(asked))
     stated = BLOCK + '\nheight_is = "placed"\ngravity = true\ndensity_kg_m3 = 1040.0'
     best = calibrated(tmp_path, specimen=stated)
     assert best.parameters["C10"] == pytest.approx(450.0, abs=3.0 * best.standard_errors["C10"])

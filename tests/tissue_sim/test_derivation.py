@@ -26,7 +26,7 @@ def stress(law) -> np.ndarray:
 def test_the_second_function_is_the_first_ones_source_and_gives_the_same_numbers(folder, monkeypatch):
     first = stress(ReducedPolynomial(2))
     assert len(list(folder.iterdir())) == 1
-    monkeypatch.setattr("tissue_sim.laws.law._stress_along", None)  # deriving would need it
+    monkeypatch.setattr("tissue_sim.laws.law._derive_mode_stress", None)  # deriving would need it
     assert np.array_equal(stress(ReducedPolynomial(2)), first)
 
 
@@ -53,7 +53,7 @@ def test_a_damaged_source_is_derived_again(folder, content):
 def test_a_printed_formula_is_kept_too(folder, monkeypatch):
     printed = ReducedPolynomial(2).formula(), ReducedPolynomial(2).latex()
     assert len(list(folder.iterdir())) == 2
-    monkeypatch.setattr(ReducedPolynomial, "_in_order", None)  # printing would need it
+    monkeypatch.setattr(ReducedPolynomial, "_print_in_parameter_order", None)  # printing would need it
     assert (ReducedPolynomial(2).formula(), ReducedPolynomial(2).latex()) == printed
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from tissue_sim.fem.condensed.flat_contact import FlatContact
-from tissue_sim.fem.condensed.model import Bond
 from tissue_sim.fem.condensed.tables import (
     LIST_COLUMNS,
     LOCAL_COLUMNS,
@@ -17,6 +16,7 @@ from tissue_sim.fem.condensed.tables import (
     Setting,
     StateColumn,
 )
+from tissue_sim.fem.contact_settings import Bond
 
 NODES = 40
 

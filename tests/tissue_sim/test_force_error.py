@@ -7,7 +7,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.force_error import WORTH_A_WARNING, ForceError, coarse_samples, force_error
+from tissue_sim.force_error import FORCE_ERROR, ForceError, coarse_samples, force_error
 
 STUDY = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 PLATES = {"tool": ts.Tool("plate"), "friction": "bonded", "friction_base": "bonded"}
@@ -69,7 +69,7 @@ def test_first_step_after_a_turn_is_compared(points):
     recording, shorter = (ts.simulate(presses_twice(each)) for each in (points, 4 * points - 3))
     error = abs(recording.force - shorter.force[::4]).max() / shorter.force.max()
     assert 0.005 < error < 0.05 and 0.7 * error < solver_says(recording)["force_error"] < 2.0 * error
-    assert len(solver_says(recording)["warnings"]) == (error > WORTH_A_WARNING)
+    assert len(solver_says(recording)["warnings"]) == (error > FORCE_ERROR.warning_fraction)
 
 
 def test_coarse_mesh_gives_a_warning_with_its_difference_to_the_accurate_one():
@@ -85,7 +85,7 @@ def test_coarse_mesh_gives_a_warning_with_its_difference_to_the_accurate_one():
 def test_long_steps_give_a_warning_with_their_difference_to_quarter_steps():
     recording, fine = ts.simulate(turns_back()), ts.simulate(turns_back(81), estimate_error=False)
     error = abs(recording.force - fine.force[::4]).max() / fine.force.max()
-    assert error > WORTH_A_WARNING and error / 2 < solver_says(recording)["force_error"] < 2 * error
+    assert error > FORCE_ERROR.warning_fraction and error / 2 < solver_says(recording)["force_error"] < 2 * error
     assert len(solver_says(recording)["warnings"]) == 1
 
 

@@ -9,12 +9,12 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR
+from tissue_sim.fem.axisymmetric.contact import PENALTY
 from tissue_sim.fem.axisymmetric.contact_kernels import TOUCHED
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh, build_solver
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.simulation import _approach
+from tissue_sim.simulation import _step_towards
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
 MATERIAL = ts.Material("reduced_polynomial_2", STUDY, ts.Bulk("bulk_ratio", 1e4))
@@ -35,7 +35,7 @@ def stepped(friction, tool=None, depth=6e-3, steps=24):
     tested = model(friction, tool)
     solver = build_solver(tested, build_mesh(tested.experiment))
     for place in np.linspace(0.0, depth, steps + 1)[1:]:
-        *_, step = _approach(solver, ts.Pose.at_depth(float(place)))
+        *_, step = _step_towards(solver, ts.Pose.at_depth(float(place)))
         assert step.status is StepStatus.CONVERGED
     return solver
 
@@ -156,7 +156,7 @@ class TestEnergy:
         radii, tractions = surface.places[:, 0].copy(), surface.forces[:, 0].copy()
         down = np.linspace(0.0, 10e-3, steps + 1)
         for place in [*down[1:], *down[-2::-1]]:
-            *_, step = _approach(solver, ts.Pose.at_depth(float(place)))
+            *_, step = _step_towards(solver, ts.Pose.at_depth(float(place)))
             assert step.status is StepStatus.CONVERGED
             work += 0.5 * (force + step.force) * (place - depth)
             depth, force = place, step.force
@@ -258,7 +258,7 @@ class TestTangent:
             size = np.minimum((multipliers * normal).sum(axis=-1), 0) + surface.springs * (reach[..., 0] - edge)
             size = np.where(moving, size, 0)
             travel = ((moved - before[..., 1:]) * tangent).sum(axis=-1)
-            held = (multipliers * tangent).sum(axis=-1) + STICK_STIFFNESS_FACTOR * surface.springs * travel
+            held = (multipliers * tangent).sum(axis=-1) + PENALTY.stick_factor * surface.springs * travel
             drag = np.where(touching & (size < 0), np.where(slipping != 0, -mu * slipping * size, held), 0.0)
             force = size[..., None] * normal + drag[..., None] * tangent
             total = np.zeros((freedoms // 2, 2))

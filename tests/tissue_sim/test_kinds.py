@@ -9,7 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes import SCENES
-from tissue_sim.experiment.interfaces import checked_interface
+from tissue_sim.experiment.interfaces import check_interface
 from tissue_sim.recording.recording import CHANNELS
 
 EVERY = pytest.mark.parametrize("name", ts.KINDS)
@@ -28,7 +28,7 @@ def test_a_kind_is_what_its_parts_know(name):
     assert kind.name == name and pickle.loads(pickle.dumps(kind)) == kind
     assert {channel for pair in kind.channels for channel in pair} <= set(CHANNELS)
     for field, usual in kind.interfaces(kind.tool or ts.Tool()).items():
-        assert checked_interface(usual, field) == usual
+        assert check_interface(usual, field) == usual
 
 
 @EVERY

@@ -46,7 +46,7 @@ class Counting:
         self.depths = []
 
     def step(self, depth, dt):
-        assert dt == realtime_ladder.TICK
+        assert dt == realtime_ladder.MOTION.tick
         self.depths.append(depth)
 
 
@@ -56,7 +56,7 @@ def test_the_motion_that_is_measured(lifts):
     assert realtime_ladder.measure_tick(one, 10e-3, lifts=lifts) >= 0.0
     depths = np.array(one.depths)
     assert 4e-3 < depths.max() <= 5e-3 and (depths.min() < 0.0) == lifts
-    assert 0.05 < np.abs(np.diff(depths)).max() / realtime_ladder.TICK < 0.2
+    assert 0.05 < np.abs(np.diff(depths)).max() / realtime_ladder.MOTION.tick < 0.2
 
 
 def test_a_mesh_that_does_not_fit_is_known_soon():

@@ -79,9 +79,9 @@ class TestStrokes:
     def test_none_knows_of_those_before_it(self, touched):
         """A strong one does not make the next one coarser."""
         of, poses = touched.model, [ts.Pose.at_depth(depth) for depth in (-1e-4, 1e-4, 2e-4)]
-        alone, after = (training.whole_solver(of, touched.mesh) for _ in range(2))
-        training.snapshots(after, [ts.Pose.at_depth(depth) for depth in (-1e-4, 1e-3, 2e-3)])
-        first, second = (training.snapshots(solver, poses) for solver in (alone, after))
+        alone, after = (training.make_full_order_solver(of, touched.mesh) for _ in range(2))
+        training.simulate_snapshots(after, [ts.Pose.at_depth(depth) for depth in (-1e-4, 1e-3, 2e-3)])
+        first, second = (training.simulate_snapshots(solver, poses) for solver in (alone, after))
         np.testing.assert_allclose(second.displacements, first.displacements, rtol=0, atol=1e-17)
 
 
@@ -100,9 +100,9 @@ class TestForces:
         whole = model(ts.Tool("flat", radius=8e-3), friction="bonded")
         box = ts.PoseBox(0.0, DEPTH)
         mesh = training.training_mesh(whole, box, "realtime")
-        solver = training.whole_solver(whole, mesh)
+        solver = training.make_full_order_solver(whole, mesh)
         poses = [ts.Pose.at_depth(depth) for depth in (1e-3, 2e-3, 3e-3)]
-        taken = training.snapshots(solver, poses)
+        taken = training.simulate_snapshots(solver, poses)
         reduced = training.assemble(whole, mesh, box, [taken], [poses], count=3, tolerance=0.5, softness=1e-3,
                                     bulk_ratio=1e9)
         count = len(mesh.connectivity)
@@ -200,8 +200,8 @@ def followed(held):
     start = held.model.experiment.tool_pose(0.0)
     first = training.VERIFICATION.first_test_path
     ways = [training_path(first + number, held.box, start, holds=True, reach=8e-3) for number in (11, 12)]
-    solver = training.whole_solver(held.model, held.mesh)
-    return [(way, training.snapshots(solver, way).wrenches[:, :3]) for way in ways]
+    solver = training.make_full_order_solver(held.model, held.mesh)
+    return [(way, training.simulate_snapshots(solver, way).wrenches[:, :3]) for way in ways]
 
 
 class TestEstimate:
@@ -402,13 +402,13 @@ class TestFile:
         with pytest.raises(KeyboardInterrupt):
             reduce_solid(held.model, held.box, progress=stop, **options)
         assert len(list(folder.glob("stroke_*.npz"))) == 3
-        made, simulate = [], training.snapshots
+        made, simulate = [], training.simulate_snapshots
 
         def counted(solver, poses, **more):
             made.append(len(poses))
             return simulate(solver, poses, **more)
 
-        monkeypatch.setattr(training, "snapshots", counted)
+        monkeypatch.setattr(training, "simulate_snapshots", counted)
         again = reduce_solid(held.model, held.box, **options)
         along, tried_along = 2, 2
         assert len(made) == 5 + along + 1 + tried_along  # the other five, and one that it is tried on

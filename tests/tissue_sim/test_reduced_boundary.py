@@ -35,8 +35,8 @@ def central(ball):
     reach = ball.model.experiment.contact_radius
     small = ts.PoseBox(0.5e-3, BOX.depth)
     poses = [training_path(number, small, START, holds=False, reach=reach) for number in range(4)]
-    solver = training.whole_solver(ball.model, ball.mesh)
-    taken = [training.snapshots(solver, each) for each in poses]
+    solver = training.make_full_order_solver(ball.model, ball.mesh)
+    taken = [training.simulate_snapshots(solver, each) for each in poses]
     made = training.assemble(ball.model, ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
                              softness=ball.softness, bulk_ratio=ball.bulk_ratio)
     return with_compliance(made, solver, poses, taken, [MATERIAL] * len(poses))
@@ -45,9 +45,10 @@ def central(ball):
 @pytest.fixture(scope="module")
 def truth(ball):
     """Forces of the whole solid, straight down at each of the places, N, shape (places, depths, 3)."""
-    solver = training.whole_solver(ball.model, ball.mesh)
-    return np.array([training.snapshots(solver, [ts.Pose((x, y, -z)) for z in DEPTHS], tolerance=1e-5).wrenches[:, :3]
-                     for x, y in PLACES])
+    solver = training.make_full_order_solver(ball.model, ball.mesh)
+    taken = [training.simulate_snapshots(solver, [ts.Pose((x, y, -z)) for z in DEPTHS], tolerance=1e-5)
+             for x, y in PLACES]
+    return np.array([each.wrenches[:, :3] for each in taken])
 
 
 def answers(reduced, place):
@@ -80,7 +81,7 @@ class TestStrokes:
 
     @pytest.mark.slow
     def test_images_are_not_followed(self, ball):
-        solver = training.whole_solver(ball.model, ball.mesh)
+        solver = training.make_full_order_solver(ball.model, ball.mesh)
         images = [each.matrix for each in symmetries(solver, START)]
         assert len(boundary_training_paths(BOX, START, holds=False, reach=5e-3, images=images)) == 2
 

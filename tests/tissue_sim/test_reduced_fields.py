@@ -40,7 +40,7 @@ def fields(solver):
 
 @pytest.mark.slow
 def test_they_are_those_of_the_whole_solid(reduced, fields):
-    whole = training.whole_solver(reduced.model, reduced.mesh)
+    whole = training.make_full_order_solver(reduced.model, reduced.mesh)
     for pose in POSES:
         assert whole.step(pose, tolerance=1e-7, max_iterations=40).status is StepStatus.CONVERGED
     exact = whole.fields([whole.sample()])

@@ -62,8 +62,8 @@ def skinned():
 
 def whole_forces(reduced, material, poses) -> np.ndarray:
     """Return the forces of the whole solid, N, shape (poses, 3)."""
-    solver = training.whole_solver(ts.Model(reduced.model.experiment, material), reduced.mesh)
-    return training.snapshots(solver, poses).wrenches[:, :3]
+    solver = training.make_full_order_solver(ts.Model(reduced.model.experiment, material), reduced.mesh)
+    return training.simulate_snapshots(solver, poses).wrenches[:, :3]
 
 
 def reduced_forces(reduced, material, poses) -> np.ndarray:
@@ -177,15 +177,15 @@ class TestLayers:
     def test_a_soft_material_counts_as_much_as_a_stiff_one(self, skinned):
         """Evaluated elements, and the stated error."""
         soft = ts.with_values(skinned.model.material, {"C10": 14.049, "C20": 6.994})
-        solver = training.whole_solver(skinned.model, skinned.mesh)
+        solver = training.make_full_order_solver(skinned.model, skinned.mesh)
         start, taken, ways = skinned.model.experiment.tool_pose(0.0), [], []
         materials = [skinned.model.material, soft]
         for material, number in zip(materials, (0, 1), strict=True):
             solver.set_material(material)
             way = training_path(number, skinned.box, start, holds=True, reach=6e-3)[::4]
             ways.append(way)
-            taken.append(training.snapshots(solver, way))
-        looked_at = list(training.samples(taken, ways, materials, [symmetries(solver, start)[0]], start))
+            taken.append(training.simulate_snapshots(solver, way))
+        looked_at = list(training.iterate_samples(taken, ways, materials, [symmetries(solver, start)[0]], start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
         unseen = training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
         report, _ = training.verify(skinned, solver, [unseen, unseen], materials=materials)
@@ -254,9 +254,9 @@ class TestSides:
         box = ts.PoseBox(1e-3, DEPTH)
         mesh = training.training_mesh(model, box, "realtime")
         start = model.experiment.tool_pose(0.0)
-        assert len(symmetries(training.whole_solver(model, mesh), start)) == 2, "across the other axis alone"
+        assert len(symmetries(training.make_full_order_solver(model, mesh), start)) == 2, "across the other axis alone"
         plain = replace(model, material=SOFT)
-        assert len(symmetries(training.whole_solver(plain, replace(mesh, regions={})), start)) == 8
+        assert len(symmetries(training.make_full_order_solver(plain, replace(mesh, regions={})), start)) == 8
         made = ts.reduce_solid(model, box, strokes=6, modes=16, tried=2)
         assert made.report["symmetries"] == 2 and made.report["force_rms_error"] < 0.01
 
@@ -311,7 +311,7 @@ class TestMeshesOfFiles:
         expected = whole_forces(read, material, POSES)
         assert off(reduced_forces(read, material, POSES), expected) < 0.02
         small = ReducedSolver(read, material)
-        whole = training.whole_solver(ts.Model(read.model.experiment, material), read.mesh)
+        whole = training.make_full_order_solver(ts.Model(read.model.experiment, material), read.mesh)
         for solver in (small, whole):
             for pose in POSES:
                 solver.step(pose)

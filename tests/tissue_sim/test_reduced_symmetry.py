@@ -36,7 +36,7 @@ def scene(name):
     tool, friction, approach, _ = SCENES[name]
     whole = model(tool, friction, approach)
     box = ts.PoseBox(1e-3, DEPTH, 0.05 if friction == "bonded" else 0.0)
-    solver = training.whole_solver(whole, training.training_mesh(whole, box, "realtime"))
+    solver = training.make_full_order_solver(whole, training.training_mesh(whole, box, "realtime"))
     return whole, box, solver, whole.experiment.tool_pose(0.0)
 
 
@@ -48,13 +48,13 @@ def test_images_are_what_the_solid_does(name):
     group = symmetries(solver, start)
     assert len(group) == SCENES[name][3] and group[0].is_identity
     poses = training_path(3, box, start, holds=whole.experiment.friction == "bonded", reach=8e-3)
-    own = training.snapshots(solver, poses, tolerance=1e-10)
+    own = training.simulate_snapshots(solver, poses, tolerance=1e-10)
     assert np.abs(own.wrenches[:, :2]).max() > 0.02 * np.abs(own.wrenches[:, 2]).max()   # it is dragged
     for symmetry in group[1::3]:
         ways = [symmetry.pose(pose, start) for pose in poses]
         assert max(math.dist(one.position, other.position) for one, other in zip(ways, poses, strict=True)) > 1e-4
         assert all(box.holds(pose, start) for pose in ways if pose.depth >= 0.0)
-        solved = training.snapshots(solver, ways, tolerance=1e-10)
+        solved = training.simulate_snapshots(solver, ways, tolerance=1e-10)
         images = np.array([symmetry.wrench(wrench) for wrench in own.wrenches])
         for part in (slice(3), slice(3, 6)):
             largest = np.abs(solved.wrenches[:, part]).max()
@@ -87,7 +87,7 @@ class TestNone:
     def test_of_a_mesh(self, moved):
         whole, box, _, _ = scene("touched")
         mesh = training.training_mesh(whole, box, "realtime")
-        assert self.count(training.whole_solver(whole, mesh)) == 8
+        assert self.count(training.make_full_order_solver(whole, mesh)) == 8
         if moved == "a node":
             nodes = mesh.nodes.copy()
             # Off the axis and the mirrors: between the axes and their bisectors.
@@ -99,13 +99,13 @@ class TestNone:
             side = mesh.sets["side"]
             mesh = replace(mesh, sets={**mesh.sets, "side": side[mesh.nodes[side, 0] > 1e-3]})
         # The set that is left is that of x > 0, with its mirror y -> -y.
-        assert self.count(training.whole_solver(whole, mesh)) == {"a node": 1, "a set": 2}[moved]
+        assert self.count(training.make_full_order_solver(whole, mesh)) == {"a node": 1, "a set": 2}[moved]
 
     def test_of_what_keeps_a_loose_solid_where_it_is(self):
         """Between faces without friction a node of the base is held along y: of the mirrors only y -> -y keeps it."""
         whole = model(BALL, "frictionless", friction_base="frictionless")
         mesh = training.training_mesh(whole, ts.PoseBox(0.0, DEPTH), "realtime")
-        assert self.count(training.whole_solver(whole, mesh)) == 2
+        assert self.count(training.make_full_order_solver(whole, mesh)) == 2
 
     def test_of_a_tool_that_leans(self):
         _, _, solver, start = scene("touched")
@@ -124,7 +124,7 @@ class TestModes:
         commuting, cosets = parities(group)
         assert len(commuting) == 2 and len(cosets) == 2
         states = np.random.default_rng(0).normal(size=(3, solver.x.size))
-        found, singular = training.modes(states, group, 12)
+        found, singular = training.compute_modes(states, group, 12)
         images = np.concatenate([each.displacements(states) for each in group])
         np.testing.assert_allclose(singular[:24], np.linalg.svd(images, compute_uv=False), rtol=1e-9)
         np.testing.assert_allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-9)
@@ -136,7 +136,7 @@ class TestModes:
     def test_without_symmetries_they_are_those_of_the_states(self):
         _, _, solver, start = scene("touched")
         states = np.random.default_rng(1).normal(size=(5, solver.x.size))
-        found, singular = training.modes(states, symmetries(solver, start)[:1], 4)
+        found, singular = training.compute_modes(states, symmetries(solver, start)[:1], 4)
         _, values, vectors = np.linalg.svd(states, full_matrices=False)
         np.testing.assert_allclose(singular, values, rtol=1e-9)
         np.testing.assert_allclose(np.abs(np.einsum("fi,if->i", found, vectors[:4])), 1.0, atol=1e-9)
@@ -148,7 +148,7 @@ def test_images_make_a_reduced_solid_better():
     whole, box, solver, start = scene("held")
     group = symmetries(solver, start)
     poses = [training_path(number, box, start, holds=True, reach=8e-3) for number in range(3)]
-    taken = [training.snapshots(solver, each) for each in poses]
+    taken = [training.simulate_snapshots(solver, each) for each in poses]
     errors = []
     for own in (group[:1], group):
         reduced = training.assemble(whole, solver.mesh, box, taken, poses, count=16, tolerance=6e-3, softness=1e-3,

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from tissue_sim.differentiation import DifferenceSettings
 from tissue_sim.fem.axisymmetric import contact_pairs, sensitivity
+from tissue_sim.fem.contact_settings import ContactTolerances
 from tissue_sim.parameters import parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
@@ -19,8 +21,7 @@ CYCLE = "ramp 6mm @0.5mm/s; hold 5s; unload 2mm; reload"
 
 @pytest.fixture(autouse=True)
 def close_contact(monkeypatch):
-    monkeypatch.setattr(contact_pairs, "PLATE_TOLERANCE", 1e-12)
-    monkeypatch.setattr(contact_pairs, "NEEDLE_TOLERANCE", 1e-10)
+    monkeypatch.setattr(contact_pairs, "TOLERANCES", ContactTolerances(needle=1e-10, plate=1e-12))
 
 
 def elastic(**options):
@@ -97,8 +98,8 @@ def test_last_factor_or_exact_tangent(options, monkeypatch):
     done = sensitivity.Sensitivity._refine_iteratively
     monkeypatch.setattr(sensitivity.Sensitivity, "_refine_iteratively", solves)
     for few in (4, 0):
-        monkeypatch.setattr(sensitivity, "MAX_REFINED", few)
-        monkeypatch.setattr(sensitivity, "MAX_REFINED_SLIP", few)
+        monkeypatch.setattr(sensitivity, "SETTINGS",
+                            sensitivity.SensitivitySettings(max_refined=few, max_refined_slip=few))
         answers.append(ts.sensitivities(model, ["C10", "C20"]).values)
     assert any(refined)
     np.testing.assert_allclose(*answers, rtol=0, atol=1e-8 * abs(answers[1]).max(axis=0).min())
@@ -181,7 +182,7 @@ def test_geometry_has_one_derivative_whatever_the_width(path, options, material,
     model = ts.Model(experiment("ramp 3mm", 4, **options), elastic(**material))
     slopes = []
     for width in (1e-2, 1e-3, 1e-4):
-        monkeypatch.setattr("tissue_sim.differentiation.SIMULATION_WIDTH", width)
+        monkeypatch.setattr("tissue_sim.differentiation.DIFFERENCES", DifferenceSettings(simulation_width=width))
         slopes.append(ts.sensitivities(model, [path], resolution=resolution).values[1:, 0])
     for slope in slopes[:2]:
         np.testing.assert_allclose(slope, slopes[2], rtol=0.01)

@@ -12,7 +12,7 @@ from solid_meshes import block
 
 import tissue_sim as ts
 from tissue_sim.bounded import bounded
-from tissue_sim.errors import LONGEST_SENTENCE
+from tissue_sim.errors import MESSAGE_LIMITS
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid_file import read_file_mesh, read_solid, solid_from_file
 from tissue_sim.mesh.tetrahedra import TET15P1
@@ -241,7 +241,7 @@ def twice(points, rows):
 def test_a_bad_mesh_is_refused_with_the_number_in_its_file(tmp_path, change, more, expected):
     with pytest.raises(ts.InputError, match=expected) as caught:
         read_solid(inp(tmp_path, change=change, more=more))
-    assert "mesh.inp" in str(caught.value) and len(str(caught.value)) <= LONGEST_SENTENCE
+    assert "mesh.inp" in str(caught.value) and len(str(caught.value)) <= MESSAGE_LIMITS.message
 
 
 def test_a_mesh_that_is_torn_or_touches_itself_is_refused(tmp_path):
@@ -309,7 +309,7 @@ def test_garbage_is_refused_in_a_sentence(tmp_path, ending, content):
     path.write_bytes(content)
     with pytest.raises(ts.InputError) as caught:
         read_file_mesh(path)
-    assert len(str(caught.value)) <= LONGEST_SENTENCE and str(caught.value).isprintable()
+    assert len(str(caught.value)) <= MESSAGE_LIMITS.message and str(caught.value).isprintable()
 
 
 def test_other_endings_and_no_file(tmp_path):
@@ -399,4 +399,4 @@ def test_a_damaged_file_is_refused_or_read(samples, tmp_path_factory, data):
         mesh = read_file_mesh(path)
         assert np.isfinite(mesh.points).all() and len(mesh.sides) and mesh.cells.nodes.max() < len(mesh.points)
     except ts.InputError as error:
-        assert len(str(error)) <= LONGEST_SENTENCE
+        assert len(str(error)) <= MESSAGE_LIMITS.message

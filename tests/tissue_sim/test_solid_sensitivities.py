@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
+from tissue_sim.differentiation import DifferenceSettings
+from tissue_sim.fem.contact_settings import ContactTolerances
 from tissue_sim.fem.solid import discretisation
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -29,8 +31,7 @@ OUT = (0.0, 1.0, 2.0, 1.0, 0.3)
 @pytest.fixture(autouse=True)
 def close_contact(monkeypatch):
     """Closer than a user needs: a remaining violation would show in the differences."""
-    monkeypatch.setattr(discretisation, "_NEEDLE_TOLERANCE", 1e-9)
-    monkeypatch.setattr(discretisation, "_PLATE_TOLERANCE", 1e-10)
+    monkeypatch.setattr(discretisation, "TOLERANCES", ContactTolerances(needle=1e-9, plate=1e-10))
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,7 @@ def test_geometry_moves_the_nodes_of_one_mesh():
     slopes = []
     for width in (1e-2, 1e-4):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("tissue_sim.differentiation.SIMULATION_WIDTH", width)
+            patch.setattr("tissue_sim.differentiation.DIFFERENCES", DifferenceSettings(simulation_width=width))
             answer = ts.sensitivities(model(approach=OBLIQUE, way=(0.0, 2.0)), ["experiment.tool.radius",
                                       "experiment.approach.offset", "experiment.approach.angle"], solver="solid",
                                       mesh=solid_mesh((5e-3, 0.0)))

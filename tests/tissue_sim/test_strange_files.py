@@ -19,7 +19,7 @@ from calibration.campaign.campaign import load_campaign
 from scenes.commands.record.protocol_file import read_protocol_file
 from tissue_sim.bounded import bounded
 from tissue_sim.decode import read_json, read_toml
-from tissue_sim.errors import LONGEST_SENTENCE, sentence
+from tissue_sim.errors import MESSAGE_LIMITS, sentence
 from tissue_sim.files import read_bytes, read_text
 
 HEADER = "time [s],displacement [mm],force [N]\n"
@@ -46,7 +46,7 @@ def refused(read, path) -> str:
     with pytest.raises(ts.InputError) as caught:
         read(path)
     said = str(caught.value)
-    assert len(said) <= LONGEST_SENTENCE and said.isprintable(), said
+    assert len(said) <= MESSAGE_LIMITS.message and said.isprintable(), said
     return said
 
 
@@ -282,7 +282,7 @@ def test_every_error_is_one_short_printable_line(problem, file, field, line):
     error = ts.InputError(problem, file=file, field=field, line=line)
     for each in (error, error.located(file="other", field="outer", part="part")):
         said = str(each)
-        assert len(said) <= LONGEST_SENTENCE and said.isprintable()
+        assert len(said) <= MESSAGE_LIMITS.message and said.isprintable()
     assert (error.problem, error.file, error.field, error.line) == (problem, file, field, line)
 
 

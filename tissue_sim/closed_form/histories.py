@@ -69,7 +69,7 @@ class HomogeneousHistory:
                              field="stretch")
 
     @cached_property
-    def _points(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _divided_history(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Time steps and strains of the divided history, and indices of the samples in it."""
         strain = np.concatenate([[_REST[self.mode]], self.strain])
         time = np.concatenate([self.time[:1], self.time])
@@ -83,16 +83,16 @@ class HomogeneousHistory:
         return np.repeat(np.diff(time) / parts, parts), fine, last - 1
 
     @cached_property
-    def _weights(self) -> np.ndarray:
+    def _stress_weights(self) -> np.ndarray:
         """d(nominal stress)/d(two components of S) at every point of the divided history, shape (points, 2)."""
-        strain = self._points[1]
+        strain = self._divided_history[1]
         if self.mode == "uniaxial":
             return np.stack([strain, -1.0 / strain**2], axis=-1)
         return np.stack([np.ones_like(strain), strain], axis=-1)
 
-    def _elastic(self, law: Law, values, factor: float, softening: Softening | None) -> np.ndarray:
+    def _compute_elastic_stress(self, law: Law, values, factor: float, softening: Softening | None) -> np.ndarray:
         """Two components of the elastic S, softened and not relaxed, Pa, shape (points, 2)."""
-        strain = self._points[1]
+        strain = self._divided_history[1]
         if self.mode == "uniaxial":
             side = strain**-0.5
             energy, tau = law.principal_response(np.stack([strain, side, side], axis=-1), values)
@@ -114,7 +114,8 @@ class HomogeneousHistory:
         """Nominal stress at the samples, Pa, shape (n,).
 
         Args:
-            law, values: strain energy and its parameters.
+            law: strain energy.
+            values: parameters of the law.
             prony: relaxation; its `moduli` are ignored, `factor` is used instead.
             softening: Mullins effect.
             factor: instantaneous moduli over those of `values`.
@@ -128,14 +129,17 @@ class HomogeneousHistory:
         """Elastic and relaxing parts of the nominal stress, P = (1 - sum g_i) elastic + sum g_i relaxing_i.
 
         Args:
-            law, values, softening, factor: as in `nominal_stress`.
+            law: strain energy.
+            values: parameters of the law.
             tau: relaxation times, s, shape (terms,).
+            softening: Mullins effect.
+            factor: instantaneous moduli over those of `values`.
 
         Returns:
             `elastic`, shape (n,), and `relaxing`, shape (n, terms), both in Pa at the samples.
         """
-        dt, _, samples = self._points
-        stress, weights = self._elastic(law, values, factor, softening), self._weights[samples]
+        dt, _, samples = self._divided_history
+        stress, weights = self._compute_elastic_stress(law, values, factor, softening), self._stress_weights[samples]
         relaxing = internal_stress(dt, stress, tau)[samples]
         return np.sum(weights * stress[samples], axis=1), np.einsum("nc,nct->nt", weights, relaxing)
 
@@ -154,6 +158,12 @@ def nominal_stress_history(material: Material, time, stretch, contact_radius: fl
             drains, without a contact radius.
 
     Source: Holzapfel, Nonlinear Solid Mechanics, 2000, sections 6.5 and 6.10.
+
+    Examples:
+        >>> from tissue_sim import Material, Prony, PronyTerm
+        >>> gel = Material("neo_hooke", {"C10": 1000.0}, viscoelastic=Prony((PronyTerm(0.3, 2.0),)))
+        >>> nominal_stress_history(gel, [0.0, 0.01, 10.0], [1.0, 0.9, 0.9]).round(1)
+        array([   0. , -668.7, -469.8])
     """
     return stress_history("uniaxial", material, time, stretch, contact_radius)
 
@@ -162,6 +172,12 @@ def shear_stress_history(material: Material, time, shear, contact_radius: float 
     """Nominal shear stress P12 of simple shear, Pa, shape (n,); arguments and errors as in `nominal_stress_history`.
 
     P12 is the force along the sheared face over its undeformed area; it does not depend on the pressure.
+
+    Examples:
+        >>> from tissue_sim import Material, Prony, PronyTerm
+        >>> gel = Material("neo_hooke", {"C10": 1000.0}, viscoelastic=Prony((PronyTerm(0.3, 2.0),)))
+        >>> shear_stress_history(gel, [0.0, 0.01, 10.0], [0.0, 0.1, 0.1]).round(1)
+        array([  0. , 199.9, 140.4])
     """
     return stress_history("simple_shear", material, time, shear, contact_radius)
 

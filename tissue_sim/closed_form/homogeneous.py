@@ -32,15 +32,22 @@ class ClosedForm:
     lateral: float = 0.5
 
     def stress(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """Nominal stress, Pa, negative in compression, shape of `abscissa`."""
+        """Nominal stress, Pa, negative in compression, shape of `abscissa`.
+
+        Examples:
+            >>> from tissue_sim import KINDS, find_law
+            >>> tension = KINDS["uniaxial_tension"].require_closed_form()
+            >>> float(tension.stress(find_law("neo_hooke"), 1.1, {"C10": 1000.0}).round(1))
+            547.1
+        """
         return law.nominal_stress(abscissa, values, self.law_mode)
 
     def slope(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """d(stress)/d(abscissa), Pa, shape of `abscissa`."""
+        """Return the derivative of the nominal stress with respect to the abscissa, Pa, shape of `abscissa`."""
         return law.nominal_stress_slope(abscissa, values, self.law_mode)
 
     def derivatives(self, law: Law, abscissa: np.ndarray, values: Any) -> np.ndarray:
-        """d(stress)/d(parameter), shape (*abscissa.shape, m)."""
+        """Return the derivatives of the nominal stress with respect to m parameters, shape (*abscissa.shape, m)."""
         return law.nominal_stress_derivatives(abscissa, values, self.law_mode)
 
     def history(self, material: Material, time: np.ndarray, abscissa: np.ndarray, contact_radius: float) -> np.ndarray:

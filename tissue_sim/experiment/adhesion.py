@@ -35,13 +35,16 @@ class Adhesion(ContactLaw):
 
     @property
     def acts(self) -> bool:
+        """Whether the pull-off force is positive."""
         return self.force > 0.0
 
     @property
     def reach(self) -> float:
+        """Gap at which the traction ends, m."""
         return self.length
 
     def traction(self, gap, pressure, slip, face):
+        """Return the traction, which decreases linearly with the gap; see `ContactLaw.traction`."""
         # The slope with respect to the gap is not part of the tangent: it is negative, and after the pull-off Newton's
         # method would diverge until the surfaces have separated.
         return Traction(self.force / face * (1.0 - np.maximum(gap, 0.0) / self.length))

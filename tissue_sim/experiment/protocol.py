@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.protocol_text import parse_protocol
-from tissue_sim.experiment.segments import Leg, fault, legs
+from tissue_sim.experiment.segments import Leg, expand_legs, protocol_error
 
 #: Tool speed of the reference study, m/s.
 STUDY_SPEED = 0.248e-3
@@ -81,7 +81,7 @@ class Protocol:
         object.__setattr__(self, name, array)
 
     def at(self, samples: np.ndarray) -> Protocol:
-        """Resample the motion.
+        """Interpolate the motion at fractional sample numbers.
 
         Args:
             samples: fractional sample numbers, ascending, shape (m,). A sample between two has the labels of the later
@@ -94,7 +94,13 @@ class Protocol:
 
     @classmethod
     def ramp(cls, depth: float, points: int = 21, speed: float = STUDY_SPEED) -> Protocol:
-        """Make a ramp to `depth`, m, at `speed`, m/s, with `points` samples, the first at rest."""
+        """Make a ramp to `depth`, m, at `speed`, m/s, with `points` samples, the first at rest.
+
+        Examples:
+            >>> ramp = Protocol.ramp(0.002, points=3, speed=1e-3)
+            >>> ramp.time, ramp.displacement
+            (array([0., 1., 2.]), array([0.   , 0.001, 0.002]))
+        """
         require_length(depth, "protocol.depth")
         _require_sampling(points, speed)
         displacement = np.linspace(0.0, depth, points)
@@ -116,6 +122,11 @@ class Protocol:
 
         Raises:
             InputError: an error in the text, with its position and an example.
+
+        Examples:
+            >>> protocol = Protocol.parse("ramp 2mm @1mm/s; hold 3s", points=3)
+            >>> float(protocol.time[-1]), float(protocol.displacement.max())
+            (5.0, 0.002)
         """
         _require_sampling(points, speed)
         if points > MOST_SAMPLES:
@@ -125,13 +136,13 @@ class Protocol:
         segment: list[str] = []
         cycle: list[int] = []
         now, step = 0.0, math.inf
-        for leg in legs(parse_protocol(text), speed):
+        for leg in expand_legs(parse_protocol(text), speed):
             if not time:
                 time, displacement, segment, cycle = [now], [leg.start], [leg.segment.kind], [leg.cycle]
             samples, since = _sample(leg, now, points, step)
             if len(time) + since.size > MOST_SAMPLES:
-                raise fault(leg.segment.position, f"the protocol has more than {MOST_SAMPLES} samples at this segment; "
-                                                  "shorten it or use fewer points")
+                raise protocol_error(leg.segment.position, f"the protocol has more than {MOST_SAMPLES} samples at this "
+                                                           "segment; shorten it or use fewer points")
             if leg.speed:
                 step = float(since[-1] / since.size)
             time += (now + since).tolist()
@@ -143,7 +154,7 @@ class Protocol:
 
     @property
     def depth(self) -> float:
-        """Largest displacement, m."""
+        """Largest displacement of the protocol, m."""
         return float(self.displacement.max())
 
     @property
@@ -166,7 +177,7 @@ def _sample(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray,
     """
     position = leg.segment.position
     if not math.isfinite(now + leg.duration):
-        raise fault(position, f"the end time of this {leg.segment.kind} is not finite; correct its speed")
+        raise protocol_error(position, f"the end time of this {leg.segment.kind} is not finite; correct its speed")
     if leg.speed:
         samples = np.linspace(leg.start, leg.end, points)[1:]
         since = np.abs(samples - leg.start) / leg.speed
@@ -174,7 +185,7 @@ def _sample(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray,
         since = _hold(leg.duration, step)
         samples = np.full(since.size, leg.end)
     if (np.diff(now + since, prepend=now) <= 0).any():
-        raise fault(position, f"this {leg.segment.kind} is too short: its samples coincide at {now:g} s")
+        raise protocol_error(position, f"this {leg.segment.kind} is too short: its samples coincide at {now:g} s")
     return samples, since
 
 

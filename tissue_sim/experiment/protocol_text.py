@@ -9,7 +9,7 @@ from decimal import Decimal
 from typing import Any
 
 from tissue_sim.errors import nearest
-from tissue_sim.experiment.segments import KINDS, Repeat, Segment, fault
+from tissue_sim.experiment.segments import KINDS, Repeat, Segment, protocol_error
 
 #: Unit -> factor to m.
 _LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
@@ -66,22 +66,22 @@ class _Reader:
         self.text, self.at = text, 0
 
     def read(self) -> tuple[Segment | Repeat, ...]:
-        steps = self.steps()
+        steps = self.read_steps()
         if self.at < len(self.text):
-            raise self.fault(self.at, "this bracket closes nothing; take it out")
+            raise self._make_error(self.at, "this bracket closes nothing; take it out")
         return steps
 
-    def steps(self, repeated: bool = False) -> tuple[Any, ...]:
+    def read_steps(self, repeated: bool = False) -> tuple[Any, ...]:
         """Read steps up to the end, or up to a closing bracket, which is not consumed."""
         steps: list[Segment | Repeat] = []
         while True:
-            if steps and self.ended():
+            if steps and self.is_at_end():
                 return tuple(steps)
             steps.append(self.step(repeated))
-            if self.ended():
+            if self.is_at_end():
                 return tuple(steps)
-            if not self.took(";"):
-                raise self.fault(self.at, "expected ';' between two segments")
+            if not self.consume_sign(";"):
+                raise self._make_error(self.at, "expected ';' between two segments")
 
     def step(self, repeated: bool) -> Segment | Repeat:
         """Read a segment or a repeat; `repeated`: inside a repeat, where no other repeat is allowed."""
@@ -89,26 +89,27 @@ class _Reader:
         start = self.at
         word = self.consume(_WORD)
         if word != "repeat":
-            return self.segment(start, word)
+            return self.read_segment(start, word)
         if repeated:
-            raise self.fault(start, "a repeat must not be inside of another repeat; write one of them out")
+            raise self._make_error(start, "a repeat must not be inside of another repeat; write one of them out")
         return self.repeat(start)
 
-    def segment(self, start: int, word: str | None) -> Segment:
+    def read_segment(self, start: int, word: str | None) -> Segment:
         """Read the rest of a segment whose first word is known and begins at `start`."""
         if word is None:
-            raise self.fault(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
+            raise self._make_error(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
-            raise self.fault(start, f"unknown segment {_short(word)}{nearest(word, (*KINDS, 'repeat'))}")
+            raise self._make_error(start, f"unknown segment {_quote_shortened(word)}"
+                                          f"{nearest(word, (*KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
-        amount = self.amount(quantity, needed=needed, zero=word == "unload", after=word)
+        amount = self.read_amount(quantity, needed=needed, zero=word == "unload", after=word)
         speed = None
         sign = self.at
-        if self.took("@"):
+        if self.consume_sign("@"):
             if word == "hold":
-                raise self.fault(sign, "a hold has no speed; remove it")
-            speed = self.amount("speed", needed=True, zero=False, after="@")
-        return Segment(word, amount, speed, position=self.position(start))
+                raise self._make_error(sign, "a hold has no speed; remove it")
+            speed = self.read_amount("speed", needed=True, zero=False, after="@")
+        return Segment(word, amount, speed, position=self.describe_position(start))
 
     def repeat(self, start: int) -> Repeat:
         """Read the rest of a repeat that begins at `start`."""
@@ -116,47 +117,50 @@ class _Reader:
         at = self.at
         count = self.consume(_NUMBER)
         if count is None or not count.isdecimal() or not 1 <= float(count) <= 1e9:
-            raise self.fault(at, "expected the number of repetitions, an integer of at least 1, as in repeat 3 (ramp "
-                                 "5mm; unload)")
-        if not self.took("("):
-            raise self.fault(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; unload)")
-        segments = self.steps(repeated=True)
-        if not self.took(")"):
-            raise self.fault(start, "the brackets of this repeat are not closed; add ')'")
+            raise self._make_error(at, "expected the number of repetitions, an integer of at least 1, as in repeat 3 "
+                                       "(ramp 5mm; unload)")
+        if not self.consume_sign("("):
+            raise self._make_error(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; "
+                                            "unload)")
+        segments = self.read_steps(repeated=True)
+        if not self.consume_sign(")"):
+            raise self._make_error(start, "the brackets of this repeat are not closed; add ')'")
         return Repeat(int(count), segments)
 
-    def amount(self, quantity: str, *, needed: bool, zero: bool, after: str) -> float | None:
+    def read_amount(self, quantity: str, *, needed: bool, zero: bool, after: str) -> float | None:
         """Read a number with its unit; returns the value in SI, or None if there is no number."""
         self.skip_blanks()
         start, units = self.at, _UNITS[quantity]
         number = self.consume(_NUMBER)
         if number is None:
             if needed:
-                raise self.fault(start, f"expected a {quantity} after {after!r}, such as {_EXAMPLES[quantity]}")
+                raise self._make_error(start, f"expected a {quantity} after {after!r}, such as {_EXAMPLES[quantity]}")
             return None
         self.skip_blanks()
         at = self.at
         unit = self.consume(_WORD)
         if unit is None:
             comma = self.text[at:at + 1] == ","
-            problem = ("the decimal mark must be a point, not a comma" if comma else f"{_short(number)} has no unit")
-            raise self.fault(at, f"{problem}; expected a {quantity} such as {_EXAMPLES[quantity]}")
+            problem = ("the decimal mark must be a point, not a comma" if comma
+                       else f"{_quote_shortened(number)} has no unit")
+            raise self._make_error(at, f"{problem}; expected a {quantity} such as {_EXAMPLES[quantity]}")
         entry = units.get(unit.replace("µ", "u").replace("μ", "u"))
         if entry is None:
-            raise self.fault(at, f"{_short(unit)} is not a unit of {quantity}; use {', '.join(list(units)[:5])}")
-        value = _to_si(number, *entry)
+            raise self._make_error(at, f"{_quote_shortened(unit)} is not a unit of {quantity}; use "
+                                       f"{', '.join(list(units)[:5])}")
+        value = _convert_to_si(number, *entry)
         if not (0 < value < math.inf or (zero and value == 0)):
-            raise self.fault(start, f"{_short(number)} is not a finite {quantity} above zero"
-                                    + ("; use retract for a height above the touch" if quantity == "length" else ""))
+            remedy = "; use retract for a height above the touch" if quantity == "length" else ""
+            raise self._make_error(start, f"{_quote_shortened(number)} is not a finite {quantity} above zero{remedy}")
         self.skip_blanks()
         return value
 
-    def ended(self) -> bool:
+    def is_at_end(self) -> bool:
         """Whether the text, or the bracket, ends here."""
         self.skip_blanks()
         return self.at == len(self.text) or self.text[self.at] == ")"
 
-    def took(self, sign: str) -> bool:
+    def consume_sign(self, sign: str) -> bool:
         """Consume a sign; returns whether it was there."""
         self.skip_blanks()
         found = self.text.startswith(sign, self.at)
@@ -173,23 +177,23 @@ class _Reader:
     def skip_blanks(self) -> None:
         self.consume(_BLANKS)
 
-    def position(self, at: int) -> str:
+    def describe_position(self, at: int) -> str:
         """Column, and line if there are several, of an index of the text."""
         column = f"column {at - self.text.rfind(chr(10), 0, at)}"
         return f"line {1 + self.text.count(chr(10), 0, at)}, {column}" if "\n" in self.text.strip() else column
 
-    def fault(self, at: int, problem: str):
+    def _make_error(self, at: int, problem: str):
         """Error at an index of the text."""
         rest = self.text[at:].strip()
-        found = f"at {_short(rest)}" if rest else "at the end"
-        return fault(f"{self.position(at)}, {found}", problem)
+        found = f"at {_quote_shortened(rest)}" if rest else "at the end"
+        return protocol_error(f"{self.describe_position(at)}, {found}", problem)
 
 
-def _short(text: str) -> str:
+def _quote_shortened(text: str) -> str:
     return repr(text if len(text) <= _QUOTED else f"{text[:_QUOTED]}...")
 
 
-def _to_si(number: str, factor: str, divisor: str) -> float:
+def _convert_to_si(number: str, factor: str, divisor: str) -> float:
     """Float nearest to the number in SI, so that 0.248 mm/s is 0.248e-3 m/s to the last digit."""
     value = float(number)
     if value == 0 or not math.isfinite(value):

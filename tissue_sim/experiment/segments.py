@@ -63,7 +63,7 @@ class Leg:
     cycle: int
 
 
-def legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
+def expand_legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
     """Return the legs of a protocol, one for each segment, with repeats expanded.
 
     Args:
@@ -74,12 +74,12 @@ def legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
         InputError: a segment that cannot follow the one before, such as an unload at the touch.
     """
     here, deepest, cycle, withdrawn, begun = 0.0, 0.0, 1, False, False
-    for segment in _in_order(steps):
+    for segment in _expand_repeats(steps):
         speed = speed if segment.speed is None else segment.speed
         if segment.kind == "approach" and not begun:
             here = -_start_of_approach(segment)
         begun = True
-        end = _end(segment, here, deepest)
+        end = _find_end(segment, here, deepest)
         if end > here and withdrawn:
             cycle, withdrawn = cycle + 1, False
         withdrawn = withdrawn or end < here
@@ -90,13 +90,13 @@ def legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
         here, deepest = end, max(deepest, end)
 
 
-def fault(position: str, problem: str) -> InputError:
+def protocol_error(position: str, problem: str) -> InputError:
     """Make the error of a protocol: position, problem, and an example."""
     example = f"{' For' if problem.endswith('?') else '; for'} example {EXAMPLE!r}"
     return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
 
 
-def _in_order(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
+def _expand_repeats(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
     for step in steps:
         for _ in range(step.times if isinstance(step, Repeat) else 1):
             yield from step.segments if isinstance(step, Repeat) else (step,)
@@ -104,12 +104,12 @@ def _in_order(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
 
 def _start_of_approach(segment: Segment) -> float:
     if segment.amount is None:
-        raise fault(segment.position, "the first approach needs the height above the touch at which it starts, such as "
-                                      "approach 2mm")
+        raise protocol_error(segment.position, "the first approach needs the height above the touch at which it "
+                                               "starts, such as approach 2mm")
     return segment.amount
 
 
-def _end(segment: Segment, here: float, deepest: float) -> float:
+def _find_end(segment: Segment, here: float, deepest: float) -> float:
     """Displacement at the end of a segment, m; `here`: at its start, `deepest`: largest so far."""
     kind, amount = segment.kind, segment.amount
     match kind:
@@ -117,26 +117,29 @@ def _end(segment: Segment, here: float, deepest: float) -> float:
             return here
         case "approach":
             if here >= 0 or (amount is not None and not math.isclose(amount, -here, rel_tol=1e-9)):
-                height = "above the touch" if amount is None else f"{_mm(amount)} above the touch"
-                raise fault(segment.position, f"an approach starts {height}, but the tool is at {_mm(here)}; retract "
-                                              "to that height first")
+                height = "above the touch" if amount is None else f"{_format_mm(amount)} above the touch"
+                raise protocol_error(segment.position, f"an approach starts {height}, but the tool is at "
+                                                       f"{_format_mm(here)}; retract to that height first")
             return 0.0
         case "ramp" | "reload":
             if amount is None and deepest <= 0:
-                raise fault(segment.position, "a reload needs an earlier ramp or a depth; ramp first, or name a depth")
+                raise protocol_error(segment.position, "a reload needs an earlier ramp or a depth; ramp first, or name "
+                                                       "a depth")
             end = deepest if amount is None else amount
             if end <= here:
-                raise fault(segment.position, f"a {kind} must go deeper, but the tool is at {_mm(here)} already; name "
-                                              "a larger depth, or unload before it")
+                raise protocol_error(segment.position, f"a {kind} must go deeper, but the tool is at "
+                                                       f"{_format_mm(here)} already; name a larger depth, or unload "
+                                                       "before it")
             return end
         case "unload" | "retract":
             end = (-1.0 if kind == "retract" else 1.0) * (amount or 0.0)
             if end >= here:
-                raise fault(segment.position, f"{'an' if kind == 'unload' else 'a'} {kind} must go outwards, but the "
-                                              f"tool is at {_mm(here)} already; its end is {_mm(end)}")
+                article = "an" if kind == "unload" else "a"
+                raise protocol_error(segment.position, f"{article} {kind} must go outwards, but the tool is at "
+                                                       f"{_format_mm(here)} already; its end is {_format_mm(end)}")
             return end
-    raise fault(segment.position, f"unknown segment {kind!r}")
+    raise protocol_error(segment.position, f"unknown segment {kind!r}")
 
 
-def _mm(length: float) -> str:
+def _format_mm(length: float) -> str:
     return f"{length * 1e3:.6g} mm"

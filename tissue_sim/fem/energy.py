@@ -48,20 +48,19 @@ def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
         return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
 
-    return taichi_function(derive, _kept_as(energy, tangents), __file__)
+    return taichi_function(derive, _cache_key(energy, tangents), __file__)
 
 
 def stretch_derivatives(energy: KernelEnergy):
-    """Return a Python function of (stretch, coefficients) -> w', w'', w, for a law that is a sum over isochoric
-    stretches."""
+    """Return a function (stretch, coefficients) -> (w', w'', w) of a law that is a sum over isochoric stretches."""
     def derive():
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
 
-    return taichi_function(derive, _kept_as(energy), __file__)
+    return taichi_function(derive, _cache_key(energy), __file__)
 
 
-def _kept_as(energy: KernelEnergy, *what) -> tuple | None:
+def _cache_key(energy: KernelEnergy, *what) -> tuple | None:
     return None if energy.kept_as is None else (*energy.kept_as, "energy", *what)
 
 
@@ -100,8 +99,10 @@ def soften_function(size: int):
 
     @ti.func
     def soften(W, largest, loss, modulus, share, P, A):
-        """Multiply stress and tangent by eta = 1 - loss tanh((largest - W) / (modulus + share largest)) at a point that
-        had a larger energy density before (Dorfmann and Ogden, IJSS 40 (2003) 2699)."""
+        """Multiply stress and tangent by the softening factor eta at a point that had a larger energy density before.
+
+        eta = 1 - loss tanh((largest - W) / (modulus + share largest)). Source: Dorfmann and Ogden, IJSS 40 (2003) 2699.
+        """
         width = ti.max(modulus + share * largest, 1e-300)  # not zero at rest
         bend = ti.tanh(ti.max(largest - W, 0.0) / width)
         eta = 1.0 - loss * bend

@@ -11,7 +11,7 @@ from tissue_sim.material.viscoelasticity import Prony
 
 
 class PastColumn(IntEnum):
-    """Columns of `Memory.past`."""
+    """Columns of `Memory.past`, the numbers of the history that are equal at all points."""
 
     #: Instantaneous stress over the stress of the law, 1.
     FACTOR = 0
@@ -98,8 +98,10 @@ class Memory:
         np.maximum(self.largest, self.energies, out=self.largest)
 
     def total(self) -> np.ndarray:
-        """Isochoric second Piola-Kirchhoff stress of the last committed step with relaxation, (1 - sum g) S + sum Q_i,
-        Pa, shape (elements, q, components)."""
+        """Return the isochoric stress of the last committed step with relaxation, Pa, shape (elements, q, components).
+
+        The second Piola-Kirchhoff stress is (1 - sum g) S + sum Q_i.
+        """
         if self._prony is None:
             return self.stresses.copy()
         return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)

@@ -10,12 +10,25 @@ Source: Hairer, Norsett and Wanner, Solving Ordinary Differential Equations I, s
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-#: Smallest ratio of a step to the step before for which the step is of second order.
-_SMALLEST_RATIO = 0.4
-#: Largest ratio; variable-step BDF2 is stable for ratios below 1 + sqrt 2.
-_LARGEST_RATIO = 2.0
+
+@dataclass(frozen=True)
+class StepRatios:
+    """Ratios of a time step to the step before for which the step is of second order.
+
+    Attributes:
+        smallest: smallest ratio, 1.
+        largest: largest ratio, 1. Variable-step BDF2 is stable for ratios below 1 + sqrt 2.
+    """
+
+    smallest: float = 0.4
+    largest: float = 2.0
+
+
+_RATIOS = StepRatios()
 
 
 class Motion:
@@ -50,7 +63,7 @@ class Motion:
         """
         before = float(self._before[0])
         ratio = dt / before if before > 0.0 else 0.0
-        if _SMALLEST_RATIO <= ratio <= _LARGEST_RATIO:
+        if _RATIOS.smallest <= ratio <= _RATIOS.largest:
             self._weights = (1.0 + 2.0 * ratio) / (1.0 + ratio), -(1.0 + ratio), ratio * ratio / (1.0 + ratio)
         else:
             self._weights = 1.0, -1.0, 0.0
@@ -67,7 +80,8 @@ class Motion:
         """Update velocity and history after a converged step.
 
         Args:
-            before, after: states before and after the step, displacements first, m.
+            before: state before the step, displacements first, m.
+            after: state after the step, displacements first, m.
             dt: length of the step, s.
             inertial: whether the step was inertial. After a static step the velocity is the difference quotient of the
                 two states; it is zero after the first static step that follows an inertial one.
@@ -124,7 +138,7 @@ class Motion:
         self._before[:] = 0.0
 
     def stop(self) -> None:
-        """Set the velocity to zero."""
+        """Set the velocity of all degrees of freedom to zero."""
         self.velocity[:], self._before[:] = 0.0, 0.0
 
     @property

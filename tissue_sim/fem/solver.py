@@ -257,7 +257,9 @@ class Solver(FreeTool, ABC):
         generator is closed early. A solver without this method yields nothing.
 
         Args:
-            pose, dt, tolerance: as in `step`.
+            pose: as in `step`.
+            dt: as in `step`.
+            tolerance: as in `step`.
             max_iterations: largest number of linear solves of one step.
             allowed: returns the number of linear solves, at least one, that may be used until the next yield; a step
                 that uses them up is yielded as SLOW and continues afterwards. None: no limit.
@@ -270,8 +272,10 @@ class Solver(FreeTool, ABC):
 
     @classmethod
     def realtime_levels(cls, model: Model) -> Sequence[ResolutionLevel]:
-        """Resolutions of a model for real time, the finest first; `Simulator` takes the finest that the computer can
-        step in time. Empty if the solver has only one."""
+        """Return the resolutions of a model for real time, the finest first; empty if the solver has only one.
+
+        `Simulator` uses the finest resolution that the computer can step in time.
+        """
         return ()
 
     @classmethod
@@ -345,8 +349,7 @@ class Solver(FreeTool, ABC):
         """Return the surface at the last committed state."""
 
     def warnings(self) -> Sequence[str]:
-        """Reasons why the force at the last committed state, though an equilibrium, may be wrong: sentences; usually
-        none."""
+        """Return sentences with reasons why the force at the last committed equilibrium may be wrong; usually none."""
         return ()
 
     @abstractmethod

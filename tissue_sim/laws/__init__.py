@@ -37,6 +37,10 @@ def find_law(name: str) -> Law:
 
     Raises:
         InputError: no law has the name; the message names the nearest.
+
+    Examples:
+        >>> find_law("neo_hooke").formula()
+        'W = C10*(I1 - 3)'
     """
     return LAWS.find(name, "law")
 

@@ -16,4 +16,5 @@ class Biderman(InvariantLaw):
     units = {"C10": "Pa", "C01": "Pa", "C20": "Pa", "C30": "Pa"}
 
     def energy(self, I1, I2, C10, C01, C20, C30):
+        """Return W as an expression of the invariants and the coefficients, Pa."""
         return C10 * (I1 - 3) + C01 * (I2 - 3) + C20 * (I1 - 3)**2 + C30 * (I1 - 3)**3

@@ -56,7 +56,7 @@ class KernelEnergy:
 
     @property
     def count(self) -> int:
-        """Number of coefficients."""
+        """Number of coefficients of the energy."""
         return len(self.coefficients)
 
     @property
@@ -102,7 +102,7 @@ class Law:
 
     @property
     def kernel_energy(self) -> KernelEnergy:
-        """Symbolic energy for kernels."""
+        """Symbolic energy from which the kernels are compiled."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     def kernel_coefficients(self, values) -> np.ndarray:
@@ -114,6 +114,11 @@ class Law:
 
         Raises:
             InputError: a missing or unknown name, or a value that is not finite.
+
+        Examples:
+            >>> from tissue_sim.laws import find_law
+            >>> find_law("mooney_rivlin").as_array({"C01": 200.0, "C10": 1000.0})
+            array([1000.,  200.])
         """
         if isinstance(values, Mapping):
             for name in values:
@@ -145,7 +150,7 @@ class Law:
     def _evaluate(self, mode, stretch, values) -> list[np.ndarray]:
         """Nominal stress, slope and parameter derivatives, each with the shape of `stretch`."""
         stretch = np.asarray(stretch, dtype=float)
-        results = _along(self, mode)(stretch, *self.as_array(values))
+        results = _compile_mode_functions(self, mode)(stretch, *self.as_array(values))
         return [np.broadcast_to(np.asarray(item, dtype=float), stretch.shape) for item in results]
 
     def nominal_stress(self, stretch, values, mode: str = "uniaxial") -> np.ndarray:
@@ -157,6 +162,11 @@ class Law:
             mode: ``uniaxial`` (equations 4 to 7 of the reference study), ``planar``, ``equibiaxial``, ``simple_shear``.
 
         Source: P = dW/dlambda along the mode (Holzapfel, Nonlinear Solid Mechanics, 2000, section 6.5).
+
+        Examples:
+            >>> from tissue_sim.laws import find_law
+            >>> find_law("neo_hooke").nominal_stress([0.9, 1.0, 1.1], {"C10": 1000.0}).round(1)
+            array([-669.1,    0. ,  547.1])
         """
         return np.array(self._evaluate(mode, stretch, values)[0])
 
@@ -183,7 +193,7 @@ class Law:
         """
         stretches = np.asarray(stretches, dtype=float)
         bar = stretches * np.prod(stretches, axis=-1, keepdims=True) ** (-1.0 / 3.0)
-        energy, *slopes = _principal(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
+        energy, *slopes = _compile_principal_functions(self)(*np.moveaxis(bar, -1, 0), *self.as_array(values))
         tau = np.stack([np.broadcast_to(slope, bar.shape[:-1]) for slope in slopes], axis=-1)
         return np.broadcast_to(energy, bar.shape[:-1]).copy(), tau - tau.mean(axis=-1, keepdims=True)
 
@@ -197,18 +207,18 @@ class Law:
 
     def formula(self) -> str:
         """Energy as one line of text."""
-        return "W = " + self._printed("sstr").replace("**", "^")
+        return "W = " + self._print_formula("sstr").replace("**", "^")
 
     def latex(self) -> str:
-        """Energy as LaTeX, for reports."""
-        return "W = " + self._printed("latex")
+        """Return the formula of the energy in LaTeX, for reports."""
+        return "W = " + self._print_formula("latex")
 
-    def _printed(self, by: str) -> str:
+    def _print_formula(self, by: str) -> str:
         """Formula from a printer function of sympy, given by its name."""
-        return printed(lambda: self._in_order(getattr(sp, by)),
+        return printed(lambda: self._print_in_parameter_order(getattr(sp, by)),
                        kept_as=None if self.kept_as is None else (*self.kept_as, by))
 
-    def _in_order(self, write) -> str:
+    def _print_in_parameter_order(self, write) -> str:
         """Formula with its terms in the order of the parameters; sympy would sort them otherwise."""
         def first_parameter(term):
             return min((i for i, p in enumerate(self.symbols) if term.has(p)), default=len(self.symbols))
@@ -217,17 +227,17 @@ class Law:
         return " + ".join(write(term) for term in terms).replace("+ -", "- ")
 
     def formula_expression(self) -> sp.Expr:
-        """Symbolic energy that is printed."""
+        """Return the symbolic energy that `formula` and `latex` print."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
 
 @lru_cache
-def _along(law: Law, mode: str):
+def _compile_mode_functions(law: Law, mode: str):
     """Compiled nominal stress, its slope and its parameter derivatives along a mode."""
-    return law.derived(mode, lambda: _stress_along(law, mode))
+    return law.derived(mode, lambda: _derive_mode_stress(law, mode))
 
 
-def _stress_along(law: Law, mode: str):
+def _derive_mode_stress(law: Law, mode: str):
     if mode == "simple_shear":
         # Principal stretches of simple shear gamma: l and 1/l with l - 1/l = gamma.
         s = sp.Symbol("gamma", real=True)
@@ -243,12 +253,12 @@ def _stress_along(law: Law, mode: str):
 
 
 @lru_cache
-def _principal(law: Law):
+def _compile_principal_functions(law: Law):
     """Compiled energy and its derivatives with respect to the logarithms of the three stretches."""
-    return law.derived("principal", lambda: _principal_slopes(law))
+    return law.derived("principal", lambda: _derive_principal_slopes(law))
 
 
-def _principal_slopes(law: Law):
+def _derive_principal_slopes(law: Law):
     l1, l2, l3 = stretches = sp.symbols("l1:4", positive=True)
     energy = law.energy_of_stretches(l1, l2, l3, law.symbols)
     slopes = [s * sp.diff(energy, s) for s in stretches]
@@ -263,18 +273,20 @@ class InvariantLaw(Law):
     """
 
     def energy(self, I1, I2, *parameters):
-        """W as an expression of the invariants and the parameters."""
+        """Return W as an expression of the invariants and the parameters."""
         raise TypeError(f"{type(self).__name__} must state energy(I1, I2, *parameters)")
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
+        """Return W as an expression of the isochoric principal stretches; see `Law.energy_of_stretches`."""
         I1 = l1**2 + l2**2 + l3**2
         I2 = l1**-2 + l2**-2 + l3**-2
         return sp.sympify(self.energy(I1, I2, *parameters))
 
     def formula_expression(self) -> sp.Expr:
-        return sp.sympify(self.energy(*_invariants(), *self.symbols))
+        """Return the symbolic energy W of I1, I2 and the parameters."""
+        return sp.sympify(self.energy(*_invariant_symbols(), *self.symbols))
 
-    def _polynomial(self):
+    def _polynomial_coefficients(self):
         """Symbols, and coefficients of (I1-3)^i (I2-3)^j as expressions of them; None for another formula."""
         x, y = sp.symbols("x y", real=True)
         try:
@@ -288,15 +300,17 @@ class InvariantLaw(Law):
 
     @cached_property
     def _polynomial_function(self):
-        return self.derived("polynomial", self._polynomial)
+        return self.derived("polynomial", self._polynomial_coefficients)
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
+        """Energy of the kernel; polynomials up to degree three share one kernel."""
         if self._polynomial_function is not None:
             return _POLYNOMIAL
-        return KernelEnergy(self.name, "invariants", _invariants(), self.symbols, self.formula_expression())
+        return KernelEnergy(self.name, "invariants", _invariant_symbols(), self.symbols, self.formula_expression())
 
     def kernel_coefficients(self, values) -> np.ndarray:
+        """Return the coefficients of the kernel for the parameters, shape (coefficients,)."""
         if self._polynomial_function is None:
             return self.as_array(values)
         return np.array(self._polynomial_function(*self.as_array(values)), dtype=float)
@@ -306,10 +320,11 @@ class StretchLaw(Law):
     """Separable law W = w(l1) + w(l2) + w(l3): a subclass defines `energy_of_stretch(stretch, *parameters)`."""
 
     def energy_of_stretch(self, stretch, *parameters):
-        """w as an expression of one stretch and the parameters."""
+        """Return w as an expression of one stretch and the parameters."""
         raise TypeError(f"{type(self).__name__} must state energy_of_stretch(stretch, *parameters)")
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
+        """Return W as the sum of w over the isochoric principal stretches."""
         return sp.Add(*(sp.sympify(self.energy_of_stretch(s, *parameters)) for s in (l1, l2, l3)))
 
     def formula_expression(self) -> sp.Expr:
@@ -317,14 +332,17 @@ class StretchLaw(Law):
         return sp.sympify(self.energy_of_stretch(sp.Symbol("lambda", positive=True), *self.symbols))
 
     def formula(self) -> str:
+        """Return the formula of W and w as text."""
         return f"W = w(lambda_1) + w(lambda_2) + w(lambda_3), {super().formula().replace('W', 'w', 1)}"
 
     def latex(self) -> str:
+        """Return the formula of W and w in LaTeX."""
         return (r"W = w(\lambda_1) + w(\lambda_2) + w(\lambda_3), \quad "
                 + super().latex().replace("W", "w", 1))
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
+        """Energy of the kernel, w of one stretch."""
         stretch = sp.Symbol("stretch", positive=True)
         return KernelEnergy(self.name, "stretches", (stretch,), self.symbols,
                             sp.sympify(self.energy_of_stretch(stretch, *self.symbols)))
@@ -334,7 +352,7 @@ class StretchLaw(Law):
 POWERS = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3))
 
 
-def _invariants() -> tuple[sp.Symbol, ...]:
+def _invariant_symbols() -> tuple[sp.Symbol, ...]:
     return tuple(sp.symbols("I1 I2", positive=True))
 
 
@@ -353,7 +371,7 @@ class _Polynomial(KernelEnergy):
 
     @cached_property
     def variables(self) -> tuple[sp.Symbol, ...]:
-        return _invariants()
+        return _invariant_symbols()
 
     @cached_property
     def coefficients(self) -> tuple[sp.Symbol, ...]:

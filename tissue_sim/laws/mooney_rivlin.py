@@ -11,4 +11,5 @@ class MooneyRivlin(InvariantLaw):
     units = {"C10": "Pa", "C01": "Pa"}
 
     def energy(self, I1, I2, C10, C01):
+        """Return W as an expression of the invariants and the coefficients, Pa."""
         return C10 * (I1 - 3) + C01 * (I2 - 3)

@@ -11,4 +11,5 @@ class NeoHooke(InvariantLaw):
     units = {"C10": "Pa"}
 
     def energy(self, I1, I2, C10):
+        """Return W as an expression of the invariants and the coefficients, Pa."""
         return C10 * (I1 - 3)

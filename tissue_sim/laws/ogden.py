@@ -1,5 +1,6 @@
 """Ogden's law: powers of the principal stretches (Ogden 1972), in the convention of the Abaqus manual."""
 
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -8,13 +9,26 @@ from tissue_sim.laws.law import KernelEnergy, StretchLaw
 
 #: Largest number of terms.
 MAX_TERMS = 3
-#: Smallest absolute value of an exponent, 1; smaller ones are replaced by this value with their sign (+ for 0), because
-#: the formula divides by alpha^2. The limit for alpha -> 0 is W = mu (ln^2 l1 + ln^2 l2 + ln^2 l3), the energy of
-#: Hencky (1928). The relative difference of the stress from this limit is at most 5e-5 |ln l|; the difference of powers
-#: loses 4 of 16 digits.
-SMALLEST_EXPONENT = 1e-4
-#: Exponents of smaller absolute value are reported as 0.
-LIMIT_EXPONENT = 1e-2
+
+@dataclass(frozen=True)
+class ExponentSettings:
+    """Treatment of exponents near 0, by which the formula cannot divide.
+
+    The limit for alpha -> 0 is W = mu (ln^2 l1 + ln^2 l2 + ln^2 l3), the energy of Hencky (1928).
+
+    Attributes:
+        smallest: smallest absolute value of an exponent, 1; smaller ones are replaced by this value with their sign
+            (+ for 0). The relative difference of the stress from the limit is then at most 5e-5 |ln l|; the difference
+            of powers loses 4 of 16 digits. A smaller value loses more digits.
+        limit: exponents of smaller absolute value are reported as 0, 1.
+    """
+
+    smallest: float = 1e-4
+    limit: float = 1e-2
+
+
+#: Settings of all orders.
+EXPONENTS = ExponentSettings()
 
 
 class Ogden(StretchLaw):
@@ -28,22 +42,23 @@ class Ogden(StretchLaw):
                       for symbol, unit in (("mu", "Pa"), ("alpha", "1"))}
 
     def energy_of_stretch(self, stretch, *parameters):
+        """Return w as an expression of one stretch, the moduli mu_i (Pa) and the exponents alpha_i."""
         pairs = zip(parameters[::2], parameters[1::2], strict=True)
         return sum(2 * mu / alpha**2 * (stretch**alpha - 1) for mu, alpha in pairs)
 
     def as_array(self, values) -> np.ndarray:
-        """Return the values as `Law.as_array`; exponents smaller than `SMALLEST_EXPONENT` are replaced by it."""
+        """Return the values as `Law.as_array`; exponents below `ExponentSettings.smallest` are replaced by it."""
         array = np.array(super().as_array(values))
         exponents = array[1::2]
-        small = np.abs(exponents) < SMALLEST_EXPONENT
-        exponents[small] = np.copysign(SMALLEST_EXPONENT, exponents[small])
+        small = np.abs(exponents) < EXPONENTS.smallest
+        exponents[small] = np.copysign(EXPONENTS.smallest, exponents[small])
         return array
 
     def at_limit(self, values) -> list[str]:
-        """Sentences on exponents that are 0 within `LIMIT_EXPONENT`; see `Law.at_limit`."""
+        """Sentences on exponents that are 0 within `ExponentSettings.limit`; see `Law.at_limit`."""
         exponents = super().as_array(values)[1::2]
         return [f"alpha{i} is at its limit 0, where the term is mu{i} (ln^2 l1 + ln^2 l2 + ln^2 l3)"
-                for i, alpha in enumerate(exponents, start=1) if abs(alpha) < LIMIT_EXPONENT]
+                for i, alpha in enumerate(exponents, start=1) if abs(alpha) < EXPONENTS.limit]
 
     @cached_property
     def kernel_energy(self) -> KernelEnergy:
@@ -52,6 +67,7 @@ class Ogden(StretchLaw):
         return KernelEnergy("ogden", own.family, own.variables, own.coefficients, own.energy)
 
     def kernel_coefficients(self, values) -> np.ndarray:
+        """Return mu_i and alpha_i of `MAX_TERMS` terms, with mu_i = 0 in absent terms."""
         coefficients = np.tile([0.0, 2.0], MAX_TERMS)
         coefficients[: 2 * self.terms] = self.as_array(values)
         return coefficients

@@ -12,4 +12,5 @@ class ReducedPolynomial(InvariantLaw):
         self.units = {f"C{i}0": "Pa" for i in range(1, order + 1)}
 
     def energy(self, I1, I2, *C):
+        """Return W as an expression of the invariants and the coefficients, Pa."""
         return sum(Ci0 * (I1 - 3)**i for i, Ci0 in enumerate(C, start=1))

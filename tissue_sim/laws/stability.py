@@ -59,12 +59,12 @@ class Stability:
 
 
 @lru_cache
-def _hessian(law: Law):
+def _compile_hessian(law: Law):
     """Compiled Hessian d2W/(de_i de_j) in the logarithmic strains as independent variables: 11, 22, 33, 12, 13, 23."""
-    return law.derived("hessian", lambda: _second_derivatives(law))
+    return law.derived("hessian", lambda: _derive_hessian(law))
 
 
-def _second_derivatives(law: Law):
+def _derive_hessian(law: Law):
     import sympy as sp
 
     e = sp.symbols("e1:4", real=True)
@@ -77,7 +77,7 @@ def _second_derivatives(law: Law):
 def _is_stable(law: Law, values: np.ndarray, strains: np.ndarray) -> np.ndarray:
     """Whether d(tau) : d(e) > 0 for every volume-preserving d(e), at logarithmic strains, shape (n, 3); shape (n,)."""
     with np.errstate(all="ignore"):
-        entries = _hessian(law)(*strains.T, *values)
+        entries = _compile_hessian(law)(*strains.T, *values)
         h = np.empty((3, 3, len(strains)))
         for (i, k), entry in zip(((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)), entries, strict=True):
             h[i, k] = h[k, i] = entry
@@ -112,6 +112,12 @@ def check_stability(law: Law, values, stretch_range: tuple[float, float] = STRET
         values: parameters, SI.
         stretch_range: (lowest, highest) stretch to check.
         points: number of samples in each direction.
+
+    Examples:
+        >>> from tissue_sim.laws import find_law
+        >>> found = check_stability(find_law("reduced_polynomial_2"), {"C10": 1000.0, "C20": -300.0})
+        >>> found.stable, round(found.stable_from, 2), round(found.stable_to, 2)
+        (False, 0.81, 1.25)
     """
     array = law.as_array(values)
     directions = {"uniaxial": (1.0, -0.5, -0.5), "planar": (1.0, 0.0, -1.0), "equibiaxial": (1.0, 1.0, -2.0)}

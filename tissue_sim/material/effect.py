@@ -15,7 +15,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from tissue_sim.parameters import declaring
+from tissue_sim.parameters import accepts_declared
 from tissue_sim.registry import Registry
 
 
@@ -68,7 +68,9 @@ class ReducedEffect(TissueEffect):
         """Evaluate `share` for arrays of histories of one shape; a subclass may override this with a faster version.
 
         Args:
-            depth, deepest, time: fields of `ToolHistory`.
+            depth: `ToolHistory.depth` of each history.
+            deepest: `ToolHistory.deepest` of each history.
+            time: `ToolHistory.time` of each history.
 
         Returns:
             Ratios, with the shape of the arguments.
@@ -127,20 +129,20 @@ class ReducedForce:
 
     def share(self, depth: float, dt: float = 0.0) -> float:
         """Factor on the force, or its derivative, at a trial depth, m, reached in dt s."""
-        here = self._at(depth, dt)
+        here = self._history_at(depth, dt)
         return prod((effect.share(here) for effect in self._effects), start=1.0)
 
     def commit(self, depth: float, dt: float = 0.0) -> float:
         """Accept a depth, m, reached in dt s; returns the factor there."""
-        share, self.history = self.share(depth, dt), self._at(depth, dt)
+        share, self.history = self.share(depth, dt), self._history_at(depth, dt)
         return share
 
-    def _at(self, depth: float, dt: float) -> ToolHistory:
+    def _history_at(self, depth: float, dt: float) -> ToolHistory:
         return ToolHistory(depth, max(self.history.deepest, depth), self.history.time + dt)
 
 
 #: Name -> class of an effect.
 EFFECTS: Registry[type[TissueEffect]] = Registry(
     "effect of the tissue", "tissue_sim.effects",
-    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"}, accepts=declaring(TissueEffect),
+    {"stiffness_scale": "tissue_sim.material.stiffness_scale:StiffnessScale"}, accepts=accepts_declared(TissueEffect),
     expected="a frozen dataclass that derives from tissue_sim.TissueEffect and declares its parameters")

@@ -20,7 +20,7 @@ from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.law_entry import BulkEntry, Entry, ParameterEntry, law_entries, parameters_in_SI, values_of
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.material.population import PopulationEntry, checked_population, population_entry
+from tissue_sim.material.population import PopulationEntry, check_population, population_entry
 from tissue_sim.material.schema import (
     CovarianceEntry,
     LayerEntry,
@@ -92,6 +92,12 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
 
         Raises:
             InputError: an invalid value, with its dotted path.
+
+        Examples:
+            >>> from tissue_sim import Material
+            >>> file = MaterialFile.of(Material("neo_hooke", {"C10": 1000.0}), standard_errors={"C10": 20.0})
+            >>> file.standard_errors
+            {'C10': 20.0}
         """
         law, known = material.energy_law, _with_errors(material)
         errors = {name: float(error) for name, error in (standard_errors or {}).items()}
@@ -107,13 +113,13 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
             errors = errors or dict(zip(order, np.sqrt(np.diag(matrix)).tolist(), strict=True))
             factors = np.array([known[name].declaration.factor for name in order])
             stated = CovarianceEntry(order=tuple(known[name].file_path for name in order),
-                                     matrix=_rows(matrix / np.outer(factors, factors)))
+                                     matrix=_to_tuples(matrix / np.outer(factors, factors)))
         stability = check_stability(law, material.values)
         specimens = None if population is None else population_entry(population, known)
         given = as_json_types(provenance or {})
         history = {"software": "tissue-sim", "version": __version__,
                    "date": datetime.now(UTC).isoformat(timespec="seconds"), **given}
-        return checked(cls(
+        return check_material_file(cls(
             schema=SCHEMA, name=material.name, **law_entries(material, errors),
             covariance=stated, population=specimens, **entries_of(material, errors),
             density_kg_m3=material.density,
@@ -179,9 +185,16 @@ def write_material_file(material_file: MaterialFile, path: str | Path) -> None:
 
     Raises:
         InputError: an invalid value, or a path that cannot be written; nothing is written then.
+
+    Examples:
+        >>> from tissue_sim import Material
+        >>> gel = Material("neo_hooke", {"C10": 1000.0})
+        >>> write_material_file(MaterialFile.of(gel), "gel.material.json")
+        >>> load_material("gel.material.json") == gel
+        True
     """
     with located(file=path):
-        data = msgspec.to_builtins(checked(material_file))
+        data = msgspec.to_builtins(check_material_file(material_file))
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False)
     # Lists of numbers on one line: a line break inside brackets is never part of a JSON string.
     text = re.sub(r"\[\n([^\[\]{}\"]*)\n\s*\]", lambda match: f"[{' '.join(match[1].split())}]", text)
@@ -199,7 +212,7 @@ def decode_material_file(data: Any) -> MaterialFile:
                 if isinstance(entry, dict):
                     _decode_one_by_one(entry, "parameters", ParameterEntry)
                 decode(entry, RegionEntry)
-    return checked(decode(data, MaterialFile, ""))
+    return check_material_file(decode(data, MaterialFile, ""))
 
 
 def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> None:
@@ -210,7 +223,7 @@ def _decode_one_by_one(data: dict[str, Any], key: str, kind: type[Entry]) -> Non
             decode(entry, kind, f"{key}.{name}")
 
 
-def checked(file: MaterialFile) -> MaterialFile:
+def check_material_file(file: MaterialFile) -> MaterialFile:
     """Return a file in SI, after all checks that its types do not express.
 
     Raises:
@@ -244,10 +257,10 @@ def checked(file: MaterialFile) -> MaterialFile:
                              field="covariance.matrix")
         matrix = np.outer(scale, scale) * np.array(file.covariance.matrix, dtype=float)
         check_covariance(matrix, len(order))
-        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_rows(matrix)))
+        file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_to_tuples(matrix)))
     if file.population is not None:
         known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
-        file = msgspec.structs.replace(file, population=checked_population(file.population, known))
+        file = msgspec.structs.replace(file, population=check_population(file.population, known))
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa overflows in Pa
     return file
 
@@ -267,7 +280,7 @@ def _check_order(order: Sequence[str], law: Law, known: Sequence[str]) -> None:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="covariance.order")
 
 
-def _rows(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
+def _to_tuples(matrix: np.ndarray) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, matrix.tolist()))
 
 

@@ -40,7 +40,8 @@ def incompressible_ratio(radius: float, height: float) -> float:
     5e-5 if they are five times as wide as high, 3e-4 if ten times.
 
     Args:
-        radius, height: m.
+        radius: radius of the cylinder, m.
+        height: height of the cylinder, m.
     """
     return min(BULK_RATIOS[1], 1e5 * max(1.0, 3.0 * (radius / height) ** 2))
 
@@ -111,6 +112,11 @@ class Material:
     Raises:
         InputError: unknown law or parameter, parameters whose initial shear modulus is not positive, too many relaxing
             terms (drainage included), or relaxing fractions whose sum is 1 or more.
+
+    Examples:
+        >>> gel = Material("neo_hooke", {"C10": 1000.0}, Bulk("bulk_ratio", 1e3))
+        >>> gel.mu0, gel.bulk_modulus
+        (2000.0, 2000000.0)
     """
 
     law: str
@@ -136,7 +142,7 @@ class Material:
             if own.layers or own.regions or own.effects or own.puncture is not None:
                 raise InputError("a region has no layers, regions, effects or puncture; leave them out",
                                  field=f"regions.{name}")
-        object.__setattr__(self, "effects", read_only(_by_name(self.effects)))
+        object.__setattr__(self, "effects", read_only(_index_by_name(self.effects)))
         object.__setattr__(self, "parameters", read_only(self.energy_law.as_mapping(self.parameters)))
         object.__setattr__(self, "layers", tuple(self.layers))
         if not self.mu0 > 0:
@@ -181,7 +187,7 @@ class Material:
 
     @property
     def energy_law(self) -> Law:
-        """Object of the law."""
+        """The `Law` of the strain energy."""
         return find_law(self.law)
 
     @property
@@ -208,12 +214,12 @@ class Material:
     @property
     def E0(self) -> float:
         """Initial Young's modulus in instantaneous loading, Pa: 9 K mu0 / (3 K + mu0); 3 mu0 if incompressible."""
-        return self._young(self.mu0)
+        return self._young_modulus(self.mu0)
 
     @property
     def E_long_term(self) -> float:
         """Initial Young's modulus in very slow loading, Pa; the bulk modulus does not relax."""
-        return self._young(self.mu_long_term)
+        return self._young_modulus(self.mu_long_term)
 
     @property
     def bulk_modulus(self) -> float:
@@ -241,7 +247,7 @@ class Material:
     def _drained(self) -> float:
         return 0.0 if self.poroelasticity is None else self.poroelasticity.phi
 
-    def _young(self, mu: float) -> float:
+    def _young_modulus(self, mu: float) -> float:
         K = self.bulk_modulus
         return 3.0 * mu if np.isinf(K) else 9.0 * K * mu / (3.0 * K + mu)
 
@@ -258,7 +264,7 @@ def law_declaration(law: Law, name: str) -> Declaration:
     return Declaration(name, unit, (-reach, reach), key=name)
 
 
-def _by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
+def _index_by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
     """Return effects by their names.
 
     Raises:

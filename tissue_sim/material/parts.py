@@ -45,11 +45,11 @@ def find_declaration(path: str) -> tuple[str, Declaration]:
         InputError: no material has such a parameter; the message names the nearest.
     """
     if (of_region := _OF_REGION.fullmatch(path)) is not None:
-        return path, _of_some_law(of_region[2], path)
+        return path, _find_law_declaration(of_region[2], path)
     place, _, last = path.rpartition(".")
     if place == "bulk" and (found := bulk_declaration(last)) is not None:
         return path, found
-    kind = _kind_at(place)
+    kind = _find_part_class(place)
     for name, found in (declared(kind) if kind else {}).items():
         if last in (name, found.key):
             return f"{place}.{name}", found
@@ -95,15 +95,15 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
                 terms[".".join(map(str, outer))].setdefault(index, {})[str(last)] = value
             case _:
                 single.setdefault(str(place[0]), {})[str(last)] = value
-    parts: dict[str, Any] = {place: _part(SINGLE[place], place, numbers) for place, numbers in single.items()}
-    prony = tuple(_in_order(terms, "viscoelastic.terms"))
+    parts: dict[str, Any] = {place: _make_part(SINGLE[place], place, numbers) for place, numbers in single.items()}
+    prony = tuple(_sort_numbered_terms(terms, "viscoelastic.terms"))
     if prony:
         with located(field="viscoelastic"):
             parts["viscoelastic"] = Prony(prony)
-    added = {name: _part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
-    return Material(law, parameters, response, layers=tuple(_in_order(terms, "layers")), effects=added,
-                    regions={name: _region(name, numbers, response) for name, numbers in regions.items()}, **parts,
-                    **options)
+    added = {name: _make_part(EFFECTS[name], f"effects.{name}", numbers) for name, numbers in effects.items()}
+    return Material(law, parameters, response, layers=tuple(_sort_numbered_terms(terms, "layers")), effects=added,
+                    regions={name: _make_region_material(name, numbers, response)
+                             for name, numbers in regions.items()}, **parts, **options)
 
 
 def with_parts(material: Material, values: Mapping[str, float]) -> Material:
@@ -142,7 +142,7 @@ def with_parts(material: Material, values: Mapping[str, float]) -> Material:
                    regions={**material.regions, **made.regions}, **changes)
 
 
-def _kind_at(place: str) -> type | None:
+def _find_part_class(place: str) -> type | None:
     numbered = _NUMBERED.fullmatch(place)
     if numbered:
         return SEVERAL.get(numbered[1])
@@ -151,7 +151,7 @@ def _kind_at(place: str) -> type | None:
     return SINGLE.get(place)
 
 
-def _of_some_law(name: str, path: str) -> Declaration:
+def _find_law_declaration(name: str, path: str) -> Declaration:
     """Declaration of a parameter that at least one law has."""
     for law in LAWS.values():
         if name in law.parameters:
@@ -160,7 +160,7 @@ def _of_some_law(name: str, path: str) -> Declaration:
     raise InputError(f"no law has a parameter {name!r}{nearest(name, known)}", field=path)
 
 
-def _region(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
+def _make_region_material(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
     """Make the material of a region; its law is the one that has exactly these parameters."""
     law = next((name for name, law in LAWS.items() if set(law.parameters) == set(numbers)), None)
     if law is None:
@@ -172,14 +172,14 @@ def _region(name: str, numbers: Mapping[str, float], bulk: Bulk) -> Material:
         raise InputError(refused.problem, field=f"regions.{name}.{refused.field}") from None
 
 
-def _in_order(terms: Mapping[str, Mapping[int, Mapping[str, float]]], place: str) -> Iterator[Any]:
+def _sort_numbered_terms(terms: Mapping[str, Mapping[int, Mapping[str, float]]], place: str) -> Iterator[Any]:
     numbered = terms[place]
     if sorted(numbered) != list(range(len(numbered))):
         raise InputError(f"must be numbered from 0 without gaps, as {place}[0], {place}[1].", field=place)
-    return (_part(SEVERAL[place], f"{place}[{index}]", numbered[index]) for index in range(len(numbered)))
+    return (_make_part(SEVERAL[place], f"{place}[{index}]", numbered[index]) for index in range(len(numbered)))
 
 
-def _part(kind: type, place: str, numbers: Mapping[str, float]) -> Any:
+def _make_part(kind: type, place: str, numbers: Mapping[str, float]) -> Any:
     try:
         return kind(**numbers)
     except InputError as refused:

@@ -61,7 +61,7 @@ def population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) 
                         [1.0 / known[name].declaration.factor for name in entry.order])
 
 
-def checked_population(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
+def check_population(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
     """Check an entry and convert it to SI as far as a file states units.
 
     Args:

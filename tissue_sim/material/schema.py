@@ -185,7 +185,7 @@ def parts_of(entries: Mapping[str, Any]) -> dict[str, Any]:
     single = {key: entry.part(key) for key, entry in entries.items()
               if entry is not None and key not in ("layers", "effects", "regions")}
     layers = tuple(layer.part(f"layers[{i}]") for i, layer in enumerate(entries["layers"] or ()))
-    effects = {name: _effect(name, content).part(f"effects.{name}")
+    effects = {name: _decode_effect(name, content).part(f"effects.{name}")
                for name, content in (entries["effects"] or {}).items()}
     regions = {name: entry.part(f"regions.{name}") for name, entry in (entries["regions"] or {}).items()}
     return {**single, "layers": layers, "effects": effects, "regions": regions}
@@ -227,7 +227,7 @@ class RegionEntry(Entry, frozen=True, kw_only=True):
                             **parts)
 
 
-def _effect(name: str, content: Any) -> PartEntry:
+def _decode_effect(name: str, content: Any) -> PartEntry:
     """Decode the entry of an additional effect.
 
     Raises:

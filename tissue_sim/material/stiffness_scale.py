@@ -31,5 +31,5 @@ class StiffnessScale(ReducedEffect):
             raise InputError(f"must be positive and finite; got {self.ratio:g}.", field="ratio")
 
     def share(self, history: ToolHistory) -> float:
-        """Return the ratio."""
+        """Return the constant ratio of the force with the effect to the force without it."""
         return self.ratio

@@ -82,7 +82,7 @@ class Prony:
 
     @property
     def relaxing(self) -> float:
-        """Sum of the g_i, 1."""
+        """Sum of the relaxing fractions g_i, 1."""
         return float(sum(term.g for term in self.terms))
 
     @property

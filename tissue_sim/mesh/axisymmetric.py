@@ -69,6 +69,10 @@ def graded_line(length: float, count: int, grading: float = 1.0, ends: str = "la
 
     Raises:
         InputError: `count` or `grading` is below 1, or `ends` is unknown.
+
+    Examples:
+        >>> graded_line(1.0, 4)
+        array([0.  , 0.25, 0.5 , 0.75, 1.  ])
     """
     if count < 1:
         raise InputError(f"count must be at least 1; got {count}", field="count")
@@ -104,6 +108,10 @@ def growing_line(length: float, smallest: float, growth: float, largest: float) 
 
     Returns:
         Coordinates from 0 to length, m.
+
+    Examples:
+        >>> growing_line(1.0, smallest=0.1, growth=1.5, largest=0.4).round(2)
+        array([0.  , 0.08, 0.21, 0.39, 0.67, 1.  ])
     """
     steps = [min(smallest, length)]
     while sum(steps) < length * (1 - 1e-9):
@@ -149,6 +157,11 @@ def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], eleme
         elements: number of elements along r and along z.
         element: element type.
         grading: ratio of the largest to the smallest element along r and along z; 1 is uniform.
+
+    Examples:
+        >>> from tissue_sim.mesh.elements import Q9P1
+        >>> cylinder_mesh(0.040, 0.070, (2, 3), Q9P1).nodes.shape
+        (35, 2)
     """
     r = graded_line(radius, elements[0], grading[0], "last")
     z = graded_line(height, elements[1], grading[1], "both") - height

@@ -2,23 +2,36 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.section import Section, arc, side_of_box
+from tissue_sim.mesh.section import Section, quarter_circle, side_of_box
 from tissue_sim.mesh.solid import SolidMesh, block_mesh, extrude_section, ring_radii, with_tool_sets
 
-#: Minimum half width of the box around a tool that contains the rings of elements, in radii of the tool.
-_BOX = 2.0
-#: Distance in half widths of the box below which a side of the block is also a side of the box.
-_NEAR = 1.6
-#: Size of the elements at the edges of a block between plates, as a fraction of the size at the edge of a tool's face.
-_EDGE_SIZE = 0.7
-#: Minimum ratio of successive elements in a block between plates.
-_EDGE_GROWTH = 1.8
+
+@dataclass(frozen=True)
+class BlockMeshSettings:
+    """Proportions of the mesh of a block.
+
+    Attributes:
+        box: minimum half width of the box around a tool that contains the rings of elements, in radii of the tool, 1.
+        near: distance of a side of the block from the tool, in half widths of the box, below which the side of the
+            block is also a side of the box, 1.
+        edge_size: size of the elements at the edges of a block between plates, as a fraction of the size at the edge
+            of a tool's face, 1.
+        edge_growth: minimum ratio of successive elements in a block between plates, 1.
+    """
+
+    box: float = 2.0
+    near: float = 1.6
+    edge_size: float = 0.7
+    edge_growth: float = 1.8
+
+
+_MESH = BlockMeshSettings()
 
 
 def block_under_plate(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
@@ -30,7 +43,8 @@ def block_under_plate(length: float, width: float, height: float, grading: Gradi
         height: height along z, m.
         grading: sizes of the elements.
     """
-    grading = replace(grading, smallest=_EDGE_SIZE * grading.smallest, growth=max(grading.growth, _EDGE_GROWTH))
+    grading = replace(grading, smallest=_MESH.edge_size * grading.smallest,
+                      growth=max(grading.growth, _MESH.edge_growth))
     x, y, z = (grading.line_between(size) for size in (length, width, height))
     return block_mesh(x - 0.5 * length, y - 0.5 * width, grading.with_interfaces(z - height, height), grading.element)
 
@@ -53,14 +67,14 @@ def block_under_tool(length: float, width: float, height: float, grading: Gradin
     if (ends[:, 0] >= centre).any() or (centre >= ends[:, 1]).any() or distances.min() <= radius:
         raise InputError(f"the circle of radius {radius:g} m about ({centre[0]:g}, {centre[1]:g}) m must be inside the "
                          f"block of {length:g} x {width:g} m", field="centre")
-    reach = max(_BOX * radius, distances.min())
-    half_widths = np.where(distances < _NEAR * reach, distances, reach)
+    reach = max(_MESH.box * radius, distances.min())
+    half_widths = np.where(distances < _MESH.near * reach, distances, reach)
     low, high = centre - half_widths[:, 0], centre + half_widths[:, 1]
     section = Section(grading.element.order)
     section.add_disc(centre, radius, ring_radii(grading, radius), grading.around)
     outward = grading.line(float(half_widths.max()) - radius)
     for quarter in range(4):
-        section.add_ring(arc(quarter, radius, centre), side_of_box(quarter, low, high, centre),
+        section.add_ring(quarter_circle(quarter, radius, centre), side_of_box(quarter, low, high, centre),
                          outward / outward[-1], grading.around)
     last = min(max(outward[-1] - outward[-2], grading.smallest) * grading.growth, grading.largest)
     parts = []

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tissue_sim.errors import InputError
@@ -9,10 +11,22 @@ from tissue_sim.mesh.solid import SolidMesh, with_surface
 from tissue_sim.mesh.solid_element import SolidElement
 from tissue_sim.mesh.tetrahedra import Tetrahedron
 
-#: Largest distance between the positions of a shared node in two elements, as a fraction of the element size.
-_SAME = 1e-6
-#: Smallest weight of a corner on which a node depends.
-_MIN_WEIGHT = 1e-9
+
+@dataclass(frozen=True)
+class SharedNodeSettings:
+    """Tolerances by which elements share nodes.
+
+    Attributes:
+        same: largest distance between the positions of a shared node in two elements, as a fraction of the element
+            size, 1.
+        min_weight: smallest weight of a corner on which a node depends, 1.
+    """
+
+    same: float = 1e-6
+    min_weight: float = 1e-9
+
+
+_SHARED = SharedNodeSettings()
 
 
 def join_at_corners(element: SolidElement, corners: np.ndarray,
@@ -32,12 +46,12 @@ def join_at_corners(element: SolidElement, corners: np.ndarray,
         InputError: two elements have different positions of the middle of a shared edge or face.
     """
     # A node is identified by the corners on which it depends: two for an edge, those of a face, all for the interior.
-    depends = element.corner_weights > _MIN_WEIGHT
+    depends = element.corner_weights > _SHARED.min_weight
     keys = np.sort(np.where(depends, corners[:, None], -1), axis=-1).reshape(-1, corners.shape[1])
     _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     nodes, connectivity = positions.reshape(-1, 3)[first], numbers.reshape(len(corners), -1)
     distance = np.abs(nodes[connectivity] - positions).max(axis=(1, 2))
-    mismatched = np.flatnonzero(distance > _SAME * np.ptp(positions, axis=1).max(axis=1))
+    mismatched = np.flatnonzero(distance > _SHARED.same * np.ptp(positions, axis=1).max(axis=1))
     if mismatched.size:
         raise InputError(f"element {mismatched[0]} does not fit its neighbour: both have different positions of the "
                          "middle of a shared edge or face. Correct the mesh", field="mesh")

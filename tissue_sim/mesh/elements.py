@@ -12,7 +12,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 
 
-def lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
+def evaluate_lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray]:
     """Evaluate the Lagrange polynomials with order + 1 evenly spaced nodes in [-1, 1].
 
     Args:
@@ -51,6 +51,7 @@ class Element:
 
     @property
     def nodes(self) -> int:
+        """Number of nodes of the element."""
         return (self.order + 1) ** 2
 
     @cached_property
@@ -83,7 +84,7 @@ class Element:
 
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 2) at reference points (q, 2)."""
-        (vx, sx), (vy, sy) = (lagrange(points[:, axis], self.order) for axis in range(2))
+        (vx, sx), (vy, sy) = (evaluate_lagrange(points[:, axis], self.order) for axis in range(2))
         indices = np.rint((self.reference_nodes + 1.0) * 0.5 * self.order).astype(int)
         i, j = indices[:, 0], indices[:, 1]
         return vx[:, i] * vy[:, j], np.stack([sx[:, i] * vy[:, j], vx[:, i] * sy[:, j]], axis=-1)

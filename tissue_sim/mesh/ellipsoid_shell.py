@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.grading import PLATE_RING, Grading
-from tissue_sim.mesh.section import Curve, Section, arc
+from tissue_sim.mesh.grading import O_GRID, Grading
+from tissue_sim.mesh.section import Curve, Section, quarter_circle
 from tissue_sim.mesh.solid import SolidMesh, extrude_section, ring_radii, with_tool_sets
 
 
@@ -28,7 +28,7 @@ def ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, gra
         InputError: the circle is not inside the rim.
     """
     a, b, c = semi_axes
-    radius = PLATE_RING * min(a, b) if grading.radius is None else grading.radius
+    radius = O_GRID.plate_ring * min(a, b) if grading.radius is None else grading.radius
     centre = np.array(grading.centre)
 
     def to_disc(points: np.ndarray) -> np.ndarray:
@@ -39,7 +39,7 @@ def ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, gra
             sine > 0.0, sine, 1.0), 2.0 / np.pi)
 
     def circle(quarter: int) -> Curve:
-        return lambda t: to_disc(arc(quarter, radius, centre)(t))
+        return lambda t: to_disc(quarter_circle(quarter, radius, centre)(t))
 
     angles = np.linspace(0.0, 2.0 * np.pi, 73)
     if (np.hypot(*((centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)) / [a, b]).T) >= 1.0).any():
@@ -49,7 +49,7 @@ def ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, gra
     section.add_disc(centre, radius, ring_radii(grading, radius), grading.around, through=to_disc)
     outward = grading.line(0.25 * np.pi * (max(a, b) + c) - radius)
     for quarter in range(4):
-        section.add_ring(circle(quarter), arc(quarter, 1.0), outward / outward[-1], grading.around)
+        section.add_ring(circle(quarter), quarter_circle(quarter, 1.0), outward / outward[-1], grading.around)
     flat = extrude_section(section, grading.with_interfaces(-grading.line(thickness)[::-1], thickness),
                            grading.element)
     u, v, z = flat.nodes.T

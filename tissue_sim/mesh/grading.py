@@ -10,10 +10,22 @@ from tissue_sim.errors import InputError
 from tissue_sim.mesh.axisymmetric import growing_line, with_lines
 from tissue_sim.mesh.hexahedra import Hexahedron
 
-#: Radius of the circle of an O-grid under a plate, as a fraction of the radius of the specimen.
-PLATE_RING = 0.6
-#: Size of the square core of an O-grid, as a fraction of the radius of the tool.
-CORE = 0.5
+
+@dataclass(frozen=True)
+class OGridSettings:
+    """Proportions of an O-grid: rings of elements around a square core.
+
+    Attributes:
+        plate_ring: radius of the circle of the O-grid under a plate, as a fraction of the radius of the specimen, 1.
+        core: size of the square core, as a fraction of the radius of the tool, 1.
+    """
+
+    plate_ring: float = 0.6
+    core: float = 0.5
+
+
+#: Proportions of every O-grid.
+O_GRID = OGridSettings()
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 from numpy.polynomial.legendre import leggauss
 
-from tissue_sim.mesh.elements import lagrange
+from tissue_sim.mesh.elements import evaluate_lagrange
 from tissue_sim.mesh.solid_element import SolidElement
 
 
@@ -29,6 +29,7 @@ class Hexahedron(SolidElement):
 
     @cached_property
     def corners(self) -> np.ndarray:
+        """Indices of the corner nodes, shape (8,)."""
         return np.flatnonzero(np.abs(self.reference_nodes).all(axis=1))
 
     @cached_property
@@ -51,11 +52,13 @@ class Hexahedron(SolidElement):
 
     @cached_property
     def face_corners(self) -> np.ndarray:
+        """Indices of the corners among the nodes of a face, in order around the face, shape (4,)."""
         side = self.order + 1
         return np.array([0, side - 1, side**2 - 1, side**2 - side])
 
     @cached_property
     def face_middles(self) -> np.ndarray:
+        """Indices of the midpoints of the edges among the nodes of a face, shape (4,); empty for order 1."""
         return np.array([1, 5, 7, 3] if self.order == 2 else [], dtype=np.intp)
 
     @cached_property
@@ -77,7 +80,7 @@ class Hexahedron(SolidElement):
 
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        values, slopes = zip(*(lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
+        values, slopes = zip(*(evaluate_lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
         factors = [(values[axis][:, self._indices[:, axis]], slopes[axis][:, self._indices[:, axis]])
                    for axis in range(3)]
         (vx, sx), (vy, sy), (vz, sz) = factors

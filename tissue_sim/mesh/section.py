@@ -50,7 +50,7 @@ class Section:
 
     def add_rectangle(self, x: np.ndarray, y: np.ndarray) -> None:
         """Add a rectangle with these element boundaries along x and y, ascending, m."""
-        self.add(lambda s, t: np.stack([_between(x, s), _between(y, t)], axis=-1),
+        self.add(lambda s, t: np.stack([_interpolate_line(x, s), _interpolate_line(y, t)], axis=-1),
                  np.linspace(0, 1, x.size), np.linspace(0, 1, y.size))
 
     def add_disc(self, centre: Point, radius: float, rings: np.ndarray, around: int,
@@ -68,12 +68,12 @@ class Section:
 
         def square(s: np.ndarray, t: np.ndarray) -> np.ndarray:
             # Uniform angles along the sides of the core.
-            return through(origin + core * _rounded_square(*(
+            return through(origin + core * _map_to_rounded_square(*(
                 np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * each - 1.0)) for each in (s, t))))
 
         self.add(square, line, line)
         for quarter in range(4):
-            self.add_ring(_side_of_square(quarter, core, origin), arc(quarter, radius, centre),
+            self.add_ring(_make_core_side(quarter, core, origin), quarter_circle(quarter, radius, centre),
                           (rings - rings[0]) / (1.0 - rings[0]), around, through)
 
     def add_ring(self, near: Curve, far: Curve, fractions: np.ndarray, around: int,
@@ -116,7 +116,7 @@ class Section:
         return np.sort(np.concatenate([line, 0.5 * (line[1:] + line[:-1])]))
 
 
-def arc(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
+def quarter_circle(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
     """Return a quarter of a circle, counter-clockwise; quarter 0 is centred on +x."""
     def curve(t: np.ndarray) -> np.ndarray:
         angle = 0.25 * np.pi * (2.0 * t - 1.0) + 0.5 * np.pi * quarter
@@ -157,11 +157,11 @@ def _merge(points: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndar
     return points[kept], inverse[numbers]
 
 
-def _between(line: np.ndarray, fraction: np.ndarray) -> np.ndarray:
+def _interpolate_line(line: np.ndarray, fraction: np.ndarray) -> np.ndarray:
     return np.interp(fraction, np.linspace(0, 1, line.size), line)
 
 
-def _rounded_square(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+def _map_to_rounded_square(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     """Map [-1, 1]^2 to a square with sides that bulge outwards and corners at a distance of 1 from the centre."""
     straight = np.stack([u, v], axis=-1) / np.sqrt(2.0)
     disc = np.stack([u * np.sqrt(1.0 - 0.5 * v**2), v * np.sqrt(1.0 - 0.5 * u**2)], axis=-1)
@@ -169,12 +169,12 @@ def _rounded_square(u: np.ndarray, v: np.ndarray) -> np.ndarray:
     return (1.0 - weight) * straight + weight * disc
 
 
-def _side_of_square(quarter: int, core: float, centre: np.ndarray) -> Curve:
+def _make_core_side(quarter: int, core: float, centre: np.ndarray) -> Curve:
     """Return a side of the core of a disc."""
     angle = 0.5 * np.pi * quarter
 
     def curve(t: np.ndarray) -> np.ndarray:
-        side = _rounded_square(np.ones_like(t), np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * t - 1.0)))
+        side = _map_to_rounded_square(np.ones_like(t), np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * t - 1.0)))
         return centre + core * np.stack([np.cos(angle) * side[..., 0] - np.sin(angle) * side[..., 1],
                                          np.sin(angle) * side[..., 0] + np.cos(angle) * side[..., 1]], axis=-1)
 

@@ -17,7 +17,7 @@ _CORNERS = {3: ((0, 1), (0, 2), (0, 3)), 1: ((0, 3), (1, 3), (2, 3)), 2: ((0, 2)
 
 @dataclass(frozen=True, eq=False)
 class Crossings:
-    """Points on edges between nodes.
+    """Points at which edges between nodes cross a plane.
 
     Attributes:
         ends: node numbers, the node below first, shape (m, 2); a node on the surface is both ends.
@@ -61,14 +61,14 @@ def section(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarr
         pairs.append(ends.reshape(-1, 2))
         corners += [numbers[:, [0, k, k + 1]] for k in range(1, len(of_nodes) - 1)]
         before += numbers.size
-    crossings, point = _crossings(np.concatenate(pairs), heights)
+    crossings, point = _find_crossings(np.concatenate(pairs), heights)
     return crossings, _without_degenerate(point[np.concatenate(corners)])
 
 
 def section_lines(triangles: np.ndarray, heights: np.ndarray) -> Crossings:
     """Return the line segments at which triangles cross height zero, as pairs of successive points, 2 k points."""
     _, pairs = _cut_triangles(triangles, heights)
-    crossings, number = _crossings(pairs, heights)
+    crossings, number = _find_crossings(pairs, heights)
     lines = number.reshape(-1, 2)
     lines = lines[lines[:, 0] != lines[:, 1]].ravel()
     return Crossings(crossings.ends[lines], crossings.share[lines])
@@ -88,7 +88,7 @@ def clip(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndar
     nodes = len(heights)
     count = (heights[triangles] > 0.0).sum(axis=1)
     turned, pairs = _cut_triangles(triangles, heights)
-    crossings, number = _crossings(pairs, heights)
+    crossings, number = _find_crossings(pairs, heights)
     p, q = (nodes + number).reshape(-1, 2).T
     # A crossing at a node is replaced by the node.
     at_node = np.concatenate([np.arange(nodes), np.where(crossings.share == 0.0, crossings.ends[:, 0],
@@ -122,7 +122,7 @@ def _cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarr
     return turned, pairs.reshape(-1, 2)
 
 
-def _crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
+def _find_crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
     """Return the distinct crossing points between pairs of nodes, and the number of the point of each pair."""
     low, high = heights[pairs[:, 0]], heights[pairs[:, 1]]
     ends = np.where((low == 0.0)[:, None], pairs[:, :1], pairs)

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.grading import CORE, PLATE_RING, Grading
+from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.section import Section, arc
+from tissue_sim.mesh.section import Section, quarter_circle
 from tissue_sim.mesh.solid_element import SolidElement
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 
@@ -68,10 +68,10 @@ class SolidMesh:
         areas = np.zeros(len(self.nodes))
         for name in names:
             faces = self.faces[name]
-            np.add.at(areas, faces, self._side_areas(faces)[:, None] * self.element.face_weights)
+            np.add.at(areas, faces, self._compute_side_areas(faces)[:, None] * self.element.face_weights)
         return areas
 
-    def _side_areas(self, faces: np.ndarray) -> np.ndarray:
+    def _compute_side_areas(self, faces: np.ndarray) -> np.ndarray:
         """Return the areas of faces, for curved faces of the plane projection with the largest area, m2, shape (m,).
 
         The area is half of the norm of the contour integral of x cross dx, computed with Simpson's rule, which is exact
@@ -95,6 +95,12 @@ def block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray,
         y: element boundaries along y, ascending, m.
         z: element boundaries along z, base first, m.
         element: element type.
+
+    Examples:
+        >>> from tissue_sim.mesh.hexahedra import HEX8P0
+        >>> cube = block_mesh([0.0, 0.01], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
+        >>> cube.nodes.shape, sorted(cube.sets)
+        ((8, 3), ['base', 'side', 'top'])
     """
     section = Section(element.order)
     section.add_rectangle(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
@@ -126,8 +132,8 @@ def cylinder_solid(radius: float, height: float, element: Hexahedron, *, around:
     section = Section(element.order)
     section.add_disc(centre, face_radius, np.asarray(inward, dtype=float), around)
     for quarter in range(4):
-        section.add_ring(arc(quarter, face_radius, centre), arc(quarter, radius), np.asarray(outward, dtype=float),
-                         around)
+        section.add_ring(quarter_circle(quarter, face_radius, centre), quarter_circle(quarter, radius),
+                         np.asarray(outward, dtype=float), around)
     return with_tool_sets(extrude_section(section, z, element), face_radius, centre)
 
 
@@ -162,7 +168,7 @@ def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh
     """
     face = grading.radius
     if face is None:
-        face, factor = PLATE_RING * radius, PLATE_RING
+        face, factor = O_GRID.plate_ring * radius, O_GRID.plate_ring
         grading = replace(grading, growth=_PLATE_GROWTH, smallest=0.6 * factor * grading.smallest,
                           largest=0.3 * factor * grading.largest)
     outward, z = grading.line(radius - face), -grading.line(height)[::-1]
@@ -173,7 +179,7 @@ def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh
 
 def ring_radii(grading: Grading, radius: float) -> np.ndarray:
     """Return the radii of the ring boundaries from the core to a circle of this radius, m, as fractions of it."""
-    inward = grading.line((1.0 - CORE) * radius)
+    inward = grading.line((1.0 - O_GRID.core) * radius)
     return 1.0 - inward[::-1] / radius
 
 

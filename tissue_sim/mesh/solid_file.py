@@ -103,14 +103,14 @@ def _read(path: Path, unit: str) -> FileMesh:
     # Nodes that belong only to lines and surfaces are also not part of the volume.
     require_size(points, unit)
     require_sound(cells, points, content.point_numbers)
-    return _named(content, cells, points)
+    return _name_faces_and_regions(content, cells, points)
 
 
-def _named(content: MeshContent, cells: Cells, points: np.ndarray) -> FileMesh:
+def _name_faces_and_regions(content: MeshContent, cells: Cells, points: np.ndarray) -> FileMesh:
     """Return the mesh with the faces of its surface and its regions, named as in the file."""
     sides = np.array(SIDES[cells.shape])
     all_faces = cells.corners[:, sides].reshape(-1, sides.shape[1])
-    keys = _keys(all_faces, len(points))
+    keys = _number_faces(all_faces, len(points))
     _, inverse, times = np.unique(keys, return_inverse=True, return_counts=True)
     outer = times[inverse] == 1
     surface, outer_keys = all_faces[outer], keys[outer]
@@ -130,7 +130,7 @@ def _named(content: MeshContent, cells: Cells, points: np.ndarray) -> FileMesh:
         regions[name] = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *members])).astype(np.intp)
         for block, chosen in zip(content.cells, blocks, strict=True):
             if block.kind in FACES and len(chosen) and block.corners.shape[1] == sides.shape[1]:
-                face_keys = _keys(block.corners[chosen], len(points))
+                face_keys = _number_faces(block.corners[chosen], len(points))
                 at = np.minimum(np.searchsorted(outer_keys, face_keys, sorter=order), len(order) - 1)
                 found.setdefault(name, []).append(order[at[outer_keys[order[at]] == face_keys]])
     for name, rows in content.side_sets.items():
@@ -144,16 +144,16 @@ def _named(content: MeshContent, cells: Cells, points: np.ndarray) -> FileMesh:
         found.setdefault(name, []).append(np.flatnonzero(member[surface].all(axis=1)))
     named = {name: np.unique(np.concatenate(members)) for name, members in found.items()}
     return FileMesh(cells, points, surface, {name: members for name, members in named.items() if members.size},
-                    _disjoint(regions, len(cells.nodes)))
+                    _keep_disjoint_sets(regions, len(cells.nodes)))
 
 
-def _keys(sides: np.ndarray, points: int) -> np.ndarray:
+def _number_faces(sides: np.ndarray, points: int) -> np.ndarray:
     """Return a number for each face from three of its corners, unique in a valid mesh, shape (m,)."""
     low = np.sort(sides, axis=1)[:, :3].astype(np.int64)
     return (low[:, 0] * points + low[:, 1]) * points + low[:, 2]
 
 
-def _disjoint(regions: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+def _keep_disjoint_sets(regions: dict[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
     """Return the named sets of elements that do not overlap with others, without sets of all elements."""
     parts = {name: members for name, members in regions.items() if name and 0 < members.size < count}
     times = np.bincount(np.concatenate([np.zeros(0, dtype=np.intp), *parts.values()]), minlength=count)
@@ -179,8 +179,7 @@ def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, 
     cells, points = mesh.cells, mesh.points
     element = _ELEMENTS[cells.shape][order]
     corners = cells.corners[:, _CORNERS[cells.shape]]
-    values = _functions(cells.kind, element.reference_nodes) if order == 2 else _functions(
-        cells.shape, element.reference_nodes)
+    values = _evaluate_shape_functions(cells.kind if order == 2 else cells.shape, element.reference_nodes)
     given = cells.nodes if order == 2 else cells.corners
     nodes, connectivity = join_at_corners(element, corners, np.einsum("ng,egi->eni", values, points[given]))
     _require_positive_volumes(element, nodes, connectivity, cells)
@@ -191,9 +190,9 @@ def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, 
     chosen = {"base": mesh.sides[held], "top": mesh.sides[met], "side": np.delete(mesh.sides, np.union1d(held, met), 0)}
     nodes = nodes - origin(mesh, met)
     all_faces = connectivity[:, element.faces].reshape(-1, element.faces.shape[1])
-    keys = _keys(all_faces[:, element.face_corners], len(points))
+    keys = _number_faces(all_faces[:, element.face_corners], len(points))
     sorter = np.argsort(keys)
-    faces = {name: all_faces[sorter[np.searchsorted(keys, _keys(number[sides], len(points)), sorter=sorter)]]
+    faces = {name: all_faces[sorter[np.searchsorted(keys, _number_faces(number[sides], len(points)), sorter=sorter)]]
              for name, sides in chosen.items()}
     return SolidMesh(element, nodes, connectivity, {name: np.unique(each) for name, each in faces.items()}, faces,
                      dict(mesh.regions))
@@ -205,7 +204,7 @@ def origin(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
     return np.array([*(0.5 * (high.min(axis=0) + high.max(axis=0)))[:2], high[:, 2].max()])
 
 
-def _functions(kind: str, positions: np.ndarray) -> np.ndarray:
+def _evaluate_shape_functions(kind: str, positions: np.ndarray) -> np.ndarray:
     """Return the shape functions of an element type of a file at reference positions of the solver's element.
 
     Args:
@@ -244,13 +243,13 @@ def base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tuple[np.
     heights = mesh.points[mesh.sides, 2]
     low, high = heights.min(), heights.max()
     slack = 1e-6 * (high - low)
-    held = _of_name(mesh, base, "mesh_base") if base is not None else np.flatnonzero(
+    held = _find_named_faces(mesh, base, "mesh_base") if base is not None else np.flatnonzero(
         (heights <= low + slack).all(axis=1))
     if not held.size:
         raise InputError("no side of the mesh lies in its lowest plane; name the fixed sides (mesh_base, --mesh-base)"
-                         f"{_known(mesh)}", field="mesh_base")
+                         f"{_list_known_names(mesh)}", field="mesh_base")
     if top is not None:
-        met = _of_name(mesh, top, "mesh_top")
+        met = _find_named_faces(mesh, top, "mesh_top")
     else:
         met = np.flatnonzero((heights >= high - slack).all(axis=1))
         if not met.size:
@@ -260,11 +259,11 @@ def base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tuple[np.
     met = np.setdiff1d(met, held)
     if not met.size:
         raise InputError("no side of the mesh remains for contact with a tool; name the sides of the top (mesh_top, "
-                         f"--mesh-top){_known(mesh)}", field="mesh_top")
+                         f"--mesh-top){_list_known_names(mesh)}", field="mesh_top")
     return held, met
 
 
-def _of_name(mesh: FileMesh, name: str, field: str) -> np.ndarray:
+def _find_named_faces(mesh: FileMesh, name: str, field: str) -> np.ndarray:
     known = {each.upper(): members for each, members in mesh.named_sides.items()}
     if name.upper() not in known:
         raise InputError(f"no sides on the surface of the mesh are named {name!r}"
@@ -273,7 +272,7 @@ def _of_name(mesh: FileMesh, name: str, field: str) -> np.ndarray:
     return known[name.upper()]
 
 
-def _known(mesh: FileMesh) -> str:
+def _list_known_names(mesh: FileMesh) -> str:
     return f"; the file names {', '.join(sorted(mesh.named_sides))}" if mesh.named_sides else "; the file names none"
 
 

@@ -38,7 +38,7 @@ def tetrahedra(element: DivisibleElement) -> np.ndarray:
         Node numbers of the element, shape (t, 4), read-only; each tetrahedron has a positive volume.
     """
     nodes = element.reference_nodes
-    middle = _central_node(nodes)
+    middle = _find_central_node(nodes)
     if middle is None:
         cells = _triangulate(nodes)
     else:
@@ -64,7 +64,7 @@ def side_triangles(element: DivisibleElement) -> np.ndarray:
     # Two coordinates are sufficient, because a reference face is plane.
     normal = np.abs(np.linalg.svd(nodes - nodes.mean(axis=0))[2][2])
     kept = np.delete(np.arange(3), int(np.argmax(normal)))
-    middle = _central_node(nodes)
+    middle = _find_central_node(nodes)
     if middle is None:
         triangles = _triangulate(nodes[:, kept])
     else:
@@ -107,7 +107,7 @@ def surface_triangles(element: DivisibleElement, sides: np.ndarray) -> np.ndarra
     return np.take(sides, side_triangles(element), axis=1).reshape(-1, 3)
 
 
-def _central_node(nodes: np.ndarray) -> int | None:
+def _find_central_node(nodes: np.ndarray) -> int | None:
     """Return the index of a node at the centroid of all nodes, or None."""
     distance = np.linalg.norm(nodes - nodes.mean(axis=0), axis=1)
     nearest = int(np.argmin(distance))

@@ -53,6 +53,7 @@ class Tetrahedron(SolidElement):
 
     @cached_property
     def corners(self) -> np.ndarray:
+        """Indices of the corner nodes, shape (4,)."""
         return np.arange(4)
 
     @cached_property
@@ -66,10 +67,12 @@ class Tetrahedron(SolidElement):
 
     @cached_property
     def face_corners(self) -> np.ndarray:
+        """Indices of the corners among the nodes of a face, shape (3,)."""
         return np.arange(3)
 
     @cached_property
     def face_middles(self) -> np.ndarray:
+        """Indices of the midpoints of the edges among the nodes of a face, shape (3,); empty for order 1."""
         return np.arange(3, 6) if self.order == 2 else np.zeros(0, dtype=np.intp)
 
     @cached_property
@@ -94,25 +97,25 @@ class Tetrahedron(SolidElement):
 
         The values are fitted by a polynomial of the element's order (least squares).
         """
-        powers = _barycentric_of if self.order == 1 else _quadratic
+        powers = _barycentric_coordinates if self.order == 1 else _quadratic_polynomials
         return powers(self.reference_nodes) @ np.linalg.pinv(powers(self.quadrature[0]))
 
     def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        barycentric = _barycentric_of(points)
+        barycentric = _barycentric_coordinates(points)
         # Derivatives by the four barycentric coordinates, taken as independent, then by the reference coordinates.
-        slopes = self._slopes(barycentric)
-        values = self._functions(barycentric) @ self._from_nodes
+        slopes = self._basis_derivatives(barycentric)
+        values = self._basis_polynomials(barycentric) @ self._from_nodes
         return values, np.einsum("qmk,mn->qnk", slopes[..., 1:] - slopes[..., :1], self._from_nodes)
 
     def corner_functions(self, points: np.ndarray) -> np.ndarray:
         """Return the barycentric coordinates at reference points, shape (q, 4)."""
-        return _barycentric_of(points)
+        return _barycentric_coordinates(points)
 
     @cached_property
     def _from_nodes(self) -> np.ndarray:
-        """Coefficients of the shape functions in the basis `_functions`, shape (nodes, nodes)."""
-        return np.linalg.inv(self._functions(self._barycentric))
+        """Coefficients of the shape functions in the basis `_basis_polynomials`, shape (nodes, nodes)."""
+        return np.linalg.inv(self._basis_polynomials(self._barycentric))
 
     @cached_property
     def _factors(self) -> list[tuple[int, ...]]:
@@ -122,11 +125,11 @@ class Tetrahedron(SolidElement):
             return [*((i,) for i in range(4)), *sides]
         return [*((i, i) for i in range(4)), *(tuple(edge) for edge in _EDGES.tolist()), *sides, (0, 1, 2, 3)]
 
-    def _functions(self, barycentric: np.ndarray) -> np.ndarray:
+    def _basis_polynomials(self, barycentric: np.ndarray) -> np.ndarray:
         """Return the polynomials of the basis, shape (q, nodes)."""
         return np.stack([barycentric[:, list(factors)].prod(axis=1) for factors in self._factors], axis=-1)
 
-    def _slopes(self, barycentric: np.ndarray) -> np.ndarray:
+    def _basis_derivatives(self, barycentric: np.ndarray) -> np.ndarray:
         """Return the derivatives of the basis by the four barycentric coordinates, shape (q, nodes, 4)."""
         slopes = np.zeros((len(barycentric), self.nodes, 4))
         for number, factors in enumerate(self._factors):
@@ -136,20 +139,20 @@ class Tetrahedron(SolidElement):
         return slopes
 
 
-def _barycentric_of(points: np.ndarray) -> np.ndarray:
+def _barycentric_coordinates(points: np.ndarray) -> np.ndarray:
     """Return the barycentric coordinates at reference points, shape (q, 4)."""
     return np.concatenate([1.0 - points.sum(axis=1, keepdims=True), points], axis=1)
 
 
-def _quadratic(points: np.ndarray) -> np.ndarray:
+def _quadratic_polynomials(points: np.ndarray) -> np.ndarray:
     """Return ten products that span the quadratic polynomials at reference points, shape (q, 10)."""
-    barycentric = _barycentric_of(points)
+    barycentric = _barycentric_coordinates(points)
     return np.stack([barycentric[:, i] * barycentric[:, k] for i in range(4) for k in range(i + 1)], axis=-1)
 
 
 def ten_node_functions(points: np.ndarray) -> np.ndarray:
     """Return the shape functions of the ten-node tetrahedron of mesh files at reference points, shape (q, 10)."""
-    barycentric = _barycentric_of(points)
+    barycentric = _barycentric_coordinates(points)
     return np.concatenate([barycentric * (2.0 * barycentric - 1.0), 4.0 * barycentric[:, _EDGES].prod(axis=-1)],
                           axis=1)
 

@@ -25,7 +25,7 @@ class VerticalProjection:
         slack = _FLAT * float(np.ptp(points[:, 2]))
         self.is_flat = bool(np.ptp(points[top, 2]) <= slack and points[base, 2].max() <= points[:, 2].min() + slack)
         self._points = points
-        self._top, self._surface = (_triangles(sides) for sides in (top, surface))
+        self._top, self._surface = (_split_into_triangles(sides) for sides in (top, surface))
         edges = np.stack([top, np.roll(top, -1, axis=1)], axis=-1).reshape(-1, 2)
         _, first, times = np.unique(np.sort(edges, axis=1), axis=0, return_index=True, return_counts=True)
         self._rim = edges[first[times == 1]]
@@ -37,11 +37,11 @@ class VerticalProjection:
         length2 = np.einsum("ei,ei->e", edge, edge)
         fraction = np.clip(np.einsum("ei,ei->e", position - a, edge) / np.where(length2 > 0.0, length2, 1.0), 0.0, 1.0)
         distance = float(np.linalg.norm(a + fraction[:, None] * edge - position, axis=1).min())
-        return distance if self._heights(self._top, x, y).size else -distance
+        return distance if self._find_crossing_heights(self._top, x, y).size else -distance
 
     def depth_at(self, x: float, y: float) -> float:
         """Return the distance from the highest to the lowest point of the surface on a vertical line, m; 0 outside."""
-        heights = self._heights(self._surface, x, y)
+        heights = self._find_crossing_heights(self._surface, x, y)
         return float(np.ptp(heights)) if heights.size else 0.0
 
     @property
@@ -49,7 +49,7 @@ class VerticalProjection:
         """Radius of the smallest circle about the axis that contains the projection of the body, m."""
         return float(np.hypot(*self._points[np.unique(self._surface), :2].T).max())
 
-    def _heights(self, triangles: np.ndarray, x: float, y: float) -> np.ndarray:
+    def _find_crossing_heights(self, triangles: np.ndarray, x: float, y: float) -> np.ndarray:
         """Return the heights at which a vertical line meets triangles, m."""
         corners = self._points[triangles]
         a, u, v = corners[:, 0], corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
@@ -62,5 +62,5 @@ class VerticalProjection:
         return (a[:, 2] + s * u[:, 2] + t * v[:, 2])[inside]
 
 
-def _triangles(sides: np.ndarray) -> np.ndarray:
+def _split_into_triangles(sides: np.ndarray) -> np.ndarray:
     return sides if sides.shape[1] == 3 else np.concatenate([sides[:, [0, 1, 2]], sides[:, [0, 2, 3]]])

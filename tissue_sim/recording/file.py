@@ -119,6 +119,13 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     Raises:
         InputError: a name that does not end in ``.csv``, a label or metadata that a file cannot hold, a ``NAME.json``
             that is not the sidecar of a recording, or a path that cannot be written; then no file is written.
+
+    Examples:
+        >>> displacement = [0.0, 1e-3, 2e-3, 3e-3, 4e-3]  # m
+        >>> force = [0.0, 0.5, 1.1, 1.7, 2.4]  # N
+        >>> write_recording(Recording({"displacement": displacement, "force": force}), "plates.csv")
+        >>> read_recording("plates.csv").force
+        array([0. , 0.5, 1.1, 1.7, 2.4])
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":

@@ -38,6 +38,13 @@ class Recording:
 
     Raises:
         InputError: unknown channel, channels of different length, a value that is not finite, time running backwards.
+
+    Examples:
+        >>> recording = Recording({"displacement": [0.0, 1e-3, 2e-3], "force": [0.0, 0.5, 1.1]})
+        >>> len(recording), "force" in recording
+        (3, True)
+        >>> recording.select(slice(1, None)).force
+        array([0.5, 1.1])
     """
 
     channels: Mapping[str, np.ndarray]

@@ -43,6 +43,12 @@ def write_rig(rig: Rig, path: str | Path) -> None:
 
     Raises:
         InputError: a number overflows in the unit of the file, or the path cannot be written.
+
+    Examples:
+        >>> bench = Rig(compliance=1e-5)
+        >>> write_rig(bench, "bench.rig.json")
+        >>> load_rig("bench.rig.json") == bench
+        True
     """
     absent = to_keys(Rig())
     data: dict[str, Any] = {"schema": SCHEMA}

@@ -34,6 +34,7 @@ class Inertia(RigFault):
             raise InputError(f"must be finite and 0 or more; got {self.mass:g} kg.", field="mass")
 
     def reading(self, recording: Recording) -> Recording:
+        """Return the recording with the force mass times acceleration added; see `RigFault.reading`."""
         if not self.mass or len(recording) < 3:
             return recording
         speed = np.gradient(recording.displacement, recording.time)

@@ -45,9 +45,9 @@ class LoadingCurve:
         depth, force = recording.displacement, recording.force
         hold = recording.labels["segment"] == "hold" if "segment" in recording.labels else np.zeros(depth.size, bool)
         step = _SETTINGS.resolution * np.ptp(depth)
-        first = _first_reached(depth, hold, step)
-        self._into = _from_touch(depth[first], force[first], step)
-        self._out = _from_touch(-depth[first], force[first], step)
+        first = _find_new_maxima(depth, hold, step)
+        self._into = _interpolate_from_touch(depth[first], force[first], step)
+        self._out = _interpolate_from_touch(-depth[first], force[first], step)
         self._extremes = force[first].min(), force[first].max()
         curve = self(depth)
         loaded = np.abs(curve) > _SETTINGS.no_force * np.abs(force).max()
@@ -93,7 +93,7 @@ class LoadingCurve:
         return force_at(0.5 * (shallow + deep))
 
 
-def _from_touch(away: np.ndarray, force: np.ndarray, step: float):
+def _interpolate_from_touch(away: np.ndarray, force: np.ndarray, step: float):
     """Return the force as a function of the distance from the touch on one side; `away`: distance of the samples."""
     side = away > step
     if not side.any():
@@ -108,7 +108,7 @@ def _from_touch(away: np.ndarray, force: np.ndarray, step: float):
     return lambda distance: cubic(np.minimum(distance, knots[-1])) + slope * np.maximum(distance - knots[-1], 0.0)
 
 
-def _first_reached(depth: np.ndarray, hold: np.ndarray, step: float) -> list[int]:
+def _find_new_maxima(depth: np.ndarray, hold: np.ndarray, step: float) -> list[int]:
     """Indices of the first sample and of all samples that exceed the range of those before by more than `step`."""
     low = high = depth[0]
     found = [0]

@@ -34,7 +34,7 @@ _REVERSED = -1.0 + 1e-9
 _MOST_SAMPLES = 10_000_000
 
 
-def _effect(acts_on: str, symbol: str, unit: str, key: str, factor: float = 1.0, *, low: float = -inf) -> Any:
+def _declare_effect(acts_on: str, symbol: str, unit: str, key: str, factor: float = 1.0, *, low: float = -inf) -> Any:
     """Declare a field of the rig whose effect is absent at 0."""
     entry = parameter(symbol, unit, key=key, factor=factor, bounds=(low, inf), absent=0.0)
     return field(default=0.0, metadata={**entry.metadata, _ACTS_ON: acts_on})
@@ -73,24 +73,24 @@ class Rig:
         InputError: a value outside of its range, with the field ``rig.NAME``.
     """
 
-    contact_offset: float = _effect(_TOOL, "d0", "m", "contact_offset_mm", 1e-3)
-    displacement_gain: float = _effect(_TOOL, "eps_d", "1", "displacement_gain", low=_REVERSED)
-    backlash: float = _effect(_TOOL, "b", "m", "backlash_mm", 1e-3, low=0.0)
-    step_loss: float = _effect(_TOOL, "s", "m", "step_loss_mm", 1e-3)
-    step_loss_depth: float = _effect(_TOOL, "d_s", "m", "step_loss_depth_mm", 1e-3)
-    compliance: float = _effect(_TOOL, "c", "m/N", "compliance_mm_per_N", 1e-3, low=0.0)
-    guide_friction: float = _effect(_READING, "F_c", "N", "guide_friction_N", low=0.0)
-    rate_damping: float = _effect(_READING, "eta", "N s/m", "rate_damping_N_s_per_mm", 1e3, low=0.0)
-    latency: float = _effect(_READING, "dt", "s", "latency_s", low=0.0)
-    sensor_gain: float = _effect(_READING, "eps_F", "1", "sensor_gain", low=_REVERSED)
-    zero_offset: float = _effect(_READING, "F0", "N", "zero_offset_N")
-    sensor_drift: float = _effect(_READING, "r", "N/s", "sensor_drift_N_per_s")
+    contact_offset: float = _declare_effect(_TOOL, "d0", "m", "contact_offset_mm", 1e-3)
+    displacement_gain: float = _declare_effect(_TOOL, "eps_d", "1", "displacement_gain", low=_REVERSED)
+    backlash: float = _declare_effect(_TOOL, "b", "m", "backlash_mm", 1e-3, low=0.0)
+    step_loss: float = _declare_effect(_TOOL, "s", "m", "step_loss_mm", 1e-3)
+    step_loss_depth: float = _declare_effect(_TOOL, "d_s", "m", "step_loss_depth_mm", 1e-3)
+    compliance: float = _declare_effect(_TOOL, "c", "m/N", "compliance_mm_per_N", 1e-3, low=0.0)
+    guide_friction: float = _declare_effect(_READING, "F_c", "N", "guide_friction_N", low=0.0)
+    rate_damping: float = _declare_effect(_READING, "eta", "N s/m", "rate_damping_N_s_per_mm", 1e3, low=0.0)
+    latency: float = _declare_effect(_READING, "dt", "s", "latency_s", low=0.0)
+    sensor_gain: float = _declare_effect(_READING, "eps_F", "1", "sensor_gain", low=_REVERSED)
+    zero_offset: float = _declare_effect(_READING, "F0", "N", "zero_offset_N")
+    sensor_drift: float = _declare_effect(_READING, "r", "N/s", "sensor_drift_N_per_s")
     sampling_rate: float | None = field(default=None, metadata={_ACTS_ON: _SAMPLES, **parameter(
         "f", "Hz", key="sampling_rate_Hz", bounds=(1e-9, inf)).metadata})
-    force_noise: float = _effect(_SAMPLES, "sigma", "N", "force_noise_N", low=0.0)
-    noise_correlation_time: float = _effect(_SAMPLES, "tau_n", "s", "noise_correlation_time_s", low=0.0)
-    force_resolution: float = _effect(_SAMPLES, "q_F", "N", "force_resolution_N", low=0.0)
-    displacement_resolution: float = _effect(_SAMPLES, "q_d", "m", "displacement_resolution_mm", 1e-3, low=0.0)
+    force_noise: float = _declare_effect(_SAMPLES, "sigma", "N", "force_noise_N", low=0.0)
+    noise_correlation_time: float = _declare_effect(_SAMPLES, "tau_n", "s", "noise_correlation_time_s", low=0.0)
+    force_resolution: float = _declare_effect(_SAMPLES, "q_F", "N", "force_resolution_N", low=0.0)
+    displacement_resolution: float = _declare_effect(_SAMPLES, "q_d", "m", "displacement_resolution_mm", 1e-3, low=0.0)
     seed: int = 0
     faults: Mapping[str, RigFault] = field(default_factory=dict)
 
@@ -122,17 +122,17 @@ class Rig:
     @property
     def motion_only(self) -> Rig:
         """Rig with the effects on the motion of the tool only."""
-        return self._acting_on(_TOOL, faults=[fault for fault in self.faults.values() if fault.moves_tool])
+        return self._select_effects(_TOOL, faults=[fault for fault in self.faults.values() if fault.moves_tool])
 
     @property
     def reading_only(self) -> Rig:
         """Rig with the effects on the reading of forces only, without noise."""
-        return self._acting_on(_READING, faults=[fault for fault in self.faults.values() if fault.reads])
+        return self._select_effects(_READING, faults=[fault for fault in self.faults.values() if fault.reads])
 
     @property
     def without_noise(self) -> Rig:
         """Rig without noise, resolution and sampling rate."""
-        return self._acting_on(_TOOL, _READING, faults=self.faults)
+        return self._select_effects(_TOOL, _READING, faults=self.faults)
 
     @property
     def needs_time(self) -> bool:
@@ -140,7 +140,7 @@ class Rig:
         return any((self.latency, self.rate_damping, self.sensor_drift, self.sampling_rate,
                     *(fault.needs_time for fault in self.faults.values())))
 
-    def _acting_on(self, *targets: str, faults: Any) -> Rig:
+    def _select_effects(self, *targets: str, faults: Any) -> Rig:
         own = {entry.name: getattr(self, entry.name) for entry in fields(self)
                if entry.metadata.get(_ACTS_ON) in targets}
         return Rig(**own, faults=faults)
@@ -161,7 +161,8 @@ class Rig:
         Returns:
             m, shape (n,).
         """
-        return move_nut(self._screw(self._apply_faults(np.asarray(displacement, dtype=float))), self.backlash)[0]
+        screw = self._screw_position(self._apply_faults(np.asarray(displacement, dtype=float)))
+        return move_nut(screw, self.backlash)[0]
 
     def apply(self, recording: Recording) -> Recording:
         """Compute the true force under this rig for the same reported motion, without a new simulation.
@@ -177,7 +178,7 @@ class Rig:
         if not len(recording):
             return recording
         # With backlash the history is that at the time when the screw was at the present position of the nut.
-        motion, history = move_nut(self._screw(self._apply_faults(recording.displacement)), self.backlash)
+        motion, history = move_nut(self._screw_position(self._apply_faults(recording.displacement)), self.backlash)
         if not self.compliance and np.array_equal(motion, recording.displacement):
             return recording
         force = LoadingCurve(recording).force_behind(motion, self.compliance, history)
@@ -191,6 +192,11 @@ class Rig:
 
         Raises:
             InputError: a recording without time, if the effects need it, or more than 10,000,000 samples.
+
+        Examples:
+            >>> true = Recording({"displacement": [0.0, 1e-3], "force": [0.0, 2.0]})
+            >>> Rig(sensor_gain=0.1, zero_offset=0.5).read(true).force
+            array([0.5, 2.7])
         """
         if self.ideal or not len(recording):
             return recording
@@ -203,7 +209,7 @@ class Rig:
             friction = friction + self.rate_damping * np.divide(step, duration, out=np.zeros_like(step),
                                                                 where=duration > 0)
         force = recording.force + friction
-        reported = recording if self.sampling_rate is None else self._resampled(recording, self.sampling_rate)
+        reported = recording if self.sampling_rate is None else self._resample_recording(recording, self.sampling_rate)
         if self.latency or reported is not recording:
             read = reported.time - self.latency
             # Friction belongs to the interval between two samples: it is piecewise constant and not interpolated.
@@ -221,8 +227,9 @@ class Rig:
             force = force + sensor_noise(force.size, self.force_noise, self.seed,
                                          time=reported.time if self.noise_correlation_time else None,
                                          correlation_time=self.noise_correlation_time)
-        return reported.with_channels(displacement=_rounded(reported.displacement, self.displacement_resolution),
-                                      force=_rounded(force, self.force_resolution))
+        displacement = _round_to_resolution(reported.displacement, self.displacement_resolution)
+        return reported.with_channels(displacement=displacement,
+                                      force=_round_to_resolution(force, self.force_resolution))
 
     def measure(self, recording: Recording) -> Recording:
         """Return the report of this rig for an ideal recording of the same reported motion: `apply`, then `read`.
@@ -237,12 +244,12 @@ class Rig:
             reported = fault.tool_motion(reported)
         return reported
 
-    def _screw(self, reported: np.ndarray) -> np.ndarray:
+    def _screw_position(self, reported: np.ndarray) -> np.ndarray:
         """Position of the tool set by the lead screw while the play is taken up in the downward direction, m."""
         lost = self.step_loss * (np.maximum.accumulate(reported) > self.step_loss_depth)
         return (1.0 + self.displacement_gain) * (reported - lost - self.contact_offset)
 
-    def _resampled(self, recording: Recording, rate: float) -> Recording:
+    def _resample_recording(self, recording: Recording, rate: float) -> Recording:
         """Resample a recording at a sampling rate, Hz."""
         time = recording.time
         samples = (time[-1] - time[0]) * rate
@@ -259,5 +266,5 @@ class Rig:
         return replace(recording, channels={**channels, "time": grid}, labels=labels, fields=None)
 
 
-def _rounded(values: np.ndarray, resolution: float) -> np.ndarray:
+def _round_to_resolution(values: np.ndarray, resolution: float) -> np.ndarray:
     return np.round(values / resolution) * resolution if resolution else values

@@ -1,4 +1,4 @@
-"""A rectangular block."""
+"""Rectangular block as a specimen."""
 
 from __future__ import annotations
 
@@ -34,22 +34,27 @@ class Block(Specimen):
 
     @property
     def area(self) -> float:
+        """Undeformed cross-section, length times width, m2."""
         return self.length * self.width
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        """Return the distance of a point from the edge of the top, in plan view, m; negative outside."""
         return min(0.5 * self.length - abs(x), 0.5 * self.width - abs(y))
 
     @property
     def outer_radius(self) -> float:
+        """Half of the diagonal of the top, m."""
         return 0.5 * math.hypot(self.length, self.width)
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
+        """Make the mesh of hexahedra; see `Specimen.solid_mesh`."""
         from tissue_sim.mesh.block import block_under_plate, block_under_tool
 
         mesh = block_under_plate if grading.radius is None else block_under_tool
         return mesh(self.length, self.width, self.height, grading)
 
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
+        """Move the mesh of another block to this block; see `Specimen.moved_mesh`."""
         from tissue_sim.mesh.mesh_mapping import map_block
 
         assert isinstance(before, Block)

@@ -1,4 +1,4 @@
-"""A cylinder."""
+"""Cylinder as a specimen."""
 
 from __future__ import annotations
 
@@ -32,21 +32,26 @@ class Cylinder(Specimen):
 
     @property
     def area(self) -> float:
+        """Undeformed cross-section, pi times the radius squared, m2."""
         return math.pi * self.radius**2
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        """Return the distance of a point from the edge of the top, in plan view, m; negative outside."""
         return self.radius - math.hypot(x, y)
 
     @property
     def outer_radius(self) -> float:
+        """Radius of the cylinder, m."""
         return self.radius
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
+        """Make the O-grid mesh of hexahedra; see `Specimen.solid_mesh`."""
         from tissue_sim.mesh.solid import graded_cylinder
 
         return graded_cylinder(self.radius, self.height, grading)
 
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
+        """Move the mesh of another cylinder to this cylinder; see `Specimen.moved_mesh`."""
         from tissue_sim.mesh.mesh_mapping import RingedCylinder, map_cylinder
 
         assert isinstance(before, Cylinder)

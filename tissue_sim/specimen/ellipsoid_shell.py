@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tissue_sim.mesh.solid import SolidMesh
 
 
-def _size(symbol: str, key: str) -> Any:
+def _declare_size(symbol: str, key: str) -> Any:
     return parameter(symbol, "m", key=key, factor=1e-3, bounds=(1e-4, 1.0), shapes_mesh=True)
 
 
@@ -36,10 +36,10 @@ class EllipsoidShell(Specimen):
     shape = "ellipsoid_shell"
     is_prism = False
     is_flat = False
-    semi_axis_x: float = _size("a_x", "semi_axis_x_mm")
-    semi_axis_y: float = _size("a_y", "semi_axis_y_mm")
-    semi_axis_z: float = _size("a_z", "semi_axis_z_mm")
-    thickness: float = _size("t", "thickness_mm")
+    semi_axis_x: float = _declare_size("a_x", "semi_axis_x_mm")
+    semi_axis_y: float = _declare_size("a_y", "semi_axis_y_mm")
+    semi_axis_z: float = _declare_size("a_z", "semi_axis_z_mm")
+    thickness: float = _declare_size("t", "thickness_mm")
 
     def __post_init__(self):
         super().__post_init__()
@@ -54,23 +54,28 @@ class EllipsoidShell(Specimen):
 
     @property
     def height(self) -> float:
+        """Height of the apex above the rim, the semi-axis along z, m."""
         return self.semi_axis_z
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        """Return a lower bound of the distance of a point from the rim, in plan view, m; negative outside."""
         # A lower bound: the distance from a similar ellipse through the point to the rim.
         return (1.0 - math.hypot(x / self.semi_axis_x, y / self.semi_axis_y)) * min(self.semi_axis_x, self.semi_axis_y)
 
     @property
     def outer_radius(self) -> float:
+        """Longer semi-axis of the rim, m."""
         return max(self.semi_axis_x, self.semi_axis_y)
 
     def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
+        """Return the vertical distance between outer and inner surface at a point, m."""
         outer, inner = (
             c * math.sqrt(max(0.0, 1.0 - (x / a) ** 2 - (y / b) ** 2)) for a, b, c in (
                 self.semi_axes, tuple(axis - self.thickness for axis in self.semi_axes)))
         return outer - inner
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
+        """Make the mesh of hexahedra; see `Specimen.solid_mesh`."""
         from tissue_sim.mesh.ellipsoid_shell import ellipsoid_shell
 
         return ellipsoid_shell(self.semi_axes, self.thickness, grading)

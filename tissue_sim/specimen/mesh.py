@@ -83,7 +83,7 @@ class MeshSpecimen(Specimen):
 
     @property
     def mesh_of_file(self) -> FileMesh:
-        """Mesh of the file."""
+        """Nodes, elements and named sets of the mesh file, as read."""
         return self._mesh
 
     @cached_property
@@ -111,21 +111,26 @@ class MeshSpecimen(Specimen):
 
     @property
     def region_names(self) -> tuple[str, ...]:
+        """Names of the regions of the file, in the order of the file."""
         return tuple(self._mesh.regions)
 
     @property
     def in_words(self) -> str:
+        """Name of the file and extent along x, y and z, mm."""
         x, y, z = (1e3 * (self._mesh.points.max(axis=0) - self._mesh.points.min(axis=0))).tolist()
         return f"{Path(self.mesh_file).name} of {x:.4g} x {y:.4g} x {z:.4g} mm"
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
+        """Return the distance of a point from the edge of the top, in plan view, m; negative outside."""
         return self._seen.margin(x, y)
 
     @property
     def outer_radius(self) -> float:
+        """Radius of the smallest circle about the axis that contains the body in plan view, m."""
         return self._seen.outer_radius
 
     def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
+        """Return the vertical thickness of the body under a point, m."""
         return self._seen.depth_at(x, y)
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:

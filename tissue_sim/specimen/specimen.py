@@ -41,7 +41,7 @@ class _ByShape(type):
         entries = {entry.name: entry for entry in sorted(fields(kind), key=lambda entry: entry.name in _COMMON)}
         unknown = [name for name in named if name not in entries]
         if unknown or len(values) > len(entries):
-            what = _words(unknown[0]) if unknown else "more sizes"
+            what = _spell_name(unknown[0]) if unknown else "more sizes"
             raise InputError(f"{with_article(kind.shape)} has no {what}; leave it out",
                              field=f"specimen.{unknown[0] if unknown else 'shape'}")
         named |= zip(entries, values, strict=False)
@@ -76,6 +76,12 @@ class Specimen(metaclass=_ByShape):
     Raises:
         InputError: an unknown shape; a size that is missing, not positive or not one of the shape; gravity without a
             density.
+
+    Examples:
+        >>> Specimen(0.040, 0.070).area == math.pi * 0.040**2
+        True
+        >>> Specimen(shape="block", length=0.02, width=0.03, height=0.01).shape
+        'block'
     """
 
     shape: ClassVar[str]
@@ -159,7 +165,7 @@ class Specimen(metaclass=_ByShape):
     @property
     def in_words(self) -> str:
         """Sizes in words, such as ``radius 40 mm, height 70 mm``."""
-        return ", ".join(f"{_words(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
+        return ", ".join(f"{_spell_name(name)} {getattr(self, name) / what.factor:g} {what.key.rpartition('_')[2]}"
                          for name, what in declared(type(self)).items() if name not in _COMMON)
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
@@ -176,7 +182,7 @@ class Specimen(metaclass=_ByShape):
         return self.height
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
-        """Make the three-dimensional mesh.
+        """Make the three-dimensional mesh of the specimen.
 
         Its faces are ``top`` (may touch the tool), ``base`` (held) and ``side`` (others); under a needle it has the
         sets ``face`` and ``free`` of `SolidMesh`.
@@ -205,13 +211,13 @@ class Specimen(metaclass=_ByShape):
 _COMMON = frozenset(entry.name for entry in fields(Specimen))
 
 
-def _words(name: str) -> str:
+def _spell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
 def with_article(name: str) -> str:
     """Name of a shape or a size with its article: ``an ellipsoid shell``."""
-    return f"{'an' if name[0] in 'aeiou' else 'a'} {_words(name)}"
+    return f"{'an' if name[0] in 'aeiou' else 'a'} {_spell_name(name)}"
 
 
 #: Shape -> class.

@@ -21,7 +21,7 @@ from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
 from tissue_sim.decode import decode, read_toml
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.protocol_text import parse_protocol
-from tissue_sim.experiment.segments import legs
+from tissue_sim.experiment.segments import expand_legs
 from tissue_sim.files import read_text
 from tissue_sim.recording.file import read_recording
 from tissue_sim.specimen import Specimen
@@ -307,7 +307,7 @@ def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, numbe
     # A plate that is bonded to the specimen is in contact from the start.
     bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
     contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
-    return Plan(test.name, tuple(legs(parse_protocol(test.protocol), _SPEED)), record.replicates, contact,
+    return Plan(test.name, tuple(expand_legs(parse_protocol(test.protocol), _SPEED)), record.replicates, contact,
                 record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
                 record.preconditioning, record.rest_s, record.sign, record.axis, lag,
                 {key: value for key, value in about.items() if value is not None})

@@ -45,8 +45,9 @@ class Face:
 
 @dataclass(frozen=True, kw_only=True)
 class TestKind:
-    """A kind of test.
+    """Kind of test: default tool, interfaces, channels, sign of the load, and closed form if one exists.
 
+    Attributes:
         name: name in files and on the command line.
         title: name in reports.
         tool: default tool; a plate admits plates only, a needle all tools but plates. None: the specimen is gripped at
@@ -128,7 +129,7 @@ class TestKind:
 
     @property
     def faces(self) -> dict[str, Face]:
-        """Field of `Experiment` -> face."""
+        """Interfaces of the test by the name of the field of `Experiment`."""
         return {"friction": self.face, "friction_base": self.base, "friction_wall": self.shaft}
 
     def fits(self, tool: type[Tool] | Tool) -> bool:
@@ -140,6 +141,10 @@ class TestKind:
 
         Raises:
             InputError: the kind has no closed form.
+
+        Examples:
+            >>> round(KINDS["lubricated_compression"].strain(0.9), 3)
+            0.1
         """
         return self.sign * (abscissa - self.require_closed_form().rest)
 
@@ -148,11 +153,15 @@ class TestKind:
 
         Raises:
             InputError: the kind has no closed form.
+
+        Examples:
+            >>> KINDS["lubricated_compression"].abscissa(0.1)
+            0.9
         """
         return self.require_closed_form().rest + self.sign * strain
 
     def require_closed_form(self) -> ClosedForm:
-        """Return the closed form.
+        """Return the closed form of the stress of this kind of test.
 
         Raises:
             InputError: the kind has no closed form.
@@ -162,7 +171,7 @@ class TestKind:
         return self.closed_form
 
     def require_tool(self) -> Tool:
-        """Return the default tool.
+        """Return the default tool of this kind of test.
 
         Raises:
             InputError: the specimen is gripped.
@@ -197,6 +206,13 @@ class TestKind:
 
         Raises:
             InputError: see `Experiment`; or a kind without a tool.
+
+        Examples:
+            >>> from tissue_sim import Protocol, Specimen, Tool
+            >>> needle = KINDS["needle_indentation"].experiment(
+            ...     specimen=Specimen(0.040, 0.070), protocol=Protocol.ramp(0.002), tool=Tool("flat", radius=0.008))
+            >>> needle.friction
+            'bonded'
         """
         from tissue_sim.experiment.experiment import Experiment
 

@@ -40,10 +40,12 @@ class Cone(Tool):
 
     @property
     def profile(self) -> Profile:
+        """Outline of the tool in the half plane r >= 0; see `Profile`."""
         a, tip = self.radius, self.tip_radius
         shoulder = tip + (a - tip) / math.tan(self.half_angle)
         return Profile([(0.0, tip), (a - tip, shoulder), (a - tip, shoulder + SHAFT_LENGTH * a)], tip, 1)
 
     def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:
+        """Estimate the radius of the contact at a depth, m: 2/pi depth tan(half angle) (Sneddon), at most `radius`."""
         pointed = 2.0 / math.pi * depth * math.tan(self.half_angle)
         return min(self.radius, max(pointed, math.sqrt(self.tip_radius * depth)))

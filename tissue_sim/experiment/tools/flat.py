@@ -27,16 +27,20 @@ class Flat(Tool):
 
     @property
     def profile(self) -> Profile:
+        """Outline of the tool in the half plane r >= 0; see `Profile`."""
         face, rounding = self.face_radius, self.edge_radius
         return Profile([(0.0, rounding), (face, rounding), (face, SHAFT_LENGTH * self.radius)], rounding, 1)
 
     @property
     def face_radius(self) -> float:
+        """Radius of the flat part of the face, without the rounding, m."""
         return self.radius - self.edge_radius
 
     @property
     def sharp_edge(self) -> bool:
+        """Whether the edge between face and shaft has no rounding."""
         return self.edge_radius == 0
 
     def contact_radius(self, depth: float, specimen_radius: float = float("inf")) -> float:
+        """Return the radius of the contact, that of the shaft, m."""
         return self.radius

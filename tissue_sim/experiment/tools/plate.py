@@ -21,11 +21,14 @@ class Plate(Tool):
 
     @property
     def profile(self) -> Profile:
+        """Outline of the tool in the half plane r >= 0; see `Profile`."""
         return Profile([(0.0, 0.0), (PLATE_RADIUS, 0.0)], 0.0, 1)
 
     @property
     def face_radius(self) -> None:
+        """None: a plate has no edge."""
         return None
 
     def contact_radius(self, depth: float, specimen_radius: float = float("inf")) -> float:
+        """Return the radius of the contact, that of the specimen, m."""
         return specimen_radius

@@ -126,9 +126,11 @@ class ProfileTool(Tool):
 
     @property
     def face_radius(self) -> float:
+        """Radius of the flat part of the face, without the rounding of its edge, m; 0 without a flat face."""
         return max(0.0, float(self.outline[self.outline[:, 1] == 0.0, 0].max()) - self.edge_radius)
 
     def contact_radius(self, depth: float, specimen_radius: float = float("inf")) -> float:
+        """Estimate the radius of the contact at a depth from the width of the outline there, m."""
         import numpy as np
 
         wide = float(np.interp(depth, self.outline[:, 1], self.outline[:, 0]))

@@ -26,8 +26,10 @@ class Round(Tool):
 
     @property
     def profile(self) -> Profile:
+        """Outline of the tool in the half plane r >= 0; see `Profile`."""
         a = self.radius
         return Profile([(0.0, a), (0.0, SHAFT_LENGTH * a)], a, 0)
 
     def contact_radius(self, depth: float, specimen_radius: float = math.inf) -> float:
+        """Estimate the radius of the contact at a depth, m: sqrt(radius depth) (Hertz), at most `radius`."""
         return min(self.radius, math.sqrt(self.radius * depth))

@@ -29,15 +29,15 @@ class _ByShape(type):
         kind = TOOLS.find(shape, field="tool")
         entries = {entry.name: entry for entry in fields(kind)}
         if len(unnamed) > len(entries):
-            raise _does_not_have(kind, "radius" if not entries else "more sizes")
+            raise _missing_size_error(kind, "radius" if not entries else "more sizes")
         sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
                  if value is not None and (value or name in entries)}
         for name in sizes:
             if name not in entries:
-                raise _does_not_have(kind, name)
+                raise _missing_size_error(kind, name)
         for entry in entries.values():
             if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
-                raise InputError(f"a {shape} tool needs a {_words(entry.name)}", field=f"tool.{entry.name}")
+                raise InputError(f"a {shape} tool needs a {_spell_name(entry.name)}", field=f"tool.{entry.name}")
         return kind(**sizes)
 
 
@@ -97,6 +97,10 @@ class Tool(metaclass=_ByShape):
 
         For a pointed or round tool that on an elastic half-space (Hertz; Sneddon, Int. J. Eng. Sci. 3 (1965) 47), for a
         plate the radius of the specimen.
+
+        Examples:
+            >>> Tool("sphere", radius=0.008).contact_radius(0.002)
+            0.004
         """
         raise NotImplementedError
 
@@ -127,13 +131,13 @@ class Tool(metaclass=_ByShape):
                                  field=f"tool.{name}")
 
 
-def _words(name: str) -> str:
+def _spell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _does_not_have(kind: type[Tool], name: str) -> InputError:
+def _missing_size_error(kind: type[Tool], name: str) -> InputError:
     problem = "a plate covers the whole top face and has no radius" if kind.is_plate else \
-        f"a {kind.name} tool has no {_words(name)}"
+        f"a {kind.name} tool has no {_spell_name(name)}"
     return InputError(f"{problem}; leave it out", field=f"tool.{name}")
 
 

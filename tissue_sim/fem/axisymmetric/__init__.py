@@ -1,1 +1,1 @@
-"""The axisymmetric solid."""
+"""Mixed finite elements of axisymmetric solids under rigid tools, as Taichi kernels."""

@@ -16,12 +16,12 @@ from functools import cache
 from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.point_effects import effects_function
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.energy import inverse_root_function, soften_function
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS

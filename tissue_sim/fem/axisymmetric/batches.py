@@ -5,11 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.linear import band
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh import Mesh
-
-#: Number of elements in a batch, one in each lane of a SIMD vector. Eight lanes (AVX-512) are no faster on processors
-#: with AVX-512, slower on others, and take 1.5 times as long to compile (docs/performance.md).
-LANES = 4
 
 
 class ElementBatches:
@@ -65,9 +62,10 @@ class ElementBatches:
         self.elements = np.minimum(numbers, count - 1).astype(np.int32)
         self.real = (numbers < count).astype(float)
         self.moduli = np.ones((batches, LANES))
-        self.dofs = self._lanes(2 * mesh.connectivity.astype(np.int32))
-        self.gradients = tuple(self._lanes(gradients[..., i]) for i in range(3))
-        self.weights, self.modes, self.volumes = self._lanes(weights), self._lanes(modes), self._lanes(volumes)
+        self.dofs = self._arrange_in_lanes(2 * mesh.connectivity.astype(np.int32))
+        self.gradients = tuple(self._arrange_in_lanes(gradients[..., i]) for i in range(3))
+        self.weights, self.modes, self.volumes = (
+            self._arrange_in_lanes(values) for values in (weights, modes, volumes))
         self.stiffness = np.zeros((4 * pairs, LANES))
         m = mesh.element.pressure_modes
         self.volume, self.known_volume = np.zeros((2, 2, batches * m * nodes, LANES))
@@ -76,7 +74,7 @@ class ElementBatches:
         self.centre_inverse = tuple(np.zeros((batches, LANES)) for _ in range(3))
         self.centre_force = tuple(np.zeros((batches, LANES)) for _ in range(2))
 
-    def _lanes(self, values: np.ndarray) -> np.ndarray:
+    def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Return values of the elements, shape (elements, ...), with lanes last, shape (batches times rest, LANES)."""
         taken = values[self.elements]
         return np.ascontiguousarray(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
@@ -144,7 +142,7 @@ class ElementBatches:
         rows, columns = own[:, a][:, :, i].swapaxes(1, 2), own[:, c][:, :, k].swapaxes(1, 2)  # (elements, 4, pairs)
         # In the diagonal block of a node rz equals zr and is omitted.
         twice = (c == a) & ((i == 0) & (k == 1))[:, None]
-        places = np.where(twice, -1, _band_indices(rows, columns, free, shape))
+        places = np.where(twice, -1, _find_band_indices(rows, columns, free, shape))
         last = shape[0] * shape[1] * band.BLOCK**2
         places = np.where(places < 0, last, places)
         lanes = np.where(self.real[:, :, None, None] > 0, places[self.elements], last)
@@ -177,7 +175,7 @@ class ElementBatches:
         self.pull_factors = np.ascontiguousarray(table[:, 3])
 
 
-def _band_indices(rows: np.ndarray, columns: np.ndarray, free: int, shape: tuple[int, int]) -> np.ndarray:
+def _find_band_indices(rows: np.ndarray, columns: np.ndarray, free: int, shape: tuple[int, int]) -> np.ndarray:
     """Return the index of each entry in the flattened lower band; -1 for equations that are not free."""
     low, high = np.minimum(rows, columns), np.maximum(rows, columns)
     I, J, width = high // band.BLOCK, low // band.BLOCK, shape[1]

@@ -12,9 +12,9 @@ the change of B would be multiplied by K without being in the matrix.
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.elements import ELEMENTS
 
 

@@ -10,15 +10,11 @@ from numpy.polynomial.legendre import leggauss
 
 from tissue_sim.experiment.contact_law import ContactLaw
 from tissue_sim.experiment.tools.outline import Profile
+from tissue_sim.fem.contact_settings import PenaltySettings
 from tissue_sim.mesh import Mesh
 
-#: Penalty stiffness of a contact point, in units of mu0 over the length of the element edge. Each augmented Lagrangian
-#: iteration divides the remaining gap by about this number.
-PENALTY_STIFFNESS = 3e3
-#: Tangential penalty stiffness of a point that sticks over its normal penalty stiffness.
-STICK_STIFFNESS_FACTOR = 30.0
-#: Value of the coefficient of friction of an interface without slip.
-STICK = -1.0
+#: Penalty stiffness of the contact points.
+PENALTY = PenaltySettings(normal=3e3, stick_factor=30.0)
 #: Element order -> points and weights on [-1, 1] of the quadrature with the nodes of an edge: trapezoidal and Simpson's
 #: rule.
 NODE_RULES = {1: (np.array([-1.0, 1.0]), np.array([1.0, 1.0])),
@@ -98,7 +94,8 @@ class Pair:
     Attributes:
         profile: outline of the body, in the frame of the tool if the body moves with the tool.
         edges: node numbers of the element edges, shape (m, nodes of an edge).
-        friction: Coulomb coefficients of the body's face and of its shaft; 0: frictionless, `STICK`: no slip.
+        friction: Coulomb coefficients of the body's face and of its shaft; 0: frictionless,
+            `tissue_sim.fem.contact_settings.STICK`: no slip.
         moves: whether the body moves with the tool; otherwise the body rests.
         tied: whether an interface without slip holds the edges from the start.
         stays: whether the edges stay in contact under tension.
@@ -156,7 +153,7 @@ class ContactPoints:
         face: numbers of the points under a face without slip of the tool.
         areas: surface area of each point, m2, shape (n,).
         springs: penalty stiffness of each point, N/m, shape (n,).
-        anchors: bond (`contact_kernels.FREE`, `HELD` or `TOUCHED`) and anchor of each point at the last equilibrium;
+        anchors: bond (a `tissue_sim.fem.contact_settings.Bond`) and anchor of each point at the last equilibrium;
             the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
         initial: the same at the beginning of a step, with the bonds of points that the tool reaches in the step.
         held: the same during a step.

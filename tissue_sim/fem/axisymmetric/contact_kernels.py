@@ -19,26 +19,21 @@ touched.
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, KnownRateColumn, RateColumn, SpanColumn
+from tissue_sim.fem.axisymmetric.contact import PENALTY, KnownRateColumn, RateColumn, SpanColumn
 from tissue_sim.fem.axisymmetric.contact_gap import nearest_function
 from tissue_sim.fem.axisymmetric.contact_laws import law_functions
+from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, Bond
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
 
-#: Bond of a contact point that is not bound to a body. Bonds are stored in arrays of floats.
-FREE = 0.0
-#: Bond of a contact point that an interface without slip holds at the position where it touched.
-HELD = 1.0
-#: Bond of a contact point that has touched a body with friction; its anchor is the origin of the elastic slip.
-TOUCHED = 2.0
-#: Augmentation parameter of the active set over the penalty stiffness of the point: gap and slip are multiplied by the
-#: augmentation parameter and added to the contact force. The parameter is about the stiffness of the tissue.
-AUGMENTATION_FACTOR = 1e-3
-#: Value of `changeable` with which all points may change their contact state at once.
-ALL_POINTS = 1_000_000
-#: Any other positive value of `changeable` selects one in this many points, other ones for each value, so that the
-#: active set does not cycle.
-DRAW_INTERVAL = 4
+#: `Bond.FREE` as a float, because the kernels store bonds in arrays of floats.
+FREE = float(Bond.FREE)
+#: `Bond.HELD` as a float.
+HELD = float(Bond.HELD)
+#: `Bond.TOUCHED` as a float.
+TOUCHED = float(Bond.TOUCHED)
+#: Settings of the active set; the kernels contain the values as constants.
+ACTIVE_SET = ActiveSetSettings(augmentation_factor=1e-3)
 #: Relative tolerance of Coulomb's friction cone, and of negligible friction.
 CONE_TOLERANCE = 1e-3
 
@@ -106,10 +101,11 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             normal = x[at] * nr + x[at + 1] * nz
             if spans[i, SpanColumn.STAYS] == 0:
                 normal = ti.min(normal, 0.0)
-            trial = normal + AUGMENTATION_FACTOR * spring * gap
+            trial = normal + ACTIVE_SET.augmentation_factor * spring * gap
             acting = 0.0
             fr, fz, krr, krz, kzr, kzz, missed_r, missed_z = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            drawn = changeable == ALL_POINTS or (changeable > 0 and (7 * i + 5 * changeable) % DRAW_INTERVAL == 0)
+            drawn = (changeable == ALL_POINTS
+                     or (changeable > 0 and (7 * i + 5 * changeable) % ACTIVE_SET.draw_interval == 0))
             if changeable > 0 and bound != HELD:
                 presses = 1.0 if trial < 0.0 or gap < slack or spans[i, SpanColumn.STAYS] == 1 else 0.0
                 if ti.static(not has_laws):
@@ -129,7 +125,7 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 if bound == TOUCHED:
                     met[i, 1], met[i, 2] = held[i, 1], held[i, 2]
             if bound == HELD:
-                spring *= STICK_STIFFNESS_FACTOR
+                spring *= PENALTY.stick_factor
                 dr, dz = ur - held[i, 1], uz - held[i, 2]
                 fr, fz, missed_r, missed_z = x[at], x[at + 1], dr, dz
                 krr, kzz = spring, spring
@@ -153,7 +149,7 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     drag, limit = along, mu * ti.max(-normal, 0.0)
                     way = slip_signs[i]
                     if changeable > 0 and mu > 0.0:
-                        tried = drag + AUGMENTATION_FACTOR * spring * slip
+                        tried = drag + ACTIVE_SET.augmentation_factor * spring * slip
                         # A slipping point must stick before it slips in the other direction; otherwise it alternates.
                         if way != 0.0:
                             way = way if way * slip > 0.0 else 0.0
@@ -168,7 +164,7 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                                     wanting += 1
                                 way = slip_signs[i]
                     if way == 0.0:
-                        tt += STICK_STIFFNESS_FACTOR * spring - bending * curved * normal
+                        tt += PENALTY.stick_factor * spring - bending * curved * normal
                         missed_r += slip * tr
                         missed_z += slip * tz
                         met[i, 1], met[i, 2] = held[i, 1], held[i, 2]

@@ -7,15 +7,10 @@ import numpy as np
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
-from tissue_sim.fem.axisymmetric.contact import STICK, Contact, Pair
+from tissue_sim.fem.axisymmetric.contact import Contact, Pair
+from tissue_sim.fem.contact_settings import STICK, TOLERANCES
 from tissue_sim.mesh import Mesh
 
-#: Largest violation of a contact condition under a needle, over the radius of the needle.
-NEEDLE_TOLERANCE = 1e-4
-#: The same between plates, over the radius of the specimen.
-PLATE_TOLERANCE = 1e-7
-#: The same between plates if the deformation is homogeneous, so that forces agree with closed forms.
-HOMOGENEOUS_TOLERANCE = 1e-11
 #: Smallest tip radius, over the radius of the contact, with which contact conditions at Gauss points are accurate.
 BLUNT = 0.5
 
@@ -48,10 +43,10 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
     if not any(len(pair.edges) for pair in pairs):
         return None
     if experiment.tool.is_plate:
-        relative = HOMOGENEOUS_TOLERANCE if homogeneous else PLATE_TOLERANCE
+        relative = TOLERANCES.homogeneous if homogeneous else TOLERANCES.plate
         tolerance = relative * experiment.specimen.margin()
     else:
-        tolerance = NEEDLE_TOLERANCE * experiment.tool.require_radius()
+        tolerance = TOLERANCES.needle * experiment.tool.require_radius()
     level = tool and experiment.tool.is_plate
     return Contact(tuple(pairs), tolerance, experiment.acting_laws if tool else (),
                    np.pi * experiment.contact_radius**2, level)

@@ -64,7 +64,7 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
     if chosen is None:
         raise InputError(f"unknown resolution {resolution!r}{nearest(resolution, [*UNMEASURED, *RESOLUTIONS])}",
                          field="resolution")
-    mesh = _mesh_of_one_material(experiment, chosen, element, small=experiment.homogeneous and not layers)
+    mesh = _make_unlayered_mesh(experiment, chosen, element, small=experiment.homogeneous and not layers)
     if not layers:
         return mesh
     interfaces = -np.cumsum([layer.thickness for layer in layers])
@@ -79,9 +79,9 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
     return replace(layered, sets={**layered.sets, **top_sets})
 
 
-def _mesh_of_one_material(experiment: Experiment, resolution: Resolution, element: Element, *, small: bool) -> Mesh:
+def _make_unlayered_mesh(experiment: Experiment, resolution: Resolution, element: Element, *, small: bool) -> Mesh:
     """Return the mesh without layers; `small`: four elements, for a homogeneous deformation."""
-    specimen, tool = _cylinder(experiment), experiment.tool
+    specimen, tool = _require_cylinder(experiment), experiment.tool
     if small:
         # Every mesh is exact for a homogeneous deformation.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
@@ -113,20 +113,20 @@ def _mesh_of_one_material(experiment: Experiment, resolution: Resolution, elemen
 
 def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:
     """Return the mesh of one model with its nodes moved to the geometry of another; the elements stay the same."""
-    lines = [_lines(model) for model in (before, after)]
+    lines = [_element_boundaries(model) for model in (before, after)]
     return mesh.moved(*zip(*lines, strict=True))
 
 
-def _lines(model: Model) -> tuple[np.ndarray, np.ndarray]:
+def _element_boundaries(model: Model) -> tuple[np.ndarray, np.ndarray]:
     """Return the radii and heights of the element boundaries that every mesh of a model has, m, ascending."""
     experiment = model.experiment
     face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
     interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
-    return (np.array([0.0, *face, _cylinder(experiment).radius]),
+    return (np.array([0.0, *face, _require_cylinder(experiment).radius]),
             np.array([-experiment.specimen.height, *interfaces[::-1], 0.0]))
 
 
-def _cylinder(experiment: Experiment) -> Cylinder:
+def _require_cylinder(experiment: Experiment) -> Cylinder:
     """Return the specimen; raises InputError if the specimen is not a cylinder."""
     return require_cylinder(experiment.specimen, "the axisymmetric solver")
 
@@ -175,7 +175,7 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     held = {}
     if experiment.friction == "bonded":
         held = {"top" if experiment.tool.is_plate else "face": "rz"}
-    return AxisymmetricSolver(mesh, model.material, _supports(experiment), held,
+    return AxisymmetricSolver(mesh, model.material, _fixed_components(experiment), held,
                               contact=build_contact(experiment, mesh, homogeneous=uniform), specific_weight=weight,
                               element_layers=layers, contact_radius=experiment.contact_radius, start=start)
 
@@ -189,7 +189,7 @@ def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), depth)
 
 
-def _supports(experiment: Experiment) -> dict[str, str]:
+def _fixed_components(experiment: Experiment) -> dict[str, str]:
     """Return the fixed components of the base, node set -> components."""
     interface = experiment.base_interface
     return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
@@ -202,7 +202,7 @@ def _settle_as_moulded(model: Model, mesh: Mesh, layers: np.ndarray) -> Axisymme
     factor = 1.0
     for _ in range(50):
         moulded = mesh.stretched(factor)
-        solver = AxisymmetricSolver(moulded, model.material, _supports(model.experiment), {},
+        solver = AxisymmetricSolver(moulded, model.material, _fixed_components(model.experiment), {},
                                     contact=build_contact(model.experiment, moulded, tool=False), element_layers=layers,
                                     contact_radius=model.experiment.contact_radius)
         _apply_weight(solver, specimen.specific_weight)

@@ -14,10 +14,9 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import strength
-from tissue_sim.fem.axisymmetric import contact as contacts
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
-from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, Contact, ContactPoints
+from tissue_sim.fem.axisymmetric.contact import PENALTY, Contact, ContactPoints
 from tissue_sim.fem.axisymmetric.contact_laws import law_settings
 from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import integrate
@@ -145,11 +144,11 @@ class Equations:
             arrays = self._kernel_arrays()
             if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_of(kernel, arrays)):
                 self._kernel = BoundKernel(kernel, arrays)
-        self.surface.set_stiffness(contacts.PENALTY_STIFFNESS * material.mu0)
+        self.surface.set_stiffness(PENALTY.normal * material.mu0)
         # Forces of rounding errors, per m of depth and for the coordinates of the contact points.
         height = np.ptp(self.mesh.nodes[:, 1])
         stiff = self.bulk_modulus * float(np.linalg.norm(self.reference.rounding * self.moduli))
-        self._rounding_rate = stiff + self.surface.rounding_rate * STICK_STIFFNESS_FACTOR
+        self._rounding_rate = stiff + self.surface.rounding_rate * PENALTY.stick_factor
         self._coordinate_rounding = self.surface.rounding_rate * height
         # Estimate of the sag of the top per specific weight, m4/N.
         self._sag_per_weight = height**2 / (6.0 * material.mu0)

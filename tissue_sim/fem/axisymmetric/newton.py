@@ -10,7 +10,6 @@ from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
 from tissue_sim.fem.axisymmetric.assembly import element_functions
-from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.condensation import condensation_functions
 from tissue_sim.fem.axisymmetric.contact_rates import rate_functions
 from tissue_sim.fem.axisymmetric.newton_tables import NEWTON, Count, PassMode, Report, Setting, StartMode
@@ -19,6 +18,7 @@ from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.laws import KernelEnergy
 

@@ -48,12 +48,12 @@ def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str])
     free, held = shared[:, None] & ~prescribed, shared[:, None] & prescribed
     # The order with the smaller bandwidth is used: by rows, or by columns.
     by_rows, by_columns = np.arange(len(mesh.nodes)), np.lexsort(mesh.nodes[:, ::-1].T)
-    numberings = [_equations(mesh, order, free, held) for order in (by_rows, by_columns)]
+    numberings = [_number_equations(mesh, order, free, held) for order in (by_rows, by_columns)]
     equation, half_band = min(numberings, key=lambda numbering: numbering[1])
     return Numbering(equation.ravel(), direction.ravel(), int(free.sum()), half_band)
 
 
-def _equations(mesh: Mesh, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
+def _number_equations(mesh: Mesh, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the equation of every degree of freedom for an order of the nodes, and the half-bandwidth."""
     count = int(free.sum())
     equation = np.full(free.shape, -1, dtype=np.int32)

@@ -25,7 +25,7 @@ def effects_function(formulas: tuple[Formula, ...]):
     count = 1 + sum(len(formula.parameters) for formula in formulas)
 
     def added(F, P, A, states, settings):
-        return _added(formulas, F, P, A, states, settings)
+        return _add_effects(formulas, F, P, A, states, settings)
 
     @ti.func
     def add_effects(F, P, A, states, settings: ti.template()):
@@ -34,8 +34,8 @@ def effects_function(formulas: tuple[Formula, ...]):
     return add_effects
 
 
-def _added(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
-    """Evaluate `add_effects` on Taichi expressions."""
+def _add_effects(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
+    """Evaluate the formulas of effects at a quadrature point on Taichi expressions."""
     F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
     states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.contact import RateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
 from tissue_sim.fem.axisymmetric.equations import Equations
@@ -14,13 +15,28 @@ from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, Switch
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
+from tissue_sim.fem.taichi.scratch import LANES
 
-#: Maximum number of parameters for which the factorisation of the step is cheaper than one of the exact tangent.
-MAX_REFINED = 2
-#: The same with slip, where the matrix is unsymmetric and a factorisation costs twice as much.
-MAX_REFINED_SLIP = 4
-#: Maximum number of step lengths for which the derivatives of the relaxation are stored.
-_STORED_STEP_LENGTHS = 64
+
+@dataclass(frozen=True)
+class SensitivitySettings:
+    """Settings of the choice of a factorisation for the derivatives, and of the stored derivatives.
+
+    Attributes:
+        max_refined: maximum number of parameters for which iterative refinement with the factorisation of the step is
+            cheaper than a factorisation of the exact tangent.
+        max_refined_slip: the same with slip, where the matrix is unsymmetric and a factorisation costs twice as much.
+        stored_step_lengths: maximum number of step lengths for which the derivatives of the relaxation are stored. A
+            larger number takes more memory and computes the derivatives less often.
+    """
+
+    max_refined: int = 2
+    max_refined_slip: int = 4
+    stored_step_lengths: int = 64
+
+
+#: Settings of all derivatives.
+SETTINGS = SensitivitySettings()
 
 
 class Sensitivity:
@@ -57,7 +73,8 @@ class Sensitivity:
         kernels = respond_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
                                 memory.works, surface.slips)
         arrays = {
-            **equations.shared_arrays(), **self._rates_of(neighbours), **self._rates_at_points(m, terms),
+            **equations.shared_arrays(), **self._differentiate_materials(neighbours),
+            **self._allocate_point_rates(m, terms),
             "before": memory.before, "internal": memory.internal, "which": self._which,
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
             "decay_rates": self._decay_rates, "gain_rates": self._gain_rates,
@@ -67,7 +84,7 @@ class Sensitivity:
             "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
         self._differentiate_forces, self._differentiate_state = (BoundKernel.of(kernel, arrays) for kernel in kernels)
 
-    def _rates_of(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
+    def _differentiate_materials(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
         """Return the derivatives of law, bulk modulus, layers and memory with the parameters, by kernel names."""
         equations, m = self._equations, len(neighbours)
         inputs = equations.inputs(equations.material)
@@ -91,7 +108,7 @@ class Sensitivity:
                 "kappa_rates": kappa_rates,
                 "moduli_rates": np.ascontiguousarray(moduli_rates[:, equations.batches.elements].reshape(-1, LANES))}
 
-    def _rates_at_points(self, m: int, terms: int) -> dict[str, np.ndarray]:
+    def _allocate_point_rates(self, m: int, terms: int) -> dict[str, np.ndarray]:
         """Allocate the derivatives at the quadrature points, by kernel names.
 
         Rows of lanes are numbered by batch, point, parameter, term and component, the last fastest.
@@ -121,7 +138,7 @@ class Sensitivity:
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
             (self._past_rates[:, PastColumn.INSTANT], self._decay_rates[:],
-             self._gain_rates[:]) = self._relaxation_rates(memory.dt)
+             self._gain_rates[:]) = self._differentiate_relaxation(memory.dt)
         if self._pause or not self._may_refine():
             self._pause = max(self._pause - 1, 0)
             self._equations.respond(self._launch)
@@ -135,7 +152,7 @@ class Sensitivity:
     def _may_refine(self) -> bool:
         """Whether iterative refinement with the step's factorisation is possible and cheaper than a new one."""
         counts, settings = self._equations.counts, self._equations.settings
-        few = MAX_REFINED_SLIP if counts[newton.Count.UNSYMMETRIC] else MAX_REFINED
+        few = SETTINGS.max_refined_slip if counts[newton.Count.UNSYMMETRIC] else SETTINGS.max_refined
         return (not self._equations.memory.works and self.force.size <= few and settings[newton.Setting.INERTIA] == 0
                 and counts[newton.Count.FACTORISED] == 1 and counts[newton.Count.BENDING] == 1)
 
@@ -149,10 +166,10 @@ class Sensitivity:
             self._multiplier_rates[:] = before
         return not self._which[Switch.FACTORISES]
 
-    def _relaxation_rates(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _differentiate_relaxation(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the derivatives of instantaneous factor, decay and gain of each term in a step of duration dt, s."""
         if dt not in self._stored:
-            if len(self._stored) >= _STORED_STEP_LENGTHS:
+            if len(self._stored) >= SETTINGS.stored_step_lengths:
                 self._stored.clear()
             rates = np.zeros(len(self._relaxations)), np.zeros_like(self._decay_rates), np.zeros_like(self._gain_rates)
             for k, (up, down, width) in enumerate(self._relaxations):

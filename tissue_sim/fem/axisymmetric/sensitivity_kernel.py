@@ -13,8 +13,7 @@ Eng. 37 (1994) 2471.
 from dataclasses import dataclass
 from functools import cache
 
-from tissue_sim.fem.axisymmetric.batches import LANES
-from tissue_sim.fem.axisymmetric.contact import STICK_STIFFNESS_FACTOR, KnownRateColumn, RateColumn, SpanColumn
+from tissue_sim.fem.axisymmetric.contact import PENALTY, KnownRateColumn, RateColumn, SpanColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
 from tissue_sim.fem.axisymmetric.newton_tables import Count, Setting
 from tissue_sim.fem.axisymmetric.sensitivity_points import response_functions
@@ -24,6 +23,7 @@ from tissue_sim.fem.linear import band as band_matrix
 from tissue_sim.fem.linear.cholesky import cholesky_functions
 from tissue_sim.fem.linear.lu import lu_functions
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
 
 
@@ -88,7 +88,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
         fz = contact_rates[i, RateColumn.ZR] * dr + contact_rates[i, RateColumn.ZZ] * dz
         lr, lz = multiplier_rates[k, i, 0], multiplier_rates[k, i, 1]
         hr, hz = anchor_rates[k, i, 0], anchor_rates[k, i, 1]
-        stiff, missed_r, missed_z = STICK_STIFFNESS_FACTOR * springs[i], 0.0, 0.0
+        stiff, missed_r, missed_z = PENALTY.stick_factor * springs[i], 0.0, 0.0
         if held[i, 0] == HELD:
             missed_r, missed_z = dr - hr, dz - hz
             fr += lr - stiff * hr

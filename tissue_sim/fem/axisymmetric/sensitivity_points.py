@@ -10,12 +10,12 @@ from typing import NamedTuple
 import sympy as sp
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, PointRecord, Switch
 from tissue_sim.fem.energy import inverse_root_function, soften_function
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 

@@ -9,10 +9,10 @@ from functools import cache
 from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.batches import LANES
 from tissue_sim.fem.axisymmetric.condensation import condensation_functions
 from tissue_sim.fem.axisymmetric.scratch import AT, scratch
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.elements import ELEMENTS
 
 

@@ -28,10 +28,10 @@ def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacemen
     """
     positions, datum = surface.positions(displacement), 0.0
     if surface.moves.any():
-        datum = _first_touch_height(mesh, contact, displacement, positions[surface.moves])
+        datum = _find_first_touch_height(mesh, contact, displacement, positions[surface.moves])
     positions[surface.moves, 1] -= datum
     if contact.level:
-        _level_top(mesh, surface, displacement, positions, datum)
+        _shift_to_level_top(mesh, surface, displacement, positions, datum)
     touches = surface.gaps(positions) <= 1e-9 * np.ptp(mesh.nodes[:, 1])
     untouched = touches & (surface.anchors[:, 0] == contact_kernels.FREE)
     surface.anchors[untouched, 0] = np.where(surface.tied[untouched], contact_kernels.HELD, contact_kernels.TOUCHED)
@@ -120,8 +120,8 @@ def _way_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndar
     return np.where(gap > 0.0, 0.5 * gap**2 / np.maximum(closes, least), 0.0)
 
 
-def _level_top(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, positions: np.ndarray,
-               datum: float) -> None:
+def _shift_to_level_top(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, positions: np.ndarray,
+                        datum: float) -> None:
     """Shift the points so that a plate touches the whole unevenly settled top at once, as if the top were cut level.
 
     Without the shift a plate would touch the highest ring first.
@@ -133,7 +133,7 @@ def _level_top(mesh: Mesh, surface: ContactPoints, displacement: np.ndarray, pos
     positions[..., 1] -= lift
 
 
-def _first_touch_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, points: np.ndarray) -> float:
+def _find_first_touch_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, points: np.ndarray) -> float:
     """Return z of the tool's deepest point at the first touch of the top nodes or of further points (n, 2), m."""
     profiles = [pair.profile for pair in contact.pairs if pair.moves]
     positions = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points])

@@ -4,8 +4,8 @@ from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.condensed.kernel import own_compliance_function
-from tissue_sim.fem.condensed.model import Bond
 from tissue_sim.fem.condensed.tables import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
+from tissue_sim.fem.contact_settings import Bond
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -65,7 +65,7 @@ class FlatColumn(IntEnum):
 
 
 #: Number of columns of `flat`.
-FLAT_COLUMNS = 33
+FLAT_COLUMNS = FlatColumn.KNOWN + 3
 
 
 @cache

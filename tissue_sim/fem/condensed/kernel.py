@@ -14,7 +14,6 @@ separate. Six more right-hand sides give the derivatives of the forces with resp
 
 from functools import cache
 
-from tissue_sim.fem.condensed.model import Bond
 from tissue_sim.fem.condensed.tables import (
     MAX_FREEDOMS,
     RESULT_COUNT,
@@ -27,11 +26,10 @@ from tissue_sim.fem.condensed.tables import (
     StateColumn,
     SurfaceColumn,
 )
+from tissue_sim.fem.contact_settings import SOLID_PENALTY, Bond
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES, scratch
 
-#: Penalty stiffness of a held node over that of the contact; see `tissue_sim.fem.solid.contact`.
-STICK_STIFFNESS_FACTOR = 3.0
 #: The extrapolation of the forces is discarded if a force changes by more than this fraction of the largest force.
 _MAX_PREDICTED_CHANGE = 0.5
 
@@ -194,7 +192,7 @@ def contact_kernel():
         state, sticks, violation = ContactStatus.SEPARATED, False, 0.0
         if held:
             violation = slip.norm()
-            A, missing = STICK_STIFFNESS_FACTOR * k * eye, STICK_STIFFNESS_FACTOR * k * slip
+            A, missing = SOLID_PENALTY.stick_factor * k * eye, SOLID_PENALTY.stick_factor * k * slip
             found, state = F, ContactStatus.HELD
             if F.dot(n) > 0.0:
                 results[Result.PULLING] = results[Result.PULLING] + 1.0
@@ -219,8 +217,8 @@ def contact_kernel():
                 else:
                     sticks, state = True, ContactStatus.STICKING
                     violation = ti.max(violation, length)
-                    A = A + STICK_STIFFNESS_FACTOR * k * (eye - nn)
-                    missing, found = missing + STICK_STIFFNESS_FACTOR * k * aside, found + tangential
+                    A = A + SOLID_PENALTY.stick_factor * k * (eye - nn)
+                    missing, found = missing + SOLID_PENALTY.stick_factor * k * aside, found + tangential
         else:
             violation = ti.max(-gap, 0.0)
         results[Result.VIOLATION] = ti.max(results[Result.VIOLATION], violation)

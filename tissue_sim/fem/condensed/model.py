@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from enum import IntEnum
 from typing import Any, Protocol
 
 import numpy as np
@@ -18,21 +17,6 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.registry import Registry
-
-
-class Bond(IntEnum):
-    """Bond of a contact node to the tool, as in `tissue_sim.fem.solid.contact`.
-
-    Attributes:
-        FREE: the node has not touched the tool.
-        HELD: an interface without slip holds the node at its anchor.
-        TOUCHED: the node touches the tool with friction; the anchor is the origin of the elastic slip.
-    """
-
-    FREE = 0
-    HELD = 1
-    TOUCHED = 2
-
 
 #: Number of scalars before the arrays of a packed `CondensedContact`.
 _MODEL_HEAD = 17
@@ -53,7 +37,7 @@ class ContactSurface:
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.
-        bound: bonds of the nodes at the first touch, each a `Bond`, shape (s,).
+        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.Bond`, shape (s,).
         anchors: positions in the frame of the tool where these nodes are bound, m, shape (s, 3).
         start: pose of the tool at the first touch.
         datum: height of the scene's origin in the frame of the mesh, m.
@@ -141,7 +125,7 @@ class CondensedContact:
         return bool(self.stiffness.any())
 
     def pack(self) -> np.ndarray:
-        """Return one array of numbers, without the arrays that a linearisation shares with its base."""
+        """Pack the linearisation in one array of numbers."""
         n = len(self.nodes)
         head = (self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
                 self.material, self.has_contact, *self.pose.position, *self.pose.orientation)
@@ -164,9 +148,9 @@ class CondensedContact:
         head = numbers[:_MODEL_HEAD].tolist()
         number, base_number, epoch, time, count, reach, modulus, residual, material, has_contact, *pose = head
         n, rest = int(count), numbers[_MODEL_HEAD:]
-        own = {"number": int(number), "base": int(base_number), "epoch": int(epoch), "time": time, "pose": _pose(pose),
-               "wrench": rest[:6], "free_displacement": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach,
-               "modulus": modulus,
+        own = {"number": int(number), "base": int(base_number), "epoch": int(epoch), "time": time,
+               "pose": _make_pose(pose), "wrench": rest[:6],
+               "free_displacement": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach, "modulus": modulus,
                "residual": residual, "material": int(material), "has_contact": bool(has_contact)}
         if number != base_number:
             return None if base is None or base.base != base_number else replace(base, **own)
@@ -217,7 +201,7 @@ class ContactState:
     touched: bool = True
 
     def pack(self) -> np.ndarray:
-        """Return one array of numbers."""
+        """Pack the state in one array of numbers."""
         head = (self.model, self.epoch, self.touched, self.time, *self.pose.position, *self.pose.orientation,
                 self.earlier, *self.before.position, *self.before.orientation)
         return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.states.ravel()])
@@ -227,8 +211,8 @@ class ContactState:
         """Return the state from an array of `pack`."""
         model, epoch, touched, time, *poses = numbers[:_STATE_HEAD].tolist()
         forces, anchors, states = np.split(numbers[_STATE_HEAD:], 3)
-        return cls(int(model), int(epoch), time, _pose(poses[:7]), poses[7], _pose(poses[8:]), forces.reshape(-1, 3),
-                   anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
+        return cls(int(model), int(epoch), time, _make_pose(poses[:7]), poses[7], _make_pose(poses[8:]),
+                   forces.reshape(-1, 3), anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
 
 
 def packed_state_size(surface: ContactSurface) -> int:
@@ -294,6 +278,6 @@ LINEARISATIONS: Registry[LinearisationMaker] = Registry(
     "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_linearisation"})
 
 
-def _pose(numbers: list[float]) -> Pose:
+def _make_pose(numbers: list[float]) -> Pose:
     x, y, z, a, b, c, d = numbers
     return Pose((x, y, z), (a, b, c, d))

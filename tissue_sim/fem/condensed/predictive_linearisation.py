@@ -2,21 +2,34 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedContact, ContactState
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, between, motion
 
-#: Prediction time over the duration of a linearisation. A linearisation is in use from one to two durations after its
-#: start; longer predictions lose more accuracy where the tool changes direction than they gain elsewhere.
-LEAD_FACTOR = 1.25
-#: Largest predicted motion of the tool, over the radius of the contact.
-_MAX_PREDICTION = 1.0
-#: Largest increment of the predicted motion, over the radius of the contact. The friction of the prediction is
-#: discarded, so that coarse increments are sufficient.
-_MAX_INCREMENT = 0.12
+
+@dataclass(frozen=True)
+class PredictionSettings:
+    """Settings of the prediction of the pose at which the bulk is linearised.
+
+    Attributes:
+        lead_factor: prediction time over the duration of a linearisation, 1. A linearisation is in use from one to two
+            durations after its start; longer predictions lose more accuracy where the tool changes direction than they
+            gain elsewhere.
+        max_prediction: largest predicted motion of the tool, over the radius of the contact, 1.
+        max_increment: largest increment of the predicted motion, over the radius of the contact, 1. The friction of
+            the prediction is discarded, so that coarse increments are sufficient.
+    """
+
+    lead_factor: float = 1.25
+    max_prediction: float = 1.0
+    max_increment: float = 0.12
+
+
+#: Settings of every prediction.
+PREDICTION = PredictionSettings()
 
 
 class PredictiveLinearisation:
@@ -32,7 +45,7 @@ class PredictiveLinearisation:
 
     def __init__(self, linearisation: BulkLinearisation):
         self._linearisation = linearisation
-        self._stepper = CondensedStepper(linearisation.surface, _MAX_INCREMENT)
+        self._stepper = CondensedStepper(linearisation.surface, PREDICTION.max_increment)
         self._epoch = self._material = 0
 
     def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedContact | None:
@@ -83,5 +96,5 @@ class PredictiveLinearisation:
         distance = self._stepper.distance(motion(state.before, state.pose))
         factor = lead / passed
         if distance * factor > 0.0:
-            factor = min(factor, _MAX_PREDICTION * self._linearisation.surface.radius / distance)
+            factor = min(factor, PREDICTION.max_prediction * self._linearisation.surface.radius / distance)
         return between(state.before, state.pose, 1.0 + factor)

@@ -16,7 +16,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.flat_contact import FlatContact
 from tissue_sim.fem.condensed.kernel import contact_kernel
-from tissue_sim.fem.condensed.model import Bond, CondensedContact, ContactState, ContactSurface
+from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface
 from tissue_sim.fem.condensed.settings import StepperSettings
 from tissue_sim.fem.condensed.tables import (
     LIST_COLUMNS,
@@ -33,6 +33,7 @@ from tissue_sim.fem.condensed.tables import (
     Setting,
 )
 from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, Answer, wrench_kernel
+from tissue_sim.fem.contact_settings import Bond
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES

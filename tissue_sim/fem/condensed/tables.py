@@ -44,7 +44,7 @@ class Setting(IntEnum):
 
 
 #: Size of `settings`.
-SETTING_COUNT = 35
+SETTING_COUNT = Setting.STEP + 6
 
 
 class Result(IntEnum):
@@ -105,14 +105,14 @@ class NodeColumn(IntEnum):
 
 
 #: Number of columns of `carried`.
-NODE_COLUMNS = 9
+NODE_COLUMNS = NodeColumn.NEW_ANCHOR + 3
 
 
 class StateColumn(IntEnum):
     """Columns of `states`, the contact states of the nodes of the surface.
 
     Attributes:
-        BOND: bond to the tool, a `tissue_sim.fem.condensed.model.Bond`.
+        BOND: bond to the tool, a `tissue_sim.fem.contact_settings.Bond`.
         NEW_BOND: `BOND` of the next step if this step converges.
         PRESSED: 1 if the node is in contact.
         SLIPS: 1 if the node slips against friction.
@@ -205,7 +205,7 @@ class LocalColumn(IntEnum):
 
 
 #: Number of columns of `local`.
-LOCAL_COLUMNS = 38
+LOCAL_COLUMNS = LocalColumn.REFERENCE + 3
 #: Maximum number of displacement components, three for each node.
 MAX_FREEDOMS = LANES * VECTORS
 #: Number of right-hand sides: one of the iteration and six of the motions of the tool.

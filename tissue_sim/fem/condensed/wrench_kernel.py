@@ -3,8 +3,8 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.model import Bond
 from tissue_sim.fem.condensed.tables import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
+from tissue_sim.fem.contact_settings import Bond
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -27,7 +27,7 @@ class Answer(IntEnum):
 
 
 #: Size of `answer`.
-ANSWER_SIZE = 85
+ANSWER_SIZE = Answer.RATES + 36
 
 
 @cache

@@ -10,16 +10,23 @@ from typing import Any
 
 import numpy as np
 
-#: Matrix types of Pardiso (`mtype`): symmetric positive definite.
-DEFINITE = 2
-#: Symmetric indefinite.
-SYMMETRIC = -2
-#: Not symmetric.
-OTHER = 11
+
+class MatrixType(IntEnum):
+    """Matrix types of Pardiso (`mtype`).
+
+    Attributes:
+        DEFINITE: symmetric and positive definite.
+        SYMMETRIC: symmetric and indefinite.
+        UNSYMMETRIC: not symmetric.
+    """
+
+    DEFINITE = 2
+    SYMMETRIC = -2
+    UNSYMMETRIC = 11
 
 
 class _Phase(IntEnum):
-    """Phases of Pardiso."""
+    """Phases of a call of Pardiso (`phase`)."""
 
     ANALYSE = 11
     FACTORISE = 22
@@ -63,7 +70,7 @@ class PardisoPattern:
 
     Args:
         matrix: one of the matrices, a `scipy.sparse.csc_array` with sorted rows.
-        kind: `DEFINITE`, `SYMMETRIC` or `OTHER`.
+        kind: type of the matrices.
         interface: sorted indices of equations whose Schur complement is computed with the factor; None: none.
         single: single precision, which takes half of the time and memory.
 
@@ -71,7 +78,7 @@ class PardisoPattern:
         PardisoError: the analysis failed.
     """
 
-    def __init__(self, matrix: Any, kind: int, interface: np.ndarray | None = None, *, single: bool = False):
+    def __init__(self, matrix: Any, kind: MatrixType, interface: np.ndarray | None = None, *, single: bool = False):
         from pypardiso import PyPardisoSolver
         from scipy import sparse
 
@@ -80,7 +87,7 @@ class PardisoPattern:
         self.indices, self._kind, self.size = matrix.indices, kind, matrix.shape[0]
         numbered = sparse.csc_array((np.arange(1.0, matrix.nnz + 1.0), matrix.indices, matrix.indptr),
                                     shape=matrix.shape)
-        rows = sparse.csr_array(numbered if kind == OTHER else sparse.triu(numbered))
+        rows = sparse.csr_array(numbered if kind == MatrixType.UNSYMMETRIC else sparse.triu(numbered))
         rows.sort_indices()
         self._entries = rows.data.astype(np.intp) - 1
         self._row_starts, self._columns = (part.astype(np.int32) + 1 for part in (rows.indptr, rows.indices))
@@ -93,7 +100,7 @@ class PardisoPattern:
             parameters[[_Parameter.USE, _Parameter.ORDERING, _Parameter.SMALLEST_PIVOT, _Parameter.SCHUR]] = 1, 2, 8, 2
         else:
             # Pardiso's defaults except that iterative refinement, which does not reduce the error here, is off.
-            exchanges = int(kind == OTHER)
+            exchanges = int(kind == MatrixType.UNSYMMETRIC)
             parameters[[_Parameter.USE, _Parameter.ORDERING, _Parameter.SMALLEST_PIVOT, _Parameter.SCALING,
                         _Parameter.MATCHING, _Parameter.PIVOTING, _Parameter.SINGLE_PRECISION]] = (
                 1, 2, 13 if exchanges else 8, exchanges, exchanges, 1, int(single))
@@ -115,7 +122,7 @@ class PardisoPattern:
             self._run(_Phase.ANALYSE, unused, unused)
             self._analysed = True
         self._run(_Phase.FACTORISE, unused, unused if schur is None else schur)
-        if self._kind == OTHER and self.perturbed:
+        if self._kind == MatrixType.UNSYMMETRIC and self.perturbed:
             # The row permutation of the analysis was chosen for other values.
             self._run(_Phase.ANALYSE, unused, unused)
             self._run(_Phase.FACTORISE, unused, unused)

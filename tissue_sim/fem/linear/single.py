@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.linear.pardiso import OTHER, SYMMETRIC, PardisoError, PardisoPattern
+from tissue_sim.fem.linear.pardiso import MatrixType, PardisoError, PardisoPattern
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,8 @@ class SingleFactor:
             answer = self._iterate(right.reshape(right.shape[0], -1), _SETTINGS.tolerance, _SETTINGS.max_iterations)
             if answer is not None:
                 return answer.reshape(right.shape)
-            self._exact = PardisoPattern(self._matrix, SYMMETRIC if self._symmetric else OTHER)
+            kind = MatrixType.SYMMETRIC if self._symmetric else MatrixType.UNSYMMETRIC
+            self._exact = PardisoPattern(self._matrix, kind)
             self._exact.factorise(self._matrix)
         return self._exact.solve(right)
 
@@ -95,24 +96,24 @@ class SingleFactor:
             iteration += 1
             found = self._apply(residual)
             if self._symmetric:
-                product = _dot(residual, found)
-                direction = found + _over(product, last) * direction if iteration > 1 else found
+                product = _column_products(residual, found)
+                direction = found + _divide_or_zero(product, last) * direction if iteration > 1 else found
                 last, image = product, self._matrix @ direction
-                curvature = _dot(direction, image)
+                curvature = _column_products(direction, image)
                 if not ((curvature > 0.0) | (np.linalg.norm(residual, axis=0) == 0.0)).all():
                     return None
-                length = _over(product, curvature)
+                length = _divide_or_zero(product, curvature)
             else:
                 # The image of each direction is orthogonal to those of all earlier ones.
                 direction, image = found, self._matrix @ found
                 for earlier, earlier_image in zip(directions, products, strict=True):
-                    length = _dot(earlier_image, image)
+                    length = _column_products(earlier_image, image)
                     direction, image = direction - length * earlier, image - length * earlier_image
                 norm = np.linalg.norm(image, axis=0)
-                direction, image = _over(direction, norm), _over(image, norm)
+                direction, image = _divide_or_zero(direction, norm), _divide_or_zero(image, norm)
                 directions.append(direction)
                 products.append(image)
-                length = _dot(image, residual)
+                length = _column_products(image, residual)
             answer += length * direction
             residual -= length * image
         return answer
@@ -120,13 +121,13 @@ class SingleFactor:
     def _apply(self, right: np.ndarray) -> np.ndarray:
         """Apply the single-precision inverse to normalised columns, which avoids underflow."""
         size = np.linalg.norm(right, axis=0)
-        return size * self._pattern.solve(_over(right, size))
+        return size * self._pattern.solve(_divide_or_zero(right, size))
 
-def _dot(first: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _column_products(first: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Inner products of the columns of two arrays."""
     return np.asarray(np.einsum("ij,ij->j", first, other))
 
 
-def _over(number: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _divide_or_zero(number: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Quotient of two arrays; 0 where the divisor is 0."""
     return np.divide(number, other, out=np.zeros_like(number), where=other != 0.0)

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tissue_sim.fem.linear.pardiso import DEFINITE, OTHER, SYMMETRIC, PardisoError, PardisoPattern
+from tissue_sim.fem.linear.pardiso import MatrixType, PardisoError, PardisoPattern
 from tissue_sim.fem.linear.single import SingleFactor
 
 #: Environment variable; ``TISSUE_SIM_SPARSE=scipy`` selects SciPy although pypardiso is installed.
@@ -21,7 +21,7 @@ _SINGLE_FROM = 1000
 
 
 class Factor(Protocol):
-    """Factor of a matrix.
+    """Factorised matrix, which solves linear equations.
 
     Attributes:
         definite: whether a symmetric matrix is positive definite; True for other matrices.
@@ -65,8 +65,8 @@ class SparseSolver:
     """
 
     def __init__(self) -> None:
-        self._kept: dict[int, PardisoPattern] = {}
-        self._single: dict[int, PardisoPattern] = {}
+        self._kept: dict[MatrixType, PardisoPattern] = {}
+        self._single: dict[MatrixType, PardisoPattern] = {}
         self._single_is_enough = True
 
     def factorise(self, matrix: Any, *, symmetric: bool) -> Factor | None:
@@ -83,11 +83,12 @@ class SparseSolver:
             return _SuperLU.of(matrix, symmetric)
         tried = self._single_is_enough and matrix.shape[0] >= _SINGLE_FROM
         if tried:
-            kind = DEFINITE if symmetric else OTHER
-            single = SingleFactor.of(_pattern(self._single, matrix, kind, single=True), matrix, symmetric)
+            kind = MatrixType.DEFINITE if symmetric else MatrixType.UNSYMMETRIC
+            single = SingleFactor.of(_find_pattern(self._single, matrix, kind, single=True), matrix, symmetric)
             if single is not None:
                 return single
-        factor = _Pardiso.of(_pattern(self._kept, matrix, SYMMETRIC if symmetric else OTHER), matrix, symmetric)
+        kind = MatrixType.SYMMETRIC if symmetric else MatrixType.UNSYMMETRIC
+        factor = _Pardiso.of(_find_pattern(self._kept, matrix, kind), matrix, symmetric)
         if tried and factor is not None and factor.definite:
             self._single_is_enough = False
             self._single.clear()
@@ -105,14 +106,15 @@ class SparseSolver:
         """
         if library() != "pardiso":
             return _CondensedSuperLU.of(matrix, interface)
-        pattern = self._kept.get(DEFINITE)
+        pattern = self._kept.get(MatrixType.DEFINITE)
         if pattern is None or pattern.indices is not matrix.indices or not np.array_equal(pattern.require_interface(),
                                                                                           interface):
-            pattern = self._kept[DEFINITE] = PardisoPattern(matrix, DEFINITE, interface)
+            pattern = self._kept[MatrixType.DEFINITE] = PardisoPattern(matrix, MatrixType.DEFINITE, interface)
         return _CondensedPardiso.of(pattern, matrix)
 
 
-def _pattern(kept: dict[int, PardisoPattern], matrix: Any, kind: int, *, single: bool = False) -> PardisoPattern:
+def _find_pattern(kept: dict[MatrixType, PardisoPattern], matrix: Any, kind: MatrixType, *,
+                  single: bool = False) -> PardisoPattern:
     pattern = kept.get(kind)
     if pattern is None or pattern.indices is not matrix.indices:
         pattern = kept[kind] = PardisoPattern(matrix, kind, single=single)
@@ -184,7 +186,7 @@ class _CondensedSuperLU:
 
 class _Pardiso:
     def __init__(self, pattern: PardisoPattern, definite: bool):
-        self._pattern, self.definite = pattern, definite
+        self._find_pattern, self.definite = pattern, definite
 
     @classmethod
     def of(cls, pattern: PardisoPattern, matrix: Any, symmetric: bool) -> _Pardiso | None:
@@ -197,14 +199,14 @@ class _Pardiso:
         return cls(pattern, not pattern.perturbed and not (symmetric and pattern.negative))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        return self._pattern.solve(right)
+        return self._find_pattern.solve(right)
 
 
 class _CondensedPardiso:
     definite = True
 
     def __init__(self, pattern: PardisoPattern, compliance: np.ndarray):
-        self._pattern, self.compliance = pattern, compliance
+        self._find_pattern, self.compliance = pattern, compliance
 
     @classmethod
     def of(cls, pattern: PardisoPattern, matrix: Any) -> _CondensedPardiso | None:
@@ -230,15 +232,15 @@ class _CondensedPardiso:
         return self.finish(self.begin(right))
 
     def begin(self, right: np.ndarray) -> np.ndarray:
-        begun, interface = self._pattern.reduce(right), self._pattern.require_interface()
+        begun, interface = self._find_pattern.reduce(right), self._find_pattern.require_interface()
         begun[interface] = self.compliance @ begun[interface]
         return begun
 
     def begin_push(self, forces: np.ndarray) -> np.ndarray:
         # Forward substitution does not change such a right-hand side.
-        begun = np.zeros(self._pattern.size)
-        begun[self._pattern.require_interface()] = self.compliance @ forces
+        begun = np.zeros(self._find_pattern.size)
+        begun[self._find_pattern.require_interface()] = self.compliance @ forces
         return begun
 
     def finish(self, begun: np.ndarray) -> np.ndarray:
-        return self._pattern.expand(begun)
+        return self._find_pattern.expand(begun)

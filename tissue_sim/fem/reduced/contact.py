@@ -11,9 +11,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tissue_sim.fem.contact_settings import STICK
 from tissue_sim.fem.reduced.contact_kernel import LayerResult, LayerSetting, NodeState, contact_kernel
 from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.contact import STICK
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK

@@ -6,11 +6,12 @@ import numpy as np
 
 from tissue_sim.fem.reduced.elements_kernel import SampledSettingColumn, elements_kernel
 from tissue_sim.fem.reduced.model import Rest
-from tissue_sim.fem.solid.batches import LANES, ElementBatches
+from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import SettingColumn
 from tissue_sim.fem.solid.tissue import RegionElements, bulk_modulus, element_groups, layer_ratios
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 

@@ -73,12 +73,12 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
     if isinstance(specimen, MeshSpecimen):
         arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_arrays(specimen.mesh_of_file).items()}
     stream = io.BytesIO()
-    named: dict[str, Any] = {"description": np.array(json.dumps(_description(reduced))), **arrays}
+    named: dict[str, Any] = {"description": np.array(json.dumps(_describe_reduced_solid(reduced))), **arrays}
     np.savez_compressed(stream, **named)
     write_bytes(path, stream.getvalue())
 
 
-def _description(reduced: ReducedModel) -> dict[str, Any]:
+def _describe_reduced_solid(reduced: ReducedModel) -> dict[str, Any]:
     experiment = reduced.model.experiment
     specimen, tool, box = experiment.specimen, experiment.tool, reduced.box
     require_reducible(reduced.model)
@@ -90,14 +90,14 @@ def _description(reduced: ReducedModel) -> dict[str, Any]:
         "box": {"sideways": box.sideways, "depth": box.depth, "turn": box.turn},
         "material": msgspec.to_builtins(MaterialFile.of(reduced.model.material)),
         "experiment": {
-            "specimen": {"shape": specimen.shape, "name": specimen.name, **_specimen(specimen)},
+            "specimen": {"shape": specimen.shape, "name": specimen.name, **_describe_specimen(specimen)},
             **({"weight": {name: getattr(specimen, name) for name in _WEIGHT}} if specimen.specific_weight else {}),
-            "tool": {"shape": tool.shape, **_tool(tool)},
+            "tool": {"shape": tool.shape, **_describe_tool(tool)},
             "approach": None if experiment.approach is None else to_keys(experiment.approach),
             **{name: getattr(experiment, name) for name in _FACES}}}
 
 
-def _specimen(specimen: Specimen) -> dict[str, Any]:
+def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
     """Return the keys from which the specimen is created again, without its mesh."""
     if not isinstance(specimen, MeshSpecimen):
         return dict(specimen.stated)
@@ -105,7 +105,7 @@ def _specimen(specimen: Specimen) -> dict[str, Any]:
     return {**specimen.stated, "mesh": Path(specimen.mesh_file).name, "kind": mesh.cells.kind, "digest": mesh.digest}
 
 
-def _tool(tool: Tool) -> dict[str, Any]:
+def _describe_tool(tool: Tool) -> dict[str, Any]:
     """Return the keys from which the tool is created again."""
     if not isinstance(tool, ProfileTool):
         return dict(to_keys(tool))
@@ -123,7 +123,7 @@ def load_reduced(path: str | Path) -> ReducedModel:
         pass
     description, arrays = bounded(_read, str(path), file=path)
     with located(file=path):
-        return _checked(description, arrays)
+        return _check_content(description, arrays)
 
 
 def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
@@ -136,7 +136,7 @@ def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
                          file=path) from None
 
 
-def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
+def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
     try:
         if description["schema"] != "tissue_sim.reduced":
             raise KeyError("schema")
@@ -159,7 +159,7 @@ def _checked(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> Redu
         error_factors = float(changed), float(own)
         box = PoseBox(**description["box"])
         material = decode_material_file(description["material"]).material
-        experiment = _experiment(description["experiment"], box, of_file)
+        experiment = _make_experiment(description["experiment"], box, of_file)
         require_reducible(Model(experiment, material))
         require_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
     except (KeyError, TypeError, ValueError) as error:
@@ -207,7 +207,7 @@ def _is_sound(table: ContactCompliance, nodes: int) -> bool:
             and np.linalg.eigvalsh(table.whole)[0] > 0.0)
 
 
-def _experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:
+def _make_experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:
     """Create the experiment from its description and the arrays of a specimen mesh file."""
     specimen, tool = dict(stated["specimen"]), dict(stated["tool"])
     shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -124,6 +125,21 @@ class Rest:
 
     displacement: np.ndarray
     pressures: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshots:
+    """Full-order states on a training path.
+
+    Attributes:
+        displacements: nodal displacements from rest at each pose, m, shape (poses, freedoms).
+        wrenches: wrench on the tool at each pose, N and N m, shape (poses, 6).
+        doubts: warnings of the solver (`Solver.warnings`) at the largest force; not stored in files.
+    """
+
+    displacements: np.ndarray
+    wrenches: np.ndarray
+    doubts: Sequence[str] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -11,6 +11,7 @@ from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.prediction import Prediction
+from tissue_sim.fem.reduced.settings import BondedPlacementSettings
 from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
 from tissue_sim.fem.solid.bodies import Body
 from tissue_sim.fem.solid.frame import Frame
@@ -20,10 +21,8 @@ from tissue_sim.fem.solver import Solver
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.pose import Pose, motion
 
-#: Largest distance between the first contact of a bonded tool and that of the training, in contact radii.
-BONDED_OFFSET = 0.01
-#: Largest rotation of a bonded tool at first contact relative to the training, rad.
-BONDED_ROTATION = 2e-3
+#: Settings of every reduced solid.
+PLACEMENT = BondedPlacementSettings()
 
 
 class PlacedReduced(KernelOwner, Solver):
@@ -68,7 +67,7 @@ class PlacedReduced(KernelOwner, Solver):
         """
         if self._lifting:
             x, y, z, *turn = motion(self._start, pose)
-            if math.hypot(x, y, z) > BONDED_OFFSET * self._reach or math.hypot(*turn) > BONDED_ROTATION:
+            if math.hypot(x, y, z) > PLACEMENT.max_offset * self._reach or math.hypot(*turn) > PLACEMENT.max_rotation:
                 return False
             self._tool_motion = ToolMotionBasis(self._lifting, Frame(pose, self.datum))
         self._pose = self._landed = pose

@@ -33,19 +33,9 @@ MODES = {True: 24, False: 64}
 BULK_RATIO = {True: 300.0, False: 50.0}
 #: Smallest and largest permitted value of `bulk_ratio`; above the largest value steps do not converge.
 BULK_RATIOS = (1.0, 1000.0)
-#: Relative error of the modal forces of the sampled elements.
-SAMPLING = 6e-3
-#: Thickness of the contact layer over the contact radius.
-SOFTNESS = 1e-3
-#: Number of test paths inside the box.
-TRIED = 3
 #: Largest factor by which symmetry reduces the number of training paths, for a bonded tool (True) and a tool that can
 #: lift off (False). The response with friction depends on the path, so that images help less.
 _SYMMETRY_SAVING = {True: 4, False: 2}
-#: Number of the first boundary path in the file names; larger than the number of any path of the sequence.
-_BOUNDARY = 8000
-#: Size of the box of the boundary test paths, as a fraction of the box of poses.
-_UNSEEN_FRACTION = 0.93
 
 
 class Progress(Protocol):
@@ -56,8 +46,9 @@ class Progress(Protocol):
 
 
 def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
-                 modes: int | None = None, sampling: float = SAMPLING, bulk_ratio: float | None = None,
-                 softness: float = SOFTNESS, also: Sequence[Material] = (), tried: int = TRIED,
+                 modes: int | None = None, sampling: float = training.TRAINING.sampling_error,
+                 bulk_ratio: float | None = None, softness: float = training.TRAINING.softness,
+                 also: Sequence[Material] = (), tried: int = training.VERIFICATION.test_paths,
                  folder: Path | None = None,
                  progress: Progress | None = None) -> ReducedModel:
     """Reduce a solid for real-time simulation of a tool that stays in a box of poses.
@@ -96,7 +87,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
     require_reducible(model)
     mesh = training.training_mesh(model, box, resolution)
-    solver = training.whole_solver(model, mesh)
+    solver = training.make_full_order_solver(model, mesh)
     memory = training.settled_memory(solver)
     if also and experiment.specimen.specific_weight:
         raise InputError("must be empty for a solid with self-weight, which has one material only. Leave the further "
@@ -125,7 +116,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     poses = [training_path(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
     poses += boundary_training_paths(box, start, holds=holds, reach=reach, images=images)
     taken, count = [], len(poses)
-    numbers = [*range(strokes), *range(_BOUNDARY, _BOUNDARY + count - strokes)]
+    on_boundary = training.TRAINING.first_boundary_path
+    numbers = [*range(strokes), *range(on_boundary, on_boundary + count - strokes)]
     # The materials take turns, on paths inside the box and along its boundary.
     of_stroke = [materials[number % len(materials)] for number in numbers]
     tell("strokes", 0, count)
@@ -133,7 +125,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         done = store.read(number)
         if done is None or len(done.wrenches) != len(path):
             solver.set_material(material)
-            done = training.snapshots(solver, path, memory=memory)
+            done = training.simulate_snapshots(solver, path, memory=memory)
             store.write(number, done)
         taken.append(done)
         tell("strokes", len(taken), count)
@@ -147,7 +139,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     reduced = with_compliance(reduced, solver, poses, taken, of_stroke)
     first = training.VERIFICATION.first_test_path
     unseen = [training_path(first + number, box, start, holds=holds, reach=reach) for number in range(tried)]
-    along = boundary_training_paths(box, start, holds=holds, reach=reach, images=images, fraction=_UNSEEN_FRACTION)
+    along = boundary_training_paths(box, start, holds=holds, reach=reach, images=images,
+                                    fraction=training.VERIFICATION.boundary_fraction)
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
     report, factors = training.verify(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
                                       materials=materials, memory=memory)
@@ -169,7 +162,7 @@ class _Store:
         write_bytes(label, model.encode())
 
     def read(self, number: int) -> training.Snapshots | None:
-        path = self._path(number)
+        path = self._file_of(number)
         if path is None or not path.exists():
             return None
         try:
@@ -179,13 +172,13 @@ class _Store:
             return None  # an unreadable file is computed again
 
     def write(self, number: int, snapshots: training.Snapshots) -> None:
-        path = self._path(number)
+        path = self._file_of(number)
         if path is not None:
             stream = io.BytesIO()
             np.savez(stream, displacements=snapshots.displacements, wrenches=snapshots.wrenches)
             write_bytes(path, stream.getvalue())
 
-    def _path(self, number: int) -> Path | None:
+    def _file_of(self, number: int) -> Path | None:
         return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
 
 

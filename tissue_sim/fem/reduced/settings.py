@@ -42,6 +42,33 @@ class ReducedNewtonSettings:
 
 
 @dataclass(frozen=True)
+class BondedPlacementSettings:
+    """Poses of first contact that a reduced solid with a bonded tool accepts.
+
+    Attributes:
+        max_offset: largest distance from the first contact of the training, over the contact radius, 1.
+        max_rotation: largest rotation relative to the first contact of the training, rad.
+    """
+
+    max_offset: float = 0.01
+    max_rotation: float = 2e-3
+
+
+@dataclass(frozen=True)
+class TrainingPathSettings:
+    """Settings of the training and test paths.
+
+    Attributes:
+        min_depth: smallest depth of an indenting tool, as a fraction of the depth of the box, 1.
+        step: largest distance between two poses of a path, as a fraction of the contact radius, 1. Smaller steps take
+            more time and record more states.
+    """
+
+    min_depth: float = 0.15
+    step: float = 1.0 / 16.0
+
+
+@dataclass(frozen=True)
 class TrainingSettings:
     """Settings of the training of a reduced solid: snapshots, modes (POD) and sampled elements (ECSW).
 
@@ -57,6 +84,11 @@ class TrainingSettings:
         singular_value_tolerance: smallest singular value of a mode over the largest one. Snapshots are solved to a
             relative residual of 1e-7; modes with smaller singular values are noise.
         error_modes: number of modes beyond the unknown modes that serve the error estimate only; an even number.
+        sampling_error: relative error of the modal forces of the sampled elements, 1. A smaller value samples more
+            elements and makes steps slower.
+        softness: thickness of the contact layer over the contact radius, 1; see `ReducedModel`.
+        first_boundary_path: number of the first boundary path in the file names; larger than the number of any path of
+            the sequence.
     """
 
     max_iterations: int = 40
@@ -67,6 +99,9 @@ class TrainingSettings:
     fine_fraction: float = 0.9
     singular_value_tolerance: float = 1e-6
     error_modes: int = 4
+    sampling_error: float = 6e-3
+    softness: float = 1e-3
+    first_boundary_path: int = 8000
 
 
 @dataclass(frozen=True)
@@ -74,6 +109,8 @@ class VerificationSettings:
     """Settings of the comparison of a reduced solid with the full-order solid on test paths.
 
     Attributes:
+        test_paths: number of test paths inside the box. More paths take more time and calibrate the error better.
+        boundary_fraction: size of the box of the boundary test paths, as a fraction of the box of poses, 1.
         first_test_path: number of the first test path in the sequence of paths; training paths have smaller numbers.
         substeps: number of steps of the reduced solid per step of the full-order solid.
         modes_per_omitted_mode: number of unknown modes per mode that a second, coarser reduced solid omits; the
@@ -82,8 +119,20 @@ class VerificationSettings:
         negligible_error: error of the force over the rms force that the estimate need not cover.
     """
 
+    test_paths: int = 3
+    boundary_fraction: float = 0.93
     first_test_path: int = 5000
     substeps: int = 8
     modes_per_omitted_mode: int = 4
     coverage: float = 0.95
     negligible_error: float = 0.01
+
+
+#: Relative residual of the modal forces at which a step has converged. The error of the reduction is far larger.
+TOLERANCE = 5e-4
+#: Settings of the modified Newton method.
+SETTINGS = ReducedNewtonSettings()
+#: Settings of every training.
+TRAINING = TrainingSettings()
+#: Settings of every verification.
+VERIFICATION = VerificationSettings()

@@ -17,7 +17,7 @@ from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.placement import PlacedReduced
 from tissue_sim.fem.reduced.prediction import Prediction
 from tissue_sim.fem.reduced.response import Response
-from tissue_sim.fem.reduced.settings import ReducedNewtonSettings
+from tissue_sim.fem.reduced.settings import SETTINGS, TOLERANCE
 from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
 from tissue_sim.fem.solid.discretisation import tool_contact
 from tissue_sim.fem.solid.frame import Frame
@@ -30,11 +30,6 @@ from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw, motion
 from tissue_sim.tool_force import Matrix
-
-#: Relative residual of the modal forces at which a step has converged. The error of the reduction is far larger.
-TOLERANCE = 5e-4
-#: Settings of the modified Newton method.
-SETTINGS = ReducedNewtonSettings()
 
 
 class ReducedSolver(PlacedReduced):
@@ -272,7 +267,9 @@ class ReducedSolver(PlacedReduced):
             guess: initial amplitudes; the amplitudes prescribed by the tool stay fixed.
             reference: amplitudes a_0 of the linearisation, shape (modes,).
             forces: modal forces f_0 of the elements, shape (modes,).
-            frame, pressed_in, tolerance: see `LayerContact.evaluate` and `step`.
+            frame: frame of the tool.
+            pressed_in: see `LayerContact.evaluate`.
+            tolerance: largest relative residual of the step.
 
         Returns:
             Amplitudes, modal contact forces and their derivatives.
@@ -383,7 +380,9 @@ def make_solver(model: Model, *, resolution: str = "realtime", mesh: SolidMesh |
 
     Args:
         model: a material, and the same experiment as that of the reduced model.
-        resolution, mesh, topology: ignored; the `ReducedModel`; must be None.
+        resolution: ignored.
+        mesh: the `ReducedModel`.
+        topology: must be None.
 
     Raises:
         InputError: `mesh` is not a reduced model, or the experiments differ.

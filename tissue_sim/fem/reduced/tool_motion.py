@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.solid.frame import Frame, turned_with
+from tissue_sim.fem.solid.frame import Frame, differentiate_rotated_forces
 
 
 class ToolMotionBasis:
@@ -35,6 +35,6 @@ class ToolMotionBasis:
         if self.count and frame is not self._frame:
             self._rates = np.zeros((self.count, 6))
             self._rates[:3, :3] = np.eye(3)
-            self._rates[3:, 3:] = turned_with(frame.rotation.T).transpose(1, 0, 2).reshape(9, 6)[:, 3:]
+            self._rates[3:, 3:] = differentiate_rotated_forces(frame.rotation.T).transpose(1, 0, 2).reshape(9, 6)[:, 3:]
             self._frame = frame
         return self._rates

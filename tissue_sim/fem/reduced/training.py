@@ -10,15 +10,15 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, Snapshots
 from tissue_sim.fem.reduced.sampling import sparse_weights
-from tissue_sim.fem.reduced.settings import TrainingSettings, VerificationSettings
+from tissue_sim.fem.reduced.settings import TRAINING, VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
@@ -32,27 +32,10 @@ from tissue_sim.pose import Pose, between
 
 #: Number of modes of a bonded tool: three displacements and the nine entries of the rotation matrix.
 LIFTING = 12
-TRAINING = TrainingSettings()
-VERIFICATION = VerificationSettings()
 
 
-@dataclass(frozen=True, eq=False)
-class Snapshots:
-    """Full-order states on a training path.
-
-    Attributes:
-        displacements: nodal displacements from rest at each pose, m, shape (poses, freedoms).
-        wrenches: wrench on the tool at each pose, N and N m, shape (poses, 6).
-        doubts: warnings of the solver (`Solver.warnings`) at the largest force; not stored in files.
-    """
-
-    displacements: np.ndarray
-    wrenches: np.ndarray
-    doubts: Sequence[str] = ()
-
-
-def whole_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
-    """Create the full-order solver."""
+def make_full_order_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
+    """Create the full-order solver of a model on a mesh."""
     return make_solver(model, mesh=mesh)
 
 
@@ -61,12 +44,13 @@ def settled_memory(solver: SolidSolver) -> tuple[np.ndarray, ...]:
     return tuple(array.copy() for array in solver.tissue.kept) if solver.tissue.specific_weight else ()
 
 
-def snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
+def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
               tolerance: float = 1e-7) -> Snapshots:
     """Simulate the full-order solid along poses, from rest without loading history.
 
     Args:
-        solver, poses: full-order solver and poses of the tool.
+        solver: full-order solver.
+        poses: poses of the tool.
         memory: material history at rest, see `settled_memory`.
         tolerance: relative residual of a step.
 
@@ -122,7 +106,7 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
     return linear_response(solver, motions.reshape(-1, LIFTING))
 
 
-def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
+def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
     """Compute the leading modes of displacements and their symmetric images (proper orthogonal decomposition).
 
     Args:
@@ -138,7 +122,7 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     parts = [states]
     for each in commuting:
         parts = [0.5 * (part + sign * each.displacements(part)) for part in parts for sign in (1.0, -1.0)]
-    found = [_singular(part, count) for part in parts]
+    found = [_singular_vectors(part, count) for part in parts]
     # The images of a state under the subgroup have equal norms, which scales the singular values.
     singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
     vectors = np.concatenate([vectors for _, vectors in found])
@@ -149,7 +133,7 @@ def modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np
     return vectors[best[is_signal]].T, np.sort(singular)[::-1]
 
 
-def _singular(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return all singular values, descending, and at most `count` right singular vectors as rows, of values above 0."""
     # Method of snapshots: the Gram matrix of the states is much smaller than the covariance of the freedoms.
     values, vectors = np.linalg.eigh(states @ states.T)
@@ -179,12 +163,14 @@ class Sample(NamedTuple):
     material: Material
 
 
-def samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
+def iterate_samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
             group: Sequence[Symmetry], start: Pose) -> Iterator[Sample]:
     """Yield states for the choice of the sampled elements, evenly spaced, each mapped by the next symmetry in turn.
 
     Args:
-        taken, poses, materials: full-order states, poses and material on each training path.
+        taken: full-order states on each training path.
+        poses: poses of the tool on each training path.
+        materials: material on each training path.
         group: symmetry group.
         start: first pose of the tool.
     """
@@ -213,8 +199,9 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     Args:
         solver: the full-order solver; its material is restored afterwards.
         basis: displacements of all modes, shape (freedoms, modes).
-        lifting, watched: number of prescribed modes (first) and of error modes (last).
-        looked_at: states, see `samples`. The states are projected on the modes other than the error modes.
+        lifting: number of prescribed modes, the first ones.
+        watched: number of error modes, the last ones.
+        looked_at: states, see `iterate_samples`. The states are projected on the modes other than the error modes.
         tolerance: relative error of the modal forces.
         bulk_ratio: upper limit of the bulk modulus over the shear modulus.
         progress: called with the number of elements and their relative error so far.
@@ -252,7 +239,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
     are then enlarged until the estimate covers enough states (`VerificationSettings.coverage`).
 
     Args:
-        reduced, solver: the reduced solid and the full-order solver.
+        reduced: the reduced solid.
+        solver: the full-order solver.
         strokes: poses of each test path.
         progress: called with the number of finished paths and the number of all paths.
         materials: materials that are used in turn; none: the present material.
@@ -278,7 +266,7 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
         for each in (solver, small, fewer) if materials else ():
             if each.material is not (material := materials[done % len(materials)]):
                 each.set_material(material)
-        whole = snapshots(solver, poses, memory=memory)
+        whole = simulate_snapshots(solver, poses, memory=memory)
         true, doubts = whole.wrenches, whole.doubts or doubts
         for each in (small, fewer):
             each.forget()
@@ -307,18 +295,19 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
     left = np.maximum(0.0, error - explained)
     known = np.concatenate([np.column_stack([estimates, force, left]), others]) / np.tile(rms, 2)[:, None]
     factors, _ = nnls(known[:, :2], known[:, 2])
-    factors *= _coverage_factor(known[: len(error), :2] @ factors, left / rms)
+    factors *= _find_coverage_factor(known[: len(error), :2] @ factors, left / rms)
     return {"force_rms_error": float(np.sqrt(np.mean((error / rms) ** 2))),
             "force_largest_error": float((error / rms).max()), "force_rms_N": float(np.sqrt(np.mean(force**2))),
             "not_converged": lost / steps, **({"warnings": list(doubts)} if doubts else {})}, (
         float(factors[0]), float(factors[1]))
 
 
-def _coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
+def _find_coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
     """Return the smallest factor c >= 1 for which enough states satisfy error <= c estimate + negligible error.
 
     Args:
-        estimates, errors: estimated and true errors over the rms force, shape (states,).
+        estimates: estimated errors over the rms force, shape (states,).
+        errors: true errors over the rms force, shape (states,).
     """
     known = estimates > 0.0
     if not known.any():
@@ -334,16 +323,20 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     """Compute modes and sampled elements from snapshots and return the reduced solid.
 
     Args:
-        model, mesh, box: experiment and material, mesh of the full-order solid, box of poses.
-        taken, poses: full-order states and poses on each training path.
+        model: experiment and material.
+        mesh: mesh of the full-order solid.
+        box: box of poses.
+        taken: full-order states on each training path.
+        poses: poses of the tool on each training path.
         count: number of unknown modes.
         tolerance: relative error of the modal forces of the sampled elements.
-        softness, bulk_ratio: see `ReducedModel`.
+        softness: see `ReducedModel`.
+        bulk_ratio: see `ReducedModel`.
         materials: material on each training path; none: the material of the model.
         group: symmetry group including the identity; none: the group is computed.
         progress: called with the number of elements and their relative error so far.
     """
-    solver, start = whole_solver(model, mesh), model.experiment.tool_pose(0.0)
+    solver, start = make_full_order_solver(model, mesh), model.experiment.tool_pose(0.0)
     group = group or symmetries(solver, start)
     states = np.concatenate([each.displacements for each in taken])
     ways = [pose for each in poses for pose in each]
@@ -351,10 +344,10 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
     lifting = lifted.shape[1]
     amplitudes = np.array([lifted_amplitudes(solver, pose) for pose in ways])[:, :lifting]
     # The prescribed part commutes with the symmetries, so the images of the remainder need no new subtraction.
-    found, singular = modes(states - amplitudes @ lifted.T, group, count + TRAINING.error_modes)
+    found, singular = compute_modes(states - amplitudes @ lifted.T, group, count + TRAINING.error_modes)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
-    looked_at = samples(taken, poses, materials or [model.material] * len(taken), group, start)
+    looked_at = iterate_samples(taken, poses, materials or [model.material] * len(taken), group, start)
     elements, shares = sample_elements(solver, basis, lifting, watched, looked_at, tolerance,
                                        max(bulk_ratio, TRAINING.min_sampling_bulk_ratio), progress)
     kept = found.shape[1] - watched

@@ -17,14 +17,12 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.fem.reduced.model import PoseBox
+from tissue_sim.fem.reduced.settings import TrainingPathSettings
 from tissue_sim.pose import Pose, between, motion, turned
 
 #: Dimension of the Sobol sequence: two poses, each of position (3) and rotation (3).
 _DIMENSION = 12
-#: Smallest depth of an indenting tool, as a fraction of the depth of the box.
-_MIN_DEPTH = 0.15
-#: Largest step between poses, as a fraction of the contact radius.
-_STEP = 1.0 / 16.0
+_PATHS = TrainingPathSettings()
 
 
 def training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach: float) -> list[Pose]:
@@ -40,12 +38,13 @@ def training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach:
     from scipy.stats import qmc
 
     coordinates = qmc.Sobol(_DIMENSION, scramble=False).fast_forward(number + 1).random(1)[0]
-    first, second = (_pose_in_box(part, box, start, holds) for part in (coordinates[:6], coordinates[6:]))
+    first, second = (_make_pose_in_box(part, box, start, holds) for part in (coordinates[:6], coordinates[6:]))
     if holds:
         corners = [start, first, second, start]
     else:
-        above = _at_depth(first, start, 0.0)
-        corners = [_at_depth(first, start, -0.1 * box.depth), above, first, second, _at_depth(second, start, 0.0)]
+        above = _move_to_depth(first, start, 0.0)
+        corners = [_move_to_depth(first, start, -0.1 * box.depth), above, first, second,
+                   _move_to_depth(second, start, 0.0)]
     return _sample_path(corners, reach)
 
 
@@ -66,19 +65,20 @@ def boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reach: fl
     """
     small = PoseBox(fraction * box.sideways, fraction * box.depth, fraction * box.turn)
     paths = []
-    for corner, goal in _boundary_points(box.sideways + box.turn > 0.0, images):
+    for corner, goal in _iterate_boundary_points(box.sideways + box.turn > 0.0, images):
         lean = (-small.turn * corner[1] / math.hypot(*corner), small.turn * corner[0] / math.hypot(*corner), 0.0) \
             if any(corner) else (0.0, 0.0, 0.0)
-        upright, end = (_deepest_pose(small, start, point) for point in (corner, goal))
+        upright, end = (_make_deepest_pose(small, start, point) for point in (corner, goal))
         leaning = turned(upright, lean)
         corners = [start, upright, leaning, end, start] if holds else [
-            _at_depth(upright, start, -0.1 * box.depth), _at_depth(upright, start, 0.0), upright, leaning, end,
-            _at_depth(end, start, 0.0)]
+            _move_to_depth(upright, start, -0.1 * box.depth), _move_to_depth(upright, start, 0.0), upright, leaning,
+            end, _move_to_depth(end, start, 0.0)]
         paths.append(_sample_path(corners, reach))
     return paths
 
 
-def _boundary_points(is_wide: bool, images: Sequence[np.ndarray]) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
+def _iterate_boundary_points(is_wide: bool, images: Sequence[np.ndarray]
+                             ) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
     """Yield corners and edge midpoints of a square, each with the point to which the tool is dragged.
 
     A box without width has only its centre.
@@ -93,7 +93,7 @@ def _boundary_points(is_wide: bool, images: Sequence[np.ndarray]) -> Iterator[tu
             yield (x, y), ((x, 0) if x * y else (0, 0))
 
 
-def _deepest_pose(box: PoseBox, start: Pose, point: tuple[int, int]) -> Pose:
+def _make_deepest_pose(box: PoseBox, start: Pose, point: tuple[int, int]) -> Pose:
     """Return the pose at the full depth of the box; the point is in units of `box.sideways`."""
     x, y, z = start.position
     return Pose((x + box.sideways * point[0], y + box.sideways * point[1], z - box.depth), start.orientation)
@@ -104,15 +104,15 @@ def _sample_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
     poses = [corners[0]]
     for one, other in pairwise(corners):
         x, y, z, *turn = motion(one, other)
-        count = math.ceil((math.hypot(x, y, z) + reach * math.hypot(*turn)) / (_STEP * reach) - 1e-9)
+        count = math.ceil((math.hypot(x, y, z) + reach * math.hypot(*turn)) / (_PATHS.step * reach) - 1e-9)
         poses += [between(one, other, (k + 1) / count) for k in range(count)]
     return poses
 
 
-def _pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds: bool) -> Pose:
+def _make_pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds: bool) -> Pose:
     """Return the pose of the box with these normalised coordinates, 0 to 1, shape (6,)."""
     x, y, z, angle, a, b = coordinates
-    least = 0.0 if holds else _MIN_DEPTH
+    least = 0.0 if holds else _PATHS.min_depth
     depth = box.depth * (least + (1.0 - least) * z)
     x0, y0, z0 = start.position
     position = (x0 + box.sideways * (2.0 * x - 1.0), y0 + box.sideways * (2.0 * y - 1.0), z0 - depth)
@@ -124,7 +124,7 @@ def _pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds: bool
     return turned(Pose(position, start.orientation), vector)
 
 
-def _at_depth(pose: Pose, start: Pose, depth: float) -> Pose:
+def _move_to_depth(pose: Pose, start: Pose, depth: float) -> Pose:
     """Return the pose moved to another depth, m."""
     x, y, _ = pose.position
     return Pose((x, y, start.position[2] - depth), pose.orientation)

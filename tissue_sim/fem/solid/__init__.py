@@ -1,1 +1,1 @@
-"""Three-dimensional solids."""
+"""Mixed finite elements of three-dimensional solids under rigid tools, as Taichi kernels."""

@@ -2,9 +2,9 @@
 
 from functools import cache
 
-from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.solid.element import SettingColumn, element_functions
 from tissue_sim.fem.taichi.runtime import initialise
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 

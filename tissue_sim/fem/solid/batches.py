@@ -8,10 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.solid import SolidMesh
-
-#: Number of elements that a kernel processes at once, one in each lane of its vectors.
-LANES = 4
 
 
 def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -97,32 +95,35 @@ class ElementBatches:
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(count, -1)
         equations = np.where(self._real[..., None], own[self._elements], self.residual.size - 1)
         self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
-        self._gradients = [self._lanes(gradients[..., i]) for i in range(3)]
-        self._weights, self._mode_values = self._lanes(self.weights), self._lanes(modes)
-        self._number(mesh.connectivity, len(mesh.nodes))
+        self._gradients = [self._arrange_in_lanes(gradients[..., i]) for i in range(3)]
+        self._weights, self._mode_values = self._arrange_in_lanes(self.weights), self._arrange_in_lanes(modes)
+        self._number_matrix_entries(mesh.connectivity, len(mesh.nodes))
 
-    def _lanes(self, values: np.ndarray) -> np.ndarray:
+    def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
         return np.ascontiguousarray(np.moveaxis(values[self._elements], 1, -1).reshape(-1, LANES))
 
-    def _of_elements(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
-        """Rearrange lanes to elements, shape (elements, *inner); the inverse of `_lanes`."""
+    def _arrange_by_element(self, lanes: np.ndarray, *inner: int) -> np.ndarray:
+        """Rearrange lanes to elements, shape (elements, *inner); the inverse of `_arrange_in_lanes`."""
         return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[self.lane_of]
 
     @cached_property
     def of_points(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gradients of the shape functions at the points, 1/m, shape (elements, q, nodes, 3), and orthonormal pressure
-        modes, shape (elements, q, modes)."""
+        """Compute the gradients of the shape functions and the pressure modes at the quadrature points.
+
+        Returns:
+            Gradients, 1/m, shape (elements, q, nodes, 3); orthonormal pressure modes, shape (elements, q, modes).
+        """
         points, nodes = self.weights.shape[1], self._dofs.shape[1]
-        gradients = np.stack([self._of_elements(each, points, nodes) for each in self._gradients], axis=-1)
-        return gradients, self._of_elements(self._mode_values, points, self._modes)
+        gradients = np.stack([self._arrange_by_element(each, points, nodes) for each in self._gradients], axis=-1)
+        return gradients, self._arrange_by_element(self._mode_values, points, self._modes)
 
     @property
     def element_moduli(self) -> np.ndarray:
         """Ratio of the moduli of each element to those of the material, shape (elements,)."""
-        return self._of_elements(self.moduli)
+        return self._arrange_by_element(self.moduli)
 
-    def _number(self, connectivity: np.ndarray, nodes: int) -> None:
+    def _number_matrix_entries(self, connectivity: np.ndarray, nodes: int) -> None:
         """Compute the pattern of the matrix, and the positions of the stiffness of each pair of nodes in its data."""
         from scipy import sparse
 
@@ -134,8 +135,8 @@ class ElementBatches:
         pattern = (holds.T @ holds).tocsc()
         pattern.sort_indices()
         # Index of the block of each pair of nodes of an element, in the column of the second node.
-        places = places_of(pattern, connectivity[:, a], connectivity[:, c])
-        mirrored = places_of(pattern, connectivity[:, c], connectivity[:, a])
+        places = find_entry_indices(pattern, connectivity[:, a], connectivity[:, c])
+        mirrored = find_entry_indices(pattern, connectivity[:, c], connectivity[:, a])
         starts, rows = pattern.indptr.astype(np.int64), pattern.indices
         blocks = np.diff(starts)
         i, k = np.tile(np.arange(3), 3), np.repeat(np.arange(3), 3)
@@ -149,7 +150,7 @@ class ElementBatches:
         direct = entries(places, connectivity[:, c], i, k)
         # A diagonal block has no mirror image.
         across = np.where((c == a)[:, None], unused, entries(mirrored, connectivity[:, a], k, i))
-        self._places, self._mirrored = (self._pair_lanes(each.reshape(len(connectivity), -1), unused)
+        self._places, self._mirrored = (self._arrange_pairs_in_lanes(each.reshape(len(connectivity), -1), unused)
                                         for each in (direct, across))
         self._stiffness = np.zeros((9 * c.size, LANES))
         self._data = np.zeros(unused + 1)
@@ -159,13 +160,16 @@ class ElementBatches:
         self.matrix = sparse.csc_array((self._data[:-1], indices.astype(np.int32), np.concatenate(
             [[0], np.cumsum(lengths)])), shape=(3 * nodes, 3 * nodes))
 
-    def _pair_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
+    def _arrange_pairs_in_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
         lanes = np.where(self._real[..., None], places[self._elements], unused)
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
     def arrays(self, part: slice) -> dict[str, np.ndarray]:
-        """Arrays of a group's batches, and shared arrays, by their names in the kernel; ``elements`` are indices in the
-        group."""
+        """Return the arrays of the batches of a group, and shared arrays, by their names in the kernel.
+
+        Args:
+            part: batches of the group. The array ``elements`` contains indices in the group.
+        """
         dofs = np.ascontiguousarray(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
         named |= {"elements": self._local, "pressures": self.pressures, "dofs": dofs, "equations": self._equations,
@@ -181,7 +185,7 @@ class ElementBatches:
     @property
     def element_forces(self) -> np.ndarray:
         """Forces of each element on its degrees of freedom after the last assembly, N, shape (elements, freedoms)."""
-        return self._of_elements(self._forces, 3 * self._dofs.shape[1])
+        return self._arrange_by_element(self._forces, 3 * self._dofs.shape[1])
 
     def pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
         """Forces of pressures in lanes, Pa, on the degrees of freedom of the elements, at the last evaluated state.
@@ -189,13 +193,12 @@ class ElementBatches:
         Returns:
             N, shape (elements, freedoms of an element).
         """
-        rates = self._of_elements(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
+        rates = self._arrange_by_element(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
         return np.einsum("em,emi->ei", self.by_element(pressures), rates)
 
     @property
     def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Arrays that the kernel reads, and their derivatives with respect to the logarithm of the height of the
-        undeformed mesh."""
+        """Arrays that the kernel reads, and their derivatives with respect to log(height of the undeformed mesh)."""
         return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
                 (self._mode_values, -0.5 * self._mode_values)]
 
@@ -205,11 +208,11 @@ class ElementBatches:
 
     def by_element(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes of the pressure modes from lanes to elements, shape (elements, modes)."""
-        return self._of_elements(amplitudes, self._modes)
+        return self._arrange_by_element(amplitudes, self._modes)
 
     def in_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes from elements to lanes; the inverse of `by_element`."""
-        return self._lanes(amplitudes)
+        return self._arrange_in_lanes(amplitudes)
 
     def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
         """Update the pressures after a linear solution.
@@ -248,7 +251,7 @@ class ElementBatches:
         return np.moveaxis(own[self._elements], 1, -1)
 
 
-def places_of(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def find_entry_indices(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Indices of entries in the data of a matrix in compressed columns with sorted rows."""
     count = pattern.shape[0]
     keys = np.repeat(np.arange(count, dtype=np.int64), np.diff(pattern.indptr)) * count + pattern.indices

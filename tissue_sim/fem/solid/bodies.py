@@ -16,7 +16,7 @@ class Body:
     Attributes:
         profile: outline in the frame of the body.
         nodes: indices of the nodes.
-        friction: of its face and of its shaft: a coefficient, 0 for frictionless, `contact.STICK` for no
+        friction: of its face and of its shaft: a coefficient, 0 for frictionless, `STICK` for no
             slip.
         moves: whether the body moves with the tool; else its frame is that of the mesh.
         tied: whether an interface without slip holds the nodes from the start.

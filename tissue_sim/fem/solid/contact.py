@@ -16,32 +16,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, Bond
 from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.contact_state import ContactState
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.pose import Pose
 
-#: Penalty stiffness that eliminates contact forces, in units of mu0 times the square root of the nodal area; the
-#: contribution of the tissue to the stiffness of a step is too small by about the inverse of this number.
-STIFFNESS = 3e5
-#: Penalty stiffness of the slip of a sticking node over that of its gap, 1.
-HOLD = 3.0
-#: Value that stands for an interface without slip among the coefficients of friction.
-STICK = -1.0
-#: Factor on the penalty stiffness with which gap and slip are compared with the force to decide the state of a node, 1;
-#: the product is about the stiffness of the tissue.
-TRIAL = 1e-5
-#: State of a node without connection to its body.
-FREE = 0
-#: State of a node that an interface without slip holds.
-HELD = 1
-#: State of a node that touches with friction.
-TOUCHED = 2
-#: Value of `changeable` with which all nodes may change their state in one evaluation.
-ALL = 1_000_000
-#: With other values of `changeable` one node in this number may change, so that the active set does not cycle.
-_DRAWN = 4
+#: Settings of the active set.
+ACTIVE_SET = ActiveSetSettings(augmentation_factor=1e-5)
 
 
 @dataclass(frozen=True)
@@ -76,7 +59,7 @@ class ContactNodes:
         nodes: indices in the mesh, shape (n,).
         moves, stays: `Body.moves` and `Body.stays` of each node, shape (n,).
         parts: bodies, and indices of their nodes in these arrays.
-        bound: `FREE`, `HELD` or `TOUCHED`, shape (n,).
+        bound: bond of each node, a `Bond`, shape (n,).
         anchors: displacements at which nodes are held or stick, in the frame of the body, m, shape (n, 3).
         pressed, slips: active sets of the present step, shape (n,).
         slipped: nodes that slipped at the last equilibrium, shape (n,).
@@ -131,7 +114,8 @@ class ContactNodes:
 
     def set_stiffness(self, modulus: float) -> None:
         """Set the penalty stiffness for a shear modulus of the tissue, Pa."""
-        self.springs[:] = STIFFNESS * modulus * np.sqrt(np.maximum(self.areas, 1e-3 * self.areas.max(initial=0.0)))
+        areas = np.maximum(self.areas, 1e-3 * self.areas.max(initial=0.0))
+        self.springs[:] = SOLID_PENALTY.normal * modulus * np.sqrt(areas)
 
     def bring_down(self, start: Pose, datum: float, displacement: np.ndarray,
                    settled: ContactNodes | None = None) -> None:
@@ -149,7 +133,7 @@ class ContactNodes:
             if body.moves:
                 places, moved = self._first.into(places), self._first.into(moved)
             touches = nearest(body, moved, pressed_in=True).gap <= self._slack
-            self.bound[own[touches]] = HELD if body.tied else TOUCHED
+            self.bound[own[touches]] = Bond.HELD if body.tied else Bond.TOUCHED
             self.anchors[own[touches]] = (moved - places)[touches]
         if settled is not None:
             _, here, there = np.intersect1d(np.where(self.moves, -1, self.nodes), settled.nodes, return_indices=True)
@@ -200,7 +184,7 @@ class ContactNodes:
         Args:
             displacement: of the nodes, m, shape (n, 3).
             frame: frame of the tool.
-            changeable: nodes that may change their state: 0 none, `ALL`, or a number that selects a subset.
+            changeable: nodes that may change their state: 0 none, `ALL_POINTS`, or a number that selects a subset.
             slack: gap below which a node touches, m.
             bending: 1: the derivatives contain the curvature of the bodies and the decrease of a pull; 0: they do not.
             negligible: friction below this force is ignored, N.
@@ -210,15 +194,16 @@ class ContactNodes:
         self.rates[:], self.missed[:] = 0.0, 0.0
         travel, gap, curved, shaft, turn, meridians = self.measure(displacement, frame)
         normals, forces, springs = self.normals, self.forces, self.springs
+        augmentation, stick = ACTIVE_SET.augmentation_factor, SOLID_PENALTY.stick_factor
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
-        held = self.held == HELD
+        held = self.held == Bond.HELD
         normal = np.einsum("ni,ni->n", forces, normals)
         normal = np.where(self.stays, normal, np.minimum(normal, 0.0))
         tangential = forces - np.einsum("ni,ni->n", forces, normals)[:, None] * normals
-        trial = normal + TRIAL * springs * gap
-        drawn = np.full(n, changeable == ALL)
-        if 0 < changeable < ALL:
-            drawn = (7 * np.arange(n) + 5 * changeable) % _DRAWN == 0
+        trial = normal + augmentation * springs * gap
+        drawn = np.full(n, changeable == ALL_POINTS)
+        if 0 < changeable < ALL_POINTS:
+            drawn = (7 * np.arange(n) + 5 * changeable) % ACTIVE_SET.draw_interval == 0
         switched = wanting = 0
         if changeable:
             presses = (trial < 0.0) | (gap < slack) | self.stays
@@ -235,7 +220,7 @@ class ContactNodes:
         eye, nn = np.eye(3), normals[:, :, None] * normals[:, None]
         found_forces = np.zeros((n, 3))
         # Held nodes: constraint on all three components of the slip.
-        stiff = (HOLD * springs)[:, None, None] * eye
+        stiff = (stick * springs)[:, None, None] * eye
         self.rates[held] = stiff[held]
         self.missed[held] = slip[held]
         found_forces[held] = forces[held]
@@ -243,10 +228,10 @@ class ContactNodes:
         rates = springs[:, None, None] * nn + bending * normal[:, None, None] * curved
         missed = gap[:, None] * normals
         pushed = normal[:, None] * normals
-        rubs = pressed & (mu > 0.0) & (self.held == TOUCHED) & (mu * np.maximum(-trial, 0.0) > negligible)
+        rubs = pressed & (mu > 0.0) & (self.held == Bond.TOUCHED) & (mu * np.maximum(-trial, 0.0) > negligible)
         limit = mu * np.maximum(-normal, 0.0)
         length = np.linalg.norm(along, axis=1)
-        tried = tangential + (TRIAL * HOLD * springs)[:, None] * along
+        tried = tangential + (augmentation * stick * springs)[:, None] * along
         size = np.linalg.norm(tried, axis=1)
         if changeable and rubs.any():
             # Without slip the direction is decided by rounding errors: nodes that slipped before continue to slip.
@@ -258,7 +243,7 @@ class ContactNodes:
             wanting += int((differs & ~drawn & off).sum())
             begins = differs & drawn & slips
             self._ways[begins] = tried[begins] / np.maximum(size[begins], 1e-300)[:, None]
-            self._about = np.where(begins, np.maximum(size - limit, 1e-300) / (TRIAL * HOLD * springs), 0.0)
+            self._about = np.where(begins, np.maximum(size - limit, 1e-300) / (augmentation * stick * springs), 0.0)
             self.slips = np.where(differs & drawn, slips, self.slips)
         sticks, sliding = rubs & ~self.slips, rubs & self.slips
         # The friction force of a slipping node is along its slip; that of a node that begins to slip is along its trial
@@ -269,10 +254,10 @@ class ContactNodes:
         self._ways[goes] = along[goes] / length[goes, None]
         ways, tangent = self._ways, eye - nn
         stuck = sticks[:, None]
-        rates = np.where(stuck[..., None], rates + (HOLD * springs)[:, None, None] * tangent, rates)
+        rates = np.where(stuck[..., None], rates + (stick * springs)[:, None, None] * tangent, rates)
         missed, pushed = np.where(stuck, missed + along, missed), np.where(stuck, pushed + tangential, pushed)
         dragged = -(mu * springs)[:, None, None] * ways[:, :, None] * normals[:, None]
-        steer = np.minimum(limit / np.maximum(far, 1e-300), HOLD * springs)[:, None, None]
+        steer = np.minimum(limit / np.maximum(far, 1e-300), stick * springs)[:, None, None]
         dragged = dragged + steer * (tangent - ways[:, :, None] * ways[:, None])
         rates = np.where(sliding[:, None, None], rates + dragged, rates)
         pushed = np.where(sliding[:, None], pushed + limit[:, None] * ways, pushed)
@@ -280,7 +265,7 @@ class ContactNodes:
         for noted, found in ((self.rates, rates), (self.missed, missed), (found_forces, pushed)):
             noted[pressed] = found[pressed]
         forces[:] = found_forces
-        near = self.moves & (self.held == TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
+        near = self.moves & (self.held == Bond.TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
         if self.laws:
             self._law_forces[:], self.law_rates[:] = 0.0, 0.0
             self._law_forces[near], self.law_rates[near] = self.laws.act(
@@ -290,15 +275,16 @@ class ContactNodes:
         # State of the nodes if this were an equilibrium.
         surface = travel - np.einsum("nji,nj->ni", turn, gap[:, None] * normals)
         touches = pressed | ((mu > 0.0) & (gap <= 1e-3 * tolerance))
-        self._met[:] = np.where(touches & (mu < 0.0) & pressed, HELD, np.where(touches & (mu > 0.0), TOUCHED, FREE))
-        keeps = sticks | (touches & ~pressed & (self.held == TOUCHED))
+        self._met[:] = np.where(touches & (mu < 0.0) & pressed, Bond.HELD,
+                                np.where(touches & (mu > 0.0), Bond.TOUCHED, Bond.FREE))
+        keeps = sticks | (touches & ~pressed & (self.held == Bond.TOUCHED))
         if self.laws:  # nodes that have touched the tool keep their anchors up to the reach of the laws
-            others = self.moves & ~held & (self._met == FREE) & (pressed | near)
-            self._met[others] = TOUCHED
-            keeps = keeps | (others & (mu == 0.0) & (self.held == TOUCHED))
+            others = self.moves & ~held & (self._met == Bond.FREE) & (pressed | near)
+            self._met[others] = Bond.TOUCHED
+            keeps = keeps | (others & (mu == 0.0) & (self.held == Bond.TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
-        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != FREE, near, gap, normal,
-                                  limit, mu, springs, HOLD * springs, normals, slip, ways, curved, turn)
+        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != Bond.FREE, near, gap,
+                                  normal, limit, mu, springs, stick * springs, normals, slip, ways, curved, turn)
         return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
 
     def keep_rates(self) -> None:
@@ -313,13 +299,13 @@ class ContactNodes:
     def release(self) -> int:
         """Release held nodes that pull more than the laws bear at an equilibrium; returns their number."""
         bears = np.where(self.moves, self.laws.pull_of(self.nodes), 0.0)
-        pulls = (self.held == HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
-        self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), TOUCHED, FREE)
+        pulls = (self.held == Bond.HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
+        self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), Bond.TOUCHED, Bond.FREE)
         return int(pulls.sum())
 
     def hold(self) -> None:
         """Connect the nodes to the bodies that they touch at this equilibrium."""
-        loose = self.held != HELD
+        loose = self.held != Bond.HELD
         self.held[loose], self.held_at[loose] = self._met[loose], self._met_at[loose]
 
     def commit(self) -> None:

@@ -5,6 +5,7 @@ The derivatives that a law states are only used in Newton's tangent and may be i
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -12,10 +13,21 @@ import numpy as np
 from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.frame import Frame
 
-#: Step of the differences over the reach of the laws, or over the force of a node, 1.
-_STEP = 1e-5
-#: Smallest nodal force for such a step over the largest one, 1.
-_SMALL = 1e-3
+
+@dataclass(frozen=True)
+class LawDifferenceSettings:
+    """Settings of the differences of contact laws.
+
+    Attributes:
+        step: step of a difference over the reach of the laws, or over the force of a node, 1.
+        min_force: smallest nodal force for such a step over the largest nodal force, 1.
+    """
+
+    step: float = 1e-5
+    min_force: float = 1e-3
+
+
+_DIFFERENCES = LawDifferenceSettings()
 
 
 class LawRates(NamedTuple):
@@ -53,13 +65,13 @@ class LawRates(NamedTuple):
             along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
             return laws.act(nodes, gap[near], normal[near], along, out, meridians[near], curved[near], 0.0)[0]
 
-        n, step, still, slip, normal = near.size, _STEP * laws.reach, np.zeros(3), state.slip, state.normal
+        n, step, still, slip, normal = near.size, _DIFFERENCES.step * laws.reach, np.zeros(3), state.slip, state.normal
         by_place, by_slip = np.zeros((2, n, 3, 3))
         by_force = np.zeros((n, 3))
         for i, way in enumerate(step * np.eye(3)):
             by_place[near, :, i] = (forces(way, slip, normal) - forces(-way, slip, normal)) / (2.0 * step)
             by_slip[near, :, i] = (forces(still, slip + way, normal) - forces(still, slip - way, normal)) / (2.0 * step)
-        more = _STEP * np.maximum(np.abs(normal), _SMALL * np.abs(normal).max()) + 1e-300
+        more = _DIFFERENCES.step * np.maximum(np.abs(normal), _DIFFERENCES.min_force * np.abs(normal).max()) + 1e-300
         by_force[near] = ((forces(still, slip, normal + more) - forces(still, slip, normal - more))
                           / (2.0 * more[near, None]))
         contact.normals[:] = normals

@@ -60,14 +60,14 @@ class NodeLaws:
         pressure = np.maximum(-normal, 0.0) / safe
         pull, pull_rate, drag, drag_rates = 0.0, 0.0, np.zeros((2, gap.size)), np.zeros((2, 2, gap.size))
         for law in self._laws:
-            found = self._traction(law, gap, pressure, slips)
+            found = self._evaluate_traction(law, gap, pressure, slips)
             # Each law ends at its own reach.
             near = gap < law.reach
             pull = pull + near * found.pull
             rate = np.broadcast_to(found.pull_rate, gap.shape)
             if bending:
                 step = _STEP * law.reach
-                further = self._traction(law, gap + step, pressure, slips).pull
+                further = self._evaluate_traction(law, gap + step, pressure, slips).pull
                 rate = rate + bending * ((further - np.asarray(found.pull)) / step - rate)
             pull_rate = pull_rate + near * rate
             for i in range(2):
@@ -83,7 +83,7 @@ class NodeLaws:
                 rates = rates + (areas * drag_rates[i, j])[:, None, None] * along[i][:, :, None] * along[j][:, None]
         return forces, rates
 
-    def _traction(self, law: ContactLaw, gap: np.ndarray, pressure: np.ndarray, slips: tuple[np.ndarray, ...]
-                  ) -> Traction:
+    def _evaluate_traction(self, law: ContactLaw, gap: np.ndarray, pressure: np.ndarray, slips: tuple[np.ndarray, ...]
+                           ) -> Traction:
         # Copies, because a formula may change its arguments, which are passed to the next law.
         return traction_of(law, gap.copy(), pressure.copy(), (slips[0].copy(), slips[1].copy()), self._face)

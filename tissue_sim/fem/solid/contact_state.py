@@ -61,35 +61,36 @@ class ContactState(NamedTuple):
             forces: present iterate of the derivatives of the forces, shape (n, 3, m).
         """
         n, way, springs = self.normals[:, :, None], self.ways[:, :, None], self.springs[:, None, None]
-        gap = _along(n, motion)
+        gap = _project_on(n, motion)
         slipped = motion - self.turn @ anchors
         tilt = self.curved @ motion
         # Derivative of the tangential part of the slip.
         slip = self.slip[:, :, None]
-        along = slipped - (_along(n, slipped) + _along(slip, tilt)) * n - _along(slip, n) * tilt
+        along = slipped - (_project_on(n, slipped) + _project_on(slip, tilt)) * n - _project_on(slip, n) * tilt
         flat = self.slip - np.einsum("ni,ni->n", self.slip, self.normals)[:, None] * self.normals
         length = np.where(self.goes, np.linalg.norm(flat, axis=1), np.inf)
-        steered = (along - _along(way, along) * way) / length[:, None, None]
+        steered = (along - _project_on(way, along) * way) / length[:, None, None]
         limit, mu = self.limit[:, None, None], self.friction[:, None, None]
-        free_normal = _along(n, forces)
-        normal = free_normal - np.where(_wide(self.slides), limit * _along(n, steered), 0.0)
+        free_normal = _project_on(n, forces)
+        normal = free_normal - np.where(_expand_mask(self.slides), limit * _project_on(n, steered), 0.0)
         smooth = normal * n + self.normal[:, None, None] * tilt
         sliding = smooth - mu * normal * way + limit * steered
-        stuck = _wide(self.held | self.sticks)
-        found = np.where(stuck, forces, np.where(_wide(self.slides), sliding, smooth))
-        acts = _wide(self.held | self.pressed)
-        missing = springs * gap * (n - np.where(_wide(self.slides), mu * way, 0.0))
+        stuck = _expand_mask(self.held | self.sticks)
+        found = np.where(stuck, forces, np.where(_expand_mask(self.slides), sliding, smooth))
+        acts = _expand_mask(self.held | self.pressed)
+        missing = springs * gap * (n - np.where(_expand_mask(self.slides), mu * way, 0.0))
         holds = self.holds[:, None, None]
-        missing = np.where(_wide(self.sticks), missing + holds * (slipped - _along(n, slipped) * n), missing)
-        missing = np.where(_wide(self.held), holds * slipped, missing)
+        missing = np.where(_expand_mask(self.sticks), missing + holds * (slipped - _project_on(n, slipped) * n),
+                           missing)
+        missing = np.where(_expand_mask(self.held), holds * slipped, missing)
         return np.where(acts, found, 0.0), np.where(acts, missing, 0.0)
 
     def anchor_rates(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
         """Derivatives of the anchors after this equilibrium; arguments as in `force_rates`."""
         n = self.normals[:, :, None]
         curvature = self.gap[:, None, None] * (self.curved @ motion)
-        surface = self.turn.swapaxes(1, 2) @ (motion - _along(n, motion) * n - curvature)
-        return np.where(_wide(self.held | self.keeps), anchors, np.where(_wide(self.met), surface, 0.0))
+        surface = self.turn.swapaxes(1, 2) @ (motion - _project_on(n, motion) * n - curvature)
+        return np.where(_expand_mask(self.held | self.keeps), anchors, np.where(_expand_mask(self.met), surface, 0.0))
 
     @property
     def kinds(self) -> np.ndarray:
@@ -97,10 +98,10 @@ class ContactState(NamedTuple):
         return np.stack([self.held, self.pressed, self.sticks, self.slides, self.near])
 
 
-def _along(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+def _project_on(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     """Component of vectors along directions, shape (n, 1, m) from (n, 3, 1) and (n, 3, m)."""
     return (direction * vectors).sum(axis=1, keepdims=True)
 
 
-def _wide(mask: np.ndarray) -> np.ndarray:
+def _expand_mask(mask: np.ndarray) -> np.ndarray:
     return mask[:, None, None]

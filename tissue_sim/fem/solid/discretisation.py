@@ -13,10 +13,10 @@ from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
+from tissue_sim.fem.contact_settings import STICK, TOLERANCES
 from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.contact import STICK
 from tissue_sim.fem.solid.contact_laws import NodeLaws
-from tissue_sim.fem.solid.placement import FACE_WITHIN, SAME_PLACE, Placement
+from tissue_sim.fem.solid.placement import PLACEMENT, Placement
 from tissue_sim.fem.solid.sensitivity import StartRates
 from tissue_sim.fem.solid.settling import Settling, settle
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -24,7 +24,7 @@ from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.fem.solid.touch import Touch, touch
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
-from tissue_sim.mesh.grading import PLATE_RING, Grading
+from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
 from tissue_sim.mesh.mesh_mapping import Circle
 from tissue_sim.mesh.solid import SolidMesh
@@ -32,10 +32,6 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose, raised
 from tissue_sim.specimen.specimen import with_article
 
-#: Tolerance of contact conditions under a needle, in radii of the tool.
-_NEEDLE_TOLERANCE = 1e-4
-#: Tolerance of contact conditions between plates, in units of the specimen's margin.
-_PLATE_TOLERANCE = 1e-7
 #: Lower bound of the largest element far from a needle, over the size of the specimen, 1.
 _LEAST_LARGEST = 0.17
 
@@ -85,11 +81,12 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     if mesh is None:
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
-        mesh = _moved(mesh, topology, experiment)
-    return _solver(model, mesh, None, None, can_move=not own and experiment.specimen.is_flat)
+        mesh = _move_mesh(mesh, topology, experiment)
+    return _make_solver_on_mesh(model, mesh, None, None, can_move=not own and experiment.specimen.is_flat)
 
 
-def _solver(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | None, *, can_move: bool) -> SolidSolver:
+def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | None, *,
+                         can_move: bool) -> SolidSolver:
     """Make the solver of a model on its mesh.
 
     Args:
@@ -105,14 +102,15 @@ def _solver(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | No
     settled = settling = None
     undeformed = mesh
     if weight:
-        settled, settling = settle(lambda moulded: _standing(model, moulded, layers), mesh, experiment.specimen)
+        settled, settling = settle(lambda moulded: _make_standing_solver(model, moulded, layers), mesh,
+                                   experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
     placed, start = start is not None, start or experiment.tool_pose(0.0)
-    bodies = [*_resting(experiment, mesh), *_moving(experiment, mesh, bonded, start)]
-    tolerance = (_PLATE_TOLERANCE * experiment.specimen.margin() if tool.is_plate
-                 else _NEEDLE_TOLERANCE * tool.require_radius())
+    bodies = [*_make_resting_bodies(experiment, mesh), *_make_moving_bodies(experiment, mesh, bonded, start)]
+    tolerance = (TOLERANCES.plate * experiment.specimen.margin() if tool.is_plate
+                 else TOLERANCES.needle * tool.require_radius())
     places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
     top = places[mesh.sets["top"]]
     if datum is None:
@@ -121,22 +119,23 @@ def _solver(model: Model, mesh: SolidMesh, start: Pose | None, datum: float | No
     else:
         first = touch(mesh, places, bodies, raised(start, -start.position[2]))
         start = raised(start, first.height - datum - start.position[2])
-    laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _law_areas(experiment, mesh))
-    solver = SolidSolver(mesh, model.material, _fixed(experiment), bonded, bodies=bodies, laws=laws,
+    laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _compute_law_areas(experiment, mesh))
+    solver = SolidSolver(mesh, model.material, _fixed_sets(experiment), bonded, bodies=bodies, laws=laws,
                          tolerance=tolerance, start=start, datum=datum, contact_radius=experiment.contact_radius,
-                         pins=_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
-                         settled=settled, lift=_lifted(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
+                         pins=_choose_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
+                         settled=settled,
+                         lift=_ignored_heights(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
                          start_rates=None if placed else settling and partial(_start_rates, settling, experiment,
                                                                               first))
     solver.placement = Placement(
         top, bodies, datum, is_level=experiment.specimen.is_flat and settled is None,
         margin=experiment.specimen.margin, touch_height=lambda pose: touch(mesh, places, bodies, pose).height,
-        remake=partial(_solver_at, model, undeformed, start, datum, can_move))
+        remake=partial(_make_solver_at_pose, model, undeformed, start, datum, can_move))
     return solver
 
 
-def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_move: bool, pose: Pose,
-               solver: SolidSolver) -> SolidSolver | None:
+def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_move: bool, pose: Pose,
+                         solver: SolidSolver) -> SolidSolver | None:
     """Make the solver of a first touch at another pose, with the mesh moved there.
 
     Args:
@@ -155,23 +154,23 @@ def _solver_at(model: Model, mesh: SolidMesh, start: Pose, datum: float, can_mov
     experiment = model.experiment
     (x, y, _), (u, v, _) = pose.position, start.position
     tool, specimen = experiment.tool, experiment.specimen
-    moves = math.hypot(x - u, y - v) > SAME_PLACE * experiment.contact_radius
+    moves = math.hypot(x - u, y - v) > PLACEMENT.same_position * experiment.contact_radius
     radius = tool.face_radius or experiment.contact_radius
     if moves and (tool.is_plate or specimen.margin(x, y) <= radius):
         return None
     if moves and can_move:
         mesh = specimen.moved_mesh(mesh, specimen, (Circle(radius, (u, v)), Circle(radius, (x, y))))
-    elif tool.face_radius and math.hypot(x - u, y - v) > FACE_WITHIN * radius:
+    elif tool.face_radius and math.hypot(x - u, y - v) > PLACEMENT.face_offset * radius:
         return None
     try:
-        other = _solver(model, mesh, pose, datum, can_move=can_move)
+        other = _make_solver_on_mesh(model, mesh, pose, datum, can_move=can_move)
     except (InputError, ConvergenceError):
         return None
     solver.hand_over(other)
     return other
 
 
-def _lifted(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
+def _ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
     """Heights that a plate ignores at all nodes, m, shape (nodes, ...).
 
     A plate touches an unevenly settled top at all nodes at once, as if the top had been cut flat in its settled state.
@@ -201,15 +200,15 @@ def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neigh
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()
     ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[:, 2])
     datum = np.array([first.rate(mesh, way) for way in ways])
-    lift = _lifted(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
+    lift = _ignored_heights(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
     return StartRates(found.stretch, found.settled, found.resting, datum, lift)
 
 
-def _fixed(experiment: Experiment) -> dict[str, str]:
+def _fixed_sets(experiment: Experiment) -> dict[str, str]:
     return {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
 
 
-def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
+def _make_standing_solver(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
     """Make the solver of the specimen on its base, without a tool."""
     experiment, pins = model.experiment, []
     if experiment.base_interface not in ("bonded", "stick"):
@@ -219,13 +218,13 @@ def _standing(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
         middle = int(np.argmin(np.hypot(*place.T)))
         second = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
         pins = [(int(base[middle]), "xy"), (int(base[second]), "y")]
-    return SolidSolver(mesh, model.material, _fixed(experiment), np.zeros(0, int),
-                       bodies=_resting(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
-                       tolerance=_PLATE_TOLERANCE * experiment.specimen.margin(),
+    return SolidSolver(mesh, model.material, _fixed_sets(experiment), np.zeros(0, int),
+                       bodies=_make_resting_bodies(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
+                       tolerance=TOLERANCES.plate * experiment.specimen.margin(),
                        contact_radius=experiment.contact_radius, element_layers=layers)
 
 
-def _pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
+def _choose_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
     """Pins against rigid motions of a specimen between frictionless faces, or faces with friction before pressure acts.
 
     The middle of the base is fixed horizontally, and one more node against rotation. By symmetry the pins carry no
@@ -297,14 +296,14 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[L
                                        centre=(offset, 0.0), interfaces=interfaces, least=chosen.layer_elements))
 
 
-def _moved(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMesh:
+def _move_mesh(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMesh:
     """Move the mesh of a model to the geometry of an experiment, if that differs.
 
     Raises:
         InputError: layers, or a shape whose mesh cannot be moved.
     """
     before, after = (each.specimen for each in (topology.experiment, experiment))
-    circles = _circle(topology.experiment), _circle(experiment)
+    circles = _tool_circle(topology.experiment), _tool_circle(experiment)
     if circles[0] == circles[1] and (before.shape, before.stated) == (after.shape, after.stated):
         return mesh
     if topology.material.layers:
@@ -313,43 +312,43 @@ def _moved(mesh: SolidMesh, topology: Model, experiment: Experiment) -> SolidMes
     return after.moved_mesh(mesh, before, circles)
 
 
-def _circle(experiment: Experiment) -> Circle:
+def _tool_circle(experiment: Experiment) -> Circle:
     """Circle about which the rings of the mesh are arranged."""
     tool = experiment.tool
     if tool.is_plate:
-        return Circle(PLATE_RING * experiment.specimen.margin(), (0.0, 0.0))
+        return Circle(O_GRID.plate_ring * experiment.specimen.margin(), (0.0, 0.0))
     offset = 0.0 if experiment.approach is None else experiment.approach.offset
     return Circle(tool.face_radius or experiment.contact_radius, (offset, 0.0))
 
 
-def _coefficient(interface: str | float) -> float:
+def _friction_coefficient(interface: str | float) -> float:
     """Coefficient of friction of an interface, for tissue that touches it during the test; `STICK` without slip."""
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
-def _resting(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
+def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
     """Bodies at rest: the base, which the nodes of the base and of the lower half of the side may touch."""
     bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = _coefficient(experiment.base_interface)
-    side = _side(mesh)
+    mu = _friction_coefficient(experiment.base_interface)
+    side = _side_nodes(mesh)
     bodies = [Body(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
     if experiment.base_interface not in _FIXED:
         bodies.insert(0, Body(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
     return bodies
 
 
-def _moving(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
+def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
     """Moving bodies: the tool with the nodes that may touch it, if its first touch is at a pose."""
-    tool, mu = experiment.tool, _coefficient(experiment.friction)
+    tool, mu = experiment.tool, _friction_coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
-        side = _side(mesh)
+        side = _side_nodes(mesh)
         high = side[mesh.nodes[side, 2] >= 0.5 * float(mesh.nodes[:, 2].min())]
         return [Body(tool.profile, np.concatenate([free, high]), (mu, mu))]
-    wall = _coefficient(experiment.friction_wall)
+    wall = _friction_coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
         return [Body(tool.profile, free, (mu, wall))]
     upright = not any(start.orientation[1:3])
@@ -377,11 +376,11 @@ def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, pl
         Bodies, and height of the scene's origin in the frame of the mesh at the first touch, m.
     """
     start = experiment.tool_pose(0.0)
-    bodies = _moving(experiment, mesh, bonded, start)
+    bodies = _make_moving_bodies(experiment, mesh, bonded, start)
     return bodies, touch(mesh, places, bodies, start).height
 
 
-def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
+def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
     """Area that each node represents for tractions of the tool, m2, shape (nodes,).
 
     At the rim of the top only the area of the top counts, at the edge of a flat face only that of the face.
@@ -395,6 +394,6 @@ def _law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
     return areas
 
 
-def _side(mesh: SolidMesh) -> np.ndarray:
+def _side_nodes(mesh: SolidMesh) -> np.ndarray:
     """Nodes of the side that belong neither to the base nor to the top."""
     return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))

@@ -61,8 +61,9 @@ def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: fl
 
 
 def node_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) -> np.ndarray:
-    """Displacements along an axis of nodes of the resting solid under unit forces on them along this axis, m/N, shape
-    (n, n).
+    """Return the compliance matrix of nodes of the resting solid along one axis, m/N, shape (n, n).
+
+    Column k contains the displacements of the nodes along the axis under a unit force on node k along the axis.
 
     Args:
         solver: is at rest afterwards.

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 from tissue_sim.fem.energy import inverse_root_function, soften_function
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solid import energy as point
-from tissue_sim.fem.solid.batches import LANES
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import scratch
+from tissue_sim.fem.taichi.scratch import LANES, ElementSize, scratch
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
@@ -32,17 +31,14 @@ class SettingColumn(IntEnum):
     ADDS = 3
 
 
-#: Largest number of nodes of an element.
-_NODES = 27
-#: Largest number of quadrature points of an element.
-_POINTS = 27
-#: Largest number of pressure modes of an element.
-_MODES = 4
+#: Size of the largest element.
+_LARGEST = ElementSize(nodes=27, points=27, modes=4)
 #: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
 #: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
 #: derivatives of the stress at one point, and the stiffness with all other nodes.
-_sizes = (("U", 3 * _NODES), ("FORCE", 3 * _NODES), ("PRESSURE", _MODES), ("GAP", _MODES), ("V", 3 * _MODES * _NODES),
-          ("A", 45 * _POINTS), ("RATE", 27), ("PAIRS", 9 * _NODES))
+_sizes = (("U", 3 * _LARGEST.nodes), ("FORCE", 3 * _LARGEST.nodes), ("PRESSURE", _LARGEST.modes),
+          ("GAP", _LARGEST.modes), ("V", 3 * _LARGEST.modes * _LARGEST.nodes), ("A", 45 * _LARGEST.points),
+          ("RATE", 27), ("PAIRS", 9 * _LARGEST.nodes))
 _AT = {name: sum(size for _, size in _sizes[:i]) for i, (name, _) in enumerate(_sizes)}
 #: First entry of the scratch field that is free for other functions.
 SCRATCH = sum(size for _, size in _sizes)

@@ -34,14 +34,14 @@ _SWEEPS = 5
 _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
-def _permutation(i: int, k: int, m: int) -> int:
+def _permutation_sign(i: int, k: int, m: int) -> int:
     return (i - k) * (k - m) * (m - i) // 2
 
 
 #: Second derivatives of the determinant: entry (m, n) -> (component of F, sign).
 COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
-                     float(_permutation(m // 3, n // 3, 3 - m // 3 - n // 3)
-                           * _permutation(m % 3, n % 3, 3 - m % 3 - n % 3)))
+                     float(_permutation_sign(m // 3, n // 3, 3 - m // 3 - n // 3)
+                           * _permutation_sign(m % 3, n % 3, 3 - m % 3 - n % 3)))
             for m, n in PACKED if m // 3 != n // 3 and m % 3 != n % 3}
 
 
@@ -131,10 +131,10 @@ def function(energy: KernelEnergy):
         W: isochoric energy density; P (9): first Piola-Kirchhoff stress; A (45): tangent dP/dF, symmetric, packed as
         `PACKED`.
     """
-    return (_of_invariants if energy.family == "invariants" else _of_stretches)(energy)
+    return (_make_invariant_function if energy.family == "invariants" else _make_stretch_function)(energy)
 
 
-def _of_invariants(energy: KernelEnergy):
+def _make_invariant_function(energy: KernelEnergy):
     ti = initialise()
     count = energy.count
 
@@ -187,7 +187,7 @@ def _of_invariants(energy: KernelEnergy):
     return stress_and_tangent
 
 
-def _of_stretches(energy: KernelEnergy):
+def _make_stretch_function(energy: KernelEnergy):
     ti = initialise()
     count = energy.count
 

@@ -12,12 +12,24 @@ from tissue_sim.mesh.solid import SolidMesh
 
 #: Exponent of the force of a round tool as a function of its depth (Hertz).
 _HERTZ_EXPONENT = 1.5
-#: Fraction of the force, missing because of faceting, above which a warning is given.
-_WARNING_FRACTION = 0.025
-#: Fraction of the force above which the linear estimate of the missing force is not valid.
-_LARGEST_FRACTION = 0.5
-#: Side length times curvature from which on a side spans an edge of the tool; the estimate holds for smooth parts only.
-_EDGE_RATIO = 2.0
+
+@dataclass(frozen=True)
+class FacetingSettings:
+    """Settings of the estimate of the faceting error.
+
+    Attributes:
+        warning_fraction: fraction of the force, missing because of faceting, above which a warning is given, 1.
+        largest_fraction: fraction of the force above which the linear estimate of the missing force is not valid, 1.
+        edge_ratio: side length times curvature from which on a side spans an edge of the tool, 1; the estimate holds
+            for smooth parts only.
+    """
+
+    warning_fraction: float = 0.025
+    largest_fraction: float = 0.5
+    edge_ratio: float = 2.0
+
+
+_SETTINGS = FacetingSettings()
 
 
 @dataclass(frozen=True)
@@ -40,7 +52,7 @@ class Faceting:
         return _HERTZ_EXPONENT * self.inside / self.depth if self.depth else math.inf
 
 
-def faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> Faceting | None:
+def estimate_faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> Faceting | None:
     """Compute the faceting error of a round tool that presses on nodes only.
 
     A flat side between nodes at distance h is inside of a surface with principal curvatures k1 and k2 by
@@ -60,7 +72,7 @@ def faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -
     curvature = np.trace(state.curved, axis1=1, axis2=2)
     carried = np.where((state.pressed | state.held) & contact.moves, np.maximum(-state.normal, 0.0), 0.0)
     # Edges and shafts turn the normal by a right angle from node to node: they are not smooth parts.
-    round_ones = np.where(np.sqrt(areas) * np.abs(curvature) < _EDGE_RATIO, carried, 0.0)
+    round_ones = np.where(np.sqrt(areas) * np.abs(curvature) < _SETTINGS.edge_ratio, carried, 0.0)
     if round_ones.sum() < 0.5 * carried.sum() or not carried.any():
         return None
     inside = float(np.average(areas * curvature, weights=round_ones)) / 12.0
@@ -73,17 +85,19 @@ def faceting_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndar
     """Estimate the error of a force, N, because of flat sides under a round tool.
 
     Args:
-        contact, mesh, displacement: as in `faceting`.
+        contact: contact nodes at an equilibrium.
+        mesh: undeformed mesh.
+        displacement: displacement of all nodes, m, shape (nodes, 3).
         force: magnitude of the force on the tool, N.
 
     Returns:
         N; None if the error is not known.
     """
-    found = faceting(contact, mesh, displacement)
+    found = estimate_faceting(contact, mesh, displacement)
     if found is None:
         return None
     # The estimate holds for small fractions; beyond one half it is at least the whole force.
-    return force * found.share / (1.0 - found.share) if found.share < _LARGEST_FRACTION else force
+    return force * found.share / (1.0 - found.share) if found.share < _SETTINGS.largest_fraction else force
 
 
 def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> list[str]:
@@ -92,17 +106,20 @@ def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
     Coarse elements are also too stiff; this error of opposite sign may hide the faceting error.
 
     Args:
-        contact, mesh, displacement: as in `faceting`.
+        contact: contact nodes at an equilibrium.
+        mesh: undeformed mesh.
+        displacement: displacement of all nodes, m, shape (nodes, 3).
 
     Returns:
         One sentence, or none: the error is small, or the elements have curved sides.
     """
-    found = faceting(contact, mesh, displacement)
-    if found is None or not found.depth or found.share <= _WARNING_FRACTION:
+    found = estimate_faceting(contact, mesh, displacement)
+    if found is None or not found.depth or found.share <= _SETTINGS.warning_fraction:
         return []
     share, size = found.share, 1e3 * found.size
-    missing = "most of the force" if share > _LARGEST_FRACTION else f"about {100.0 * share:.2g} % of the force"
+    smaller = size * math.sqrt(_SETTINGS.warning_fraction / share)
+    missing = "most of the force" if share > _SETTINGS.largest_fraction else f"about {100.0 * share:.2g} % of the force"
     return [f"faceting error: the flat sides of the elements under the tool, {size:.2g} mm wide, are inside of its "
             f"round outline by {1e3 * found.inside:.2g} mm in the mean, at a depth of {1e3 * found.depth:.2g} mm, so "
-            f"that {missing} is missing; use elements of {size * math.sqrt(_WARNING_FRACTION / share):.2g} mm there, "
+            f"that {missing} is missing; use elements of {smaller:.2g} mm there, "
             "or quadratic ones"]

@@ -65,17 +65,21 @@ class SolidFields:
         return SOLID_UNITS if self.pressures is not None else _WITHOUT_PRESSURE
 
     def arrays(self) -> tuple[np.ndarray, ...]:
+        """Return the arrays of the state: displacements, pressures and stresses, as far as they exist."""
         return tuple(each for each in (self.displacements, self.pressures, self.stresses) if each is not None)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> SolidFields:
+        """Return the same fields with other arrays of the state, in the order of `arrays`."""
         more = iter(arrays[1:])
         return replace(self, displacements=arrays[0], pressures=None if self.pressures is None else next(more),
                        stresses=None if self.stresses is None else next(more))
 
     def of_the_material(self) -> dict[str, Any]:
+        """Return the values that depend on the material: material, bulk moduli (Pa), relative moduli."""
         return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
 
     def with_material(self, changed: Mapping[str, Any]) -> SolidFields:
+        """Return the same fields with other values of `of_the_material`."""
         return replace(self, **changed)
 
     def part(self, elements: np.ndarray) -> SolidFields:
@@ -128,11 +132,11 @@ class SolidFields:
             raise InputError(f"this solver does not compute pressure and therefore no {name!r}; use one of "
                              f"{', '.join(self.names)}", field="field")
         if name == "displacement":
-            return np.linalg.norm(self._at_points(self.displacement(sample)), axis=-1)
+            return np.linalg.norm(self._interpolate_at_points(self.displacement(sample)), axis=-1)
         if self.material.regions and self.mesh.regions:
-            return self._region_by_region(name, sample)
+            return self._evaluate_by_region(name, sample)
         F = self.deformation_gradient(sample)
-        J = _determinant(F)
+        J = _compute_determinant(F)
         if name == "J":
             return J
         left = F @ F.swapaxes(-1, -2)
@@ -141,27 +145,27 @@ class SolidFields:
         modulus = self.moduli[:, None]
         p = 0.0 if self.pressures is None else np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
         if name == "energy":
-            energy, _ = self._response(principal_stretches(left))
+            energy, _ = self._principal_response(principal_stretches(left))
             own = modulus * self.material.instantaneous_factor * energy
             return own + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
         scale = modulus / J
         if self.stresses is None and name in ("pressure", "von_mises"):
             # From principal stresses, without their directions.
-            _, tau = self._response(principal_stretches(left))
+            _, tau = self._principal_response(principal_stretches(left))
             if name == "pressure":
                 return -(scale * tau.mean(axis=-1) + p)
             return scale * np.sqrt(1.5 * ((tau - tau.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1))
-        tensor = scale[..., None, None] * self._isochoric(F, left, sample)
+        tensor = scale[..., None, None] * self._isochoric_stress(F, left, sample)
         mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
         if name == "pressure":
             return -(mean + p)
         if name == "von_mises":
             return np.sqrt(1.5 * ((tensor - mean[..., None, None] * np.eye(3)) ** 2).sum(axis=(-2, -1)))
-        first, second = self._directions(name, sample)
+        first, second = self._component_directions(name, sample)
         across = 0.0 if name in ("cauchy_rz", "cauchy_xy", "cauchy_yz", "cauchy_xz") else p
         return np.einsum("eqi,eqik,eqk->eq", first, tensor, second) + across
 
-    def _region_by_region(self, name: str, sample: int) -> np.ndarray:
+    def _evaluate_by_region(self, name: str, sample: int) -> np.ndarray:
         """Evaluate a field for elements of several materials."""
         count, materials = len(self.mesh.connectivity), self.material.regions
         base = replace(self.material, regions={})
@@ -173,31 +177,31 @@ class SolidFields:
             found[elements] = replace(self.part(elements), material=material).at_points(name, sample)
         return found
 
-    def _response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _principal_response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.material.energy_law.principal_response(stretches, self.material.parameters)
 
-    def _isochoric(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
+    def _isochoric_stress(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
         """Isochoric Kirchhoff stress in units of `moduli`, Pa, shape (elements, q, 3, 3)."""
         if self.stresses is not None:
             return F @ self.stresses[sample][..., _SYMMETRIC] @ F.swapaxes(-1, -2)
         squares, ways = np.linalg.eigh(left)
-        _, tau = self._response(np.sqrt(squares))
+        _, tau = self._principal_response(np.sqrt(squares))
         return (ways * tau[..., None, :]) @ ways.swapaxes(-1, -2)
 
-    def _at_points(self, nodal: np.ndarray) -> np.ndarray:
+    def _interpolate_at_points(self, nodal: np.ndarray) -> np.ndarray:
         """Interpolate nodal vectors, shape (nodes, 3), at the quadrature points, shape (elements, q, 3)."""
         values, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
         if self.weights.shape[1] == 1 < len(values):
             values = values.mean(axis=0, keepdims=True)
         return np.einsum("qa,eai->eqi", values, nodal[self.mesh.connectivity])
 
-    def _directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
+    def _component_directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
         """Two unit vectors that define a stress component, shape (elements, q, 3) each."""
         shape = (*self.weights.shape, 3)
         if name in _ALONG:
             first, second = (np.broadcast_to(np.eye(3)[axis], shape) for axis in _ALONG[name])
             return first, second
-        radial = self._at_points(self.mesh.nodes + self.displacement(sample))
+        radial = self._interpolate_at_points(self.mesh.nodes + self.displacement(sample))
         radial[..., 2] = 0.0
         length = np.linalg.norm(radial, axis=-1, keepdims=True)
         radial = np.where(length > 0.0, radial / np.where(length > 0.0, length, 1.0), [1.0, 0.0, 0.0])
@@ -224,7 +228,7 @@ class SolidFields:
         return extrapolate(self.mesh, self.at_points(name, sample))
 
 
-def _determinant(F: np.ndarray) -> np.ndarray:
+def _compute_determinant(F: np.ndarray) -> np.ndarray:
     """Determinants of 3 x 3 matrices, shape (..., 3, 3); faster than by factorisation."""
     (a, b, c), (d, e, f), (g, h, i) = ([F[..., row, column] for column in range(3)] for row in range(3))
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)

@@ -54,7 +54,7 @@ class Frame:
         return rates
 
 
-def turned_with(forces: np.ndarray) -> np.ndarray:
+def differentiate_rotated_forces(forces: np.ndarray) -> np.ndarray:
     """Derivative of forces, shape (n, 3), that rotate with a body, with respect to its pose, shape (n, 3, 6)."""
     rates = np.zeros((*forces.shape, 6))
     x, y, z = forces.T

@@ -17,12 +17,13 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_now
+from tissue_sim.fem.contact_settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import library
 from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
-from tissue_sim.fem.solid.contact import STIFFNESS
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.settings import LinearisationSettings
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -31,31 +32,6 @@ from tissue_sim.pose import Pose, between
 
 #: Largest number of published nodes.
 CANDIDATES = 100
-
-
-@dataclass(frozen=True)
-class LinearisationSettings:
-    """Settings of the linearisation.
-
-    Attributes:
-        more: number of condensed nodes over that of published nodes with Pardiso, whose cost hardly depends on it.
-        needed: fraction of the nearest nodes that must be condensed; otherwise other nodes are chosen, which requires
-            a new symbolic analysis.
-        fractions: fractions of a step that are tried in turn if it turns elements inside out, 1.
-        old_fractions: the same with an earlier tangent, which would overshoot where the tissue has become more than
-            twice as stiff, 1.
-        rounding: length of a step over that of the displacement below which the step is zero, 1.
-        on_axis: radius over the length of a segment of the outline below which a point is on the axis, 1.
-    """
-
-    more: int = 3
-    needed: float = 0.6
-    fractions: tuple[float, ...] = (1.0, 0.5, 0.25)
-    old_fractions: tuple[float, ...] = (0.8, 0.4, 0.2)
-    rounding: float = 1e-5
-    on_axis: float = 1e-9
-
-
 _SETTINGS = LinearisationSettings()
 
 
@@ -67,9 +43,10 @@ class _Step:
     pushed: np.ndarray
     carried: np.ndarray
 
-    def leads_on(self, settles: np.ndarray, share: float, rounding: float) -> bool:
-        """Whether a damped step reduces the next step (restricted monotonicity test: Deuflhard, Newton Methods for
-        Nonlinear Problems, 2011, section 3.3).
+    def reduces_next_step(self, settles: np.ndarray, share: float, rounding: float) -> bool:
+        """Whether a damped step reduces the next step (restricted monotonicity test).
+
+        Source: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3.
 
         Args:
             settles: new increment that balances the tissue without contact, m.
@@ -136,12 +113,12 @@ class SolidLinearisation:
         chains, shapes = np.zeros((max(1, len(bodies)), lines, 5)), np.zeros((max(1, len(bodies)), 5))
         outlines, friction = np.zeros(mine.size, dtype=np.int32), np.zeros((mine.size, 2))
         for number, body in enumerate(bodies):
-            chain, shapes[number] = _outline(body)
+            chain, shapes[number] = _pack_outline(body)
             chains[number, :len(chain)] = chain
             own = np.isin(self.nodes, body.nodes)
             outlines[own], friction[own] = number, body.friction
         start = Frame(solver.pose, solver.datum)
-        springs = STIFFNESS * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
+        springs = SOLID_PENALTY.normal * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
         return ContactSurface(contact.places[mine].copy(), springs, friction, outlines, chains, shapes,
                               contact.bound[mine].astype(np.int32),
                               start.into(contact.places[mine]) + contact.anchors[mine], solver.pose,
@@ -169,7 +146,7 @@ class SolidLinearisation:
         if state.model != self._number:
             return None
         due = self._coming is None or self._coming.is_done
-        if due and self._change(state, state.pose, ahead):
+        if due and self._change_tangent(state, state.pose, ahead):
             self._settle()
         before, here = tuple(array.copy() for array in solver._state), solver.pose
         step = self._step(state)
@@ -179,16 +156,17 @@ class SolidLinearisation:
         for share in _SETTINGS.old_fractions if old else _SETTINGS.fractions:
             for array, one, other in zip(solver._state, before, after, strict=True):
                 array[:] = one + share * (other - one)
-            if not self._assembled(due):
+            if not self._assemble_forces(due):
                 continue
             pose, self._stale = between(here, state.pose, share), True
             if old:
                 self._settle()
-                if not step.leads_on(self._measured(self._settles), share, _SETTINGS.rounding * self._size):
+                measured = self._select_measured_part(self._settles)
+                if not step.reduces_next_step(measured, share, _SETTINGS.rounding * self._size):
                     continue
             begun = self._begin(state, pose, ahead, self.executor) if due else None
             if begun is not None and begun.is_done:
-                if not self._change(state, pose, ahead):
+                if not self._change_tangent(state, pose, ahead):
                     continue  # without parallel factorisation an iterate with a singular tangent is not accepted
                 self._stale = False
             if not (old and self._stale):
@@ -196,11 +174,11 @@ class SolidLinearisation:
             self._note_residual(state)
             self._commit(pose)
             self._time = state.time
-            return self._model(state, pose)
+            return self._make_condensed_model(state, pose)
         for array, old_one in zip(solver._state, before, strict=True):
             array[:] = old_one
         self._settles, self._stale = settles, old
-        if self._coming is None or not self._assembled(False):
+        if self._coming is None or not self._assemble_forces(False):
             self._tangent = None
         return None
 
@@ -219,14 +197,14 @@ class SolidLinearisation:
         for go_back in (solver._go_back, self._rest):
             go_back()
             pose = solver.pose if self._holds else state.pose
-            if not self._assembled(True):
+            if not self._assemble_forces(True):
                 continue
             self._begin(state, pose, ahead, run_now)
-            if self._change(state, pose, ahead):
+            if self._change_tangent(state, pose, ahead):
                 self._stale = False
                 self._settle()
                 self._note_residual(state)
-                return self._model(state, pose)
+                return self._make_condensed_model(state, pose)
         return None
 
     def _step(self, state: ContactState) -> _Step:
@@ -248,11 +226,13 @@ class SolidLinearisation:
         motion[solver._free] = tangent.finish(begun)
         solver.x += motion
         solver.tissue.follow(motion)
-        return _Step(*(self._measured(each) for each in (begun, pushed, carried)))
+        return _Step(*(self._select_measured_part(each) for each in (begun, pushed, carried)))
 
-    def _measured(self, begun: np.ndarray) -> np.ndarray:
-        """Part of a begun solution whose length is compared: the interface, where the contact acts, or all free degrees
-        of freedom if the tool holds tissue."""
+    def _select_measured_part(self, begun: np.ndarray) -> np.ndarray:
+        """Return the part of a begun solution whose length is compared.
+
+        The part is the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
+        """
         assert self._tangent is not None
         return self._tangent.finish(begun) if self._holds else begun[self._tangent.rows]
 
@@ -273,7 +253,7 @@ class SolidLinearisation:
         if self._holds:
             self._reactions = right[solver._moved] + tangent.held[solver._free].T @ tangent.finish(self._settles)
 
-    def _assembled(self, tangent: bool) -> bool:
+    def _assemble_forces(self, tangent: bool) -> bool:
         """Assemble forces, and optionally the tangent, without contact; returns whether no element is inside out."""
         solver = self._solver
         solver._least = solver.tissue.assemble(tangent)
@@ -302,7 +282,7 @@ class SolidLinearisation:
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
         if spare is None or self._coming is not None:
             return None
-        solver, order, loaded = self._solver, *self._nearest(state, pose, ahead)
+        solver, order, loaded = self._solver, *self._order_nodes(state, pose, ahead)
         if not np.isin(order[:max(int(_SETTINGS.needed * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
         spare.assign(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
@@ -310,29 +290,29 @@ class SolidLinearisation:
         self._coming = spare
         return spare
 
-    def _change(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
+    def _change_tangent(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
         """Use the tangent whose condensation has ended; returns False if there is none or it is singular."""
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:
             return False
-        order, _ = self._nearest(state, pose, ahead)
+        order, _ = self._order_nodes(state, pose, ahead)
         nodes = order[np.isin(order, coming.interface)][:self._count]
         coming.choose(nodes, self._equations[nodes])
         self._tangent, self._base = coming, self._number + 1
         self._solver.batches.known_rates[:] = coming.volume_rates
         return True
 
-    def _nearest(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
+    def _order_nodes(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
         """Order the nodes that the tool may touch: loaded nodes first, then by gap.
 
         Returns:
             Indices, and the number of loaded nodes.
         """
         meets, loaded = self._meets, np.abs(state.forces).sum(axis=1) > 0.0
-        gaps = np.stack([self._gaps(each) for each in (pose, *ahead)])[:, meets]
+        gaps = np.stack([self._compute_gaps(each) for each in (pose, *ahead)])[:, meets]
         return meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))], int(loaded.sum())
 
-    def _gaps(self, pose: Pose) -> np.ndarray:
+    def _compute_gaps(self, pose: Pose) -> np.ndarray:
         """Distances of the surface nodes from the tool at a pose, m, shape (s,)."""
         solver, contact = self._solver, self._solver.contact
         frame, gaps = Frame(pose, solver.datum), np.full(self.nodes.size, np.inf)
@@ -343,27 +323,27 @@ class SolidLinearisation:
                 gaps[own] = nearest(body, at[own], pressed_in=True).gap
         return gaps
 
-    def _model(self, state: ContactState, pose: Pose) -> CondensedContact:
+    def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedContact:
         """Make the linearisation at the last iterate."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
         free_displacement = solver.x[self._freedoms[tangent.nodes]] + self._settles[self._equations[tangent.nodes]]
         wrench = np.zeros(6)
         if self._holds:
-            levers = Frame(pose, solver.datum).rates(solver._places_of(solver._bonded))
+            levers = Frame(pose, solver.datum).rates(solver._node_positions(solver._bonded))
             forces = -self._reactions.reshape(-1, 3)
             wrench = np.einsum("nik,ni->k", levers, forces)
             if self._number + 1 == self._base:
-                self._hold(tangent, levers, forces)
+                self._store_held_derivatives(tangent, levers, forces)
         left = np.setdiff1d(self._meets, tangent.nodes)
-        reach = float(np.maximum(0.0, self._gaps(pose)[left]).min(initial=np.inf))
+        reach = float(np.maximum(0.0, self._compute_gaps(pose)[left]).min(initial=np.inf))
         self._number += 1
         return CondensedContact(self._number, self._base, self._epoch, state.time, pose, tangent.nodes,
                                 free_displacement, tangent.compliance, tangent.tool_coupling, wrench, tangent.stiffness,
                                 reach,
                                 solver.material.mu0, self.residual)
 
-    def _hold(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
+    def _store_held_derivatives(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
         """Store the derivatives of nodes and wrench with respect to the pose of a tool that holds tissue.
 
         Args:
@@ -389,7 +369,7 @@ def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: Soli
     return SolidLinearisation(make_solver(model, resolution=resolution, mesh=mesh), candidates)
 
 
-def _outline(body: Body) -> tuple[np.ndarray, tuple[float, ...]]:
+def _pack_outline(body: Body) -> tuple[np.ndarray, tuple[float, ...]]:
     """Segments of a body's outline, and its row in `ContactSurface.shapes`."""
     profile, first = body.profile, body.first_line
     start, segment = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)

@@ -54,7 +54,7 @@ class Mass:
         """Prepare a step of dt seconds from displacements x, m, shape (freedoms,)."""
         self.rate = self.motion.prepare(x, dt) if inertial else 0.0
 
-    def resist(self, x: np.ndarray, residual: np.ndarray, matrix: Any | None) -> None:
+    def add_inertial_forces(self, x: np.ndarray, residual: np.ndarray, matrix: Any | None) -> None:
         """Add inertial forces at displacements x, m, to the residual, N, and their derivatives to the matrix."""
         if self.rate:
             residual[:] += self.rate * self._masses * (x - self._rest)

@@ -3,18 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from tissue_sim.fem.history import Memory, PastColumn
 from tissue_sim.material.viscoelasticity import Prony
 
-#: Relative distance between the energy density of a point and its largest value so far below which they are equal, 1.
-_TIE = 1e-7
-#: Relative distance below the largest value within which a difference could cross the kink there, 1.
-_BELOW = 1e-5
-#: Relative distance beyond the largest value within which a difference could cross the kink there, 1.
-_BEYOND = 1e-4
+
+@dataclass(frozen=True)
+class KinkSettings:
+    """Distances from the kink of a softening law, where the energy density of a point reaches its largest value so far.
+
+    Attributes:
+        tie: relative distance below which the energy density and its largest value are equal, 1.
+        below: relative distance below the largest value within which a difference could cross the kink, 1.
+        beyond: relative distance above the largest value within which a difference could cross the kink, 1.
+    """
+
+    tie: float = 1e-7
+    below: float = 1e-5
+    beyond: float = 1e-4
+
+
+_KINK = KinkSettings()
 
 
 class MemoryRates:
@@ -66,7 +78,7 @@ class MemoryRates:
         """Move points near their largest energy density away from the kink there, until `end_aside`.
 
         Differences must not cross the kink. Points under increasing load are treated as on first load, which changes no
-        force; for others `_BELOW` of the largest value is added to it.
+        force; for others `KinkSettings.below` of the largest value is added to it.
 
         Returns:
             Whether there are such points; the forces must then be assembled again.
@@ -75,10 +87,10 @@ class MemoryRates:
         self._kept = []
         if memory.works and memory.past[PastColumn.LOSS] != 0.0:
             largest, more = memory.largest, memory.energies - memory.largest
-            near = (largest > 0.0) & (more >= -_BELOW * largest) & (more <= _BEYOND * largest)
+            near = (largest > 0.0) & (more >= -_KINK.below * largest) & (more <= _KINK.beyond * largest)
             if near.any():
                 self._kept = [(array, array.copy()) for array in (largest, memory.stresses, memory.energies)]
-                aside = np.where(more >= -_TIE * largest, 0.0, (1.0 + _BELOW) * largest)
+                aside = np.where(more >= -_KINK.tie * largest, 0.0, (1.0 + _KINK.below) * largest)
                 largest[near] = aside[near]
         return bool(self._kept)
 
@@ -88,7 +100,7 @@ class MemoryRates:
             array[:] = before
 
     def directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Arrays of the history that the assembly reads, and their derivatives with respect to parameter k."""
+        """Return the arrays of the history that the assembly reads, with their derivatives by parameter k."""
         memory = self.memory
         if not memory.works:
             return []

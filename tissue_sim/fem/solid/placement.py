@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
+from tissue_sim.fem.contact_settings import Bond
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.solid.bodies import Body, nearest
-from tissue_sim.fem.solid.contact import FREE, ContactNodes
+from tissue_sim.fem.solid.contact import ContactNodes
 from tissue_sim.fem.solid.faceting import faceting_error
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.mass import Mass
@@ -21,10 +22,24 @@ from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, motion, raised
 
-#: Distance between two first touches, over the radius of the tool, below which they are the same.
-SAME_PLACE = 1e-6
-#: Largest distance of a flat tool from the position of a mesh that cannot be moved, over the radius of the tool.
-FACE_WITHIN = 0.01
+
+@dataclass(frozen=True)
+class PlacementTolerances:
+    """Largest distances between the first touch of the tool and the position of the mesh.
+
+    Attributes:
+        same_position: distance between two first touches, over the radius of the tool, below which they are the same,
+            1.
+        face_offset: largest distance of a flat tool from the position of a mesh that cannot be moved, over the radius
+            of the tool, 1.
+    """
+
+    same_position: float = 1e-6
+    face_offset: float = 0.01
+
+
+#: Tolerances of every solid.
+PLACEMENT = PlacementTolerances()
 
 
 class PlacedSolver(KernelOwner, Solver):
@@ -81,7 +96,7 @@ class PlacedSolver(KernelOwner, Solver):
     def clearance(self, pose: Pose) -> float | None:
         """See `FreeTool.clearance`, with distances of nodes; None if the tool holds tissue, and with contact laws."""
         contact = self.contact
-        if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != FREE))).any():
+        if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != Bond.FREE))).any():
             return None
         frame, displacement, least = Frame(pose, self.datum), self.committed_displacement, math.inf
         for body, own in contact.parts:
@@ -151,7 +166,7 @@ class Placement:
     def is_at(self, start: Pose, pose: Pose) -> bool:
         """Whether a first touch at a pose is at the position of the mesh."""
         x, y, z, *turn = motion(start, pose)
-        return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= SAME_PLACE * self.radius
+        return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
 
     def height_above(self, pose: Pose) -> float:
         """See `FreeTool.height_above`."""
@@ -171,6 +186,10 @@ class Placement:
             return math.inf  # outside the top
 
     def solver_at(self, pose: Pose, solver: Any) -> Any:
-        """Return the solver for a first touch at a pose, with material and mass of another solver; None if there is
-        none."""
+        """Return the solver for a first touch at a pose; None if no such solver can be made.
+
+        Args:
+            pose: pose of the tool at the first touch.
+            solver: solver whose material and mass the new solver gets.
+        """
         return None if self._remake is None else self._remake(pose, solver)

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from tissue_sim.fem.point_effects import LONGEST, require_formula
-from tissue_sim.fem.solid.batches import ElementBatches, places_of
+from tissue_sim.fem.solid.batches import ElementBatches, find_entry_indices
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
@@ -108,7 +108,7 @@ class SolidEffects:
             matrix = self._batches.matrix
             if self._places is None:
                 rows, columns = np.broadcast_arrays(self._dofs[:, :, None], self._dofs[:, None])
-                self._places = places_of(matrix, rows, columns).ravel()
+                self._places = find_entry_indices(matrix, rows, columns).ravel()
             matrix.data += np.bincount(self._places, np.concatenate(stiffness).ravel(), minlength=matrix.nnz)
 
     def _respond(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

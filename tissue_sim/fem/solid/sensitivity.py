@@ -181,7 +181,7 @@ class SolidSensitivity:
             self._motion[:] = motion.T
             for array, left in zip([array for each in self._memories for array in each.kept], remembered, strict=True):
                 array[:] = left
-        met, turned = self._at_contact(self._motion) + self._apart, first.rotation.T
+        met, turned = self._select_contact_rows(self._motion) + self._apart, first.rotation.T
         self._anchors[:] = np.where(contact.moves[:, None, None], turned @ met, met)
         if start.settled is not None:
             _, here, there = np.intersect1d(np.where(contact.moves, -1, contact.nodes), start.resting,
@@ -222,47 +222,49 @@ class SolidSensitivity:
             parts.assemble()
         for each in self._memories:
             each.begin_step()
-        rates = np.stack([self._forces(k) for k in range(m)], axis=1)
+        rates = np.stack([self._differentiate_forces(k) for k in range(m)], axis=1)
         follows = frame.rotation @ self._held + self._origin - self._undeformed[parts.moved[::3] // 3]
         self._laws = LawRates.of(parts.contact, parts.x.reshape(-1, 3)[parts.contact.nodes], frame)
         motion, forces = self._solve(rates, follows.reshape(-1, m))
-        held = -(rates + self._product(motion))[parts.moved].reshape(-1, 3, m)
+        held = -(rates + self._multiply_by_tangent(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
-        self._remember(motion)
-        self._anchors = state.anchor_rates(self._at_contact(motion) + self._apart, self._anchors)
+        self._update_history_rates(motion)
+        self._anchors = state.anchor_rates(self._select_contact_rows(motion) + self._apart, self._anchors)
         self._motion = motion
         for each in aside:
             each.end_aside()
         parts.tissue.batches.residual[:] = residual
 
-    def _forces(self, k: int) -> np.ndarray:
+    def _differentiate_forces(self, k: int) -> np.ndarray:
         """Derivative of the forces at constant displacements with respect to parameter k, N per unit, (freedoms,)."""
-        acting = {number: [(array, rate) for array, rate in self._directions(k, number) if rate.any()]
+        acting = {number: [(array, rate) for array, rate in self._input_directions(k, number) if rate.any()]
                   for number in self._regions}
-        stretched, tissue = self._stretches(k), self._parts.tissue
+        stretched, tissue = self._mesh_directions(k), self._parts.tissue
         regions = [number for number in self._regions if acting[number] or stretched]
-        forces, = self._difference(k, regions, [*stretched, *chain(*acting.values())], [tissue.batches.residual])
+        directions = [*stretched, *chain(*acting.values())]
+        forces, = self._difference_assembly(k, regions, directions, [tissue.batches.residual])
         forces[2:-1:3] += tissue.specific_weight * self._stretch[k] * tissue.batches.volumes
         return forces[:-1]
 
-    def _remember(self, motion: np.ndarray) -> None:
+    def _update_history_rates(self, motion: np.ndarray) -> None:
         """Update the derivatives of the history for the step that will be committed."""
         for number, each in enumerate(self._memories):
             memory = each.memory
             for k in range(motion.shape[1] if memory.works else 0):
-                directions = [*self._stretches(k), *self._directions(k, number), (self._parts.x, motion[:, k])]
-                each.commit(k, *self._difference(k, [number], directions, [memory.stresses, memory.energies]))
+                directions = [*self._mesh_directions(k), *self._input_directions(k, number),
+                              (self._parts.x, motion[:, k])]
+                each.commit(k, *self._difference_assembly(k, [number], directions, [memory.stresses, memory.energies]))
 
-    def _directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _input_directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Inputs of the assembly of a region, and their derivatives with respect to parameter k at rest."""
         return self._inputs[k][number] + self._memories[number].directions(k)
 
-    def _stretches(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def _mesh_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Inputs of the assembly that depend on the undeformed mesh, and their derivatives for parameter k."""
         return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
 
-    def _difference(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
-                    results: Sequence[np.ndarray]) -> list[np.ndarray]:
+    def _difference_assembly(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
+                             results: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Central difference of the assembly of some regions.
 
         Args:
@@ -311,8 +313,8 @@ class SolidSensitivity:
         # Reference: forces of tissue and contact; the penalty forces of the contact are much larger.
         size = np.linalg.norm(rates, axis=0)
         for _ in range(_SETTINGS.max_solutions):
-            found, missing, acting = self._contact_forces(motion, forces)
-            right = rates + self._product(motion)
+            found, missing, acting = self._differentiate_contact_forces(motion, forces)
+            right = rates + self._multiply_by_tangent(motion)
             np.add.at(right.reshape(-1, 3, m), contact.nodes, acting)
             left = np.linalg.norm(right[parts.free], axis=0)
             size = np.maximum(size, np.linalg.norm(found.reshape(-1, m), axis=0))
@@ -321,30 +323,35 @@ class SolidSensitivity:
             change = np.zeros_like(motion)
             change[parts.free] = -factor.solve(np.asfortranarray(right[parts.free])).reshape(-1, m)
             motion += change
-            forces = found + missing + own @ self._at_contact(change)
-        _, missing, acting = self._contact_forces(motion, forces)
+            forces = found + missing + own @ self._select_contact_rows(change)
+        _, missing, acting = self._differentiate_contact_forces(motion, forces)
         if not (left <= _SETTINGS.acceptable * size).all():
             return np.full_like(motion, np.nan), np.full_like(acting, np.nan)
         return motion, acting - missing
 
-    def _contact_forces(self, motion: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Derivatives of contact forces, residuals of the constraints, and all acting forces with laws, N, shape
-        (n, 3, m) each."""
-        state, against = self._parts.contact.state, self._at_contact(motion) + self._apart
+    def _differentiate_contact_forces(self, motion: np.ndarray, forces: np.ndarray
+                                      ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the derivatives of the forces on the contact nodes.
+
+        Returns:
+            Derivatives of the contact forces, of the residuals of the constraints, and of all acting forces with those
+            of the laws, N, shape (n, 3, m) each.
+        """
+        state, against = self._parts.contact.state, self._select_contact_rows(motion) + self._apart
         found, missing = state.force_rates(against, self._anchors, forces)
         acting = found + missing
         if self._laws is not None:
             acting = acting + self._laws.forces(against, against - state.turn @ self._anchors, acting)
         return found, missing, acting
 
-    def _product(self, motion: np.ndarray) -> np.ndarray:
+    def _multiply_by_tangent(self, motion: np.ndarray) -> np.ndarray:
         """Forces of the tissue alone for displacements; the contact stiffness in the matrix is subtracted."""
         product = self._parts.matrix.all @ motion
         np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,
-                  -(self._added @ self._at_contact(motion)))
+                  -(self._added @ self._select_contact_rows(motion)))
         return product
 
-    def _at_contact(self, motion: np.ndarray) -> np.ndarray:
+    def _select_contact_rows(self, motion: np.ndarray) -> np.ndarray:
         return motion.reshape(-1, 3, motion.shape[1])[self._parts.contact.nodes]
 
 

@@ -9,15 +9,11 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.fem.solid.sensitivity import StartRates
+from tissue_sim.fem.solid.settings import SETTLING
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import Neighbours, StepStatus
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.specimen import Specimen
-
-#: Smallest part of the weight that is applied in one step, 1.
-_SMALLEST_PART = 2.0**-6
-#: Width of the difference with respect to the logarithm of the height, ten times its half width.
-_WIDTH = 1e-6
 
 
 class SettlingDerivative(NamedTuple):
@@ -47,7 +43,8 @@ class Settling(NamedTuple):
         """Repeat the steps from their stored states with derivatives; None if the solver has no derivatives."""
         solver, m = self.stand(self.mesh), len(neighbours)
         # An undeformed height that was determined from the settled one is an additional parameter.
-        more = [(solver.material, solver.material, _WIDTH)] if self.specimen.height_is == "placed" else []
+        height = (solver.material, solver.material, SETTLING.height_width)
+        more = [height] if self.specimen.height_is == "placed" else []
         derivatives = solver.differentiate([*neighbours, *more])
         if derivatives is None:
             return None
@@ -112,7 +109,7 @@ def _let_settle(solver: SolidSolver, specific_weight: float) -> list[tuple[float
             steps.append((solver.tissue.specific_weight, [array.copy() for array in _state(solver)]))
         else:
             part /= 2.0
-            if part < _SMALLEST_PART:
+            if part < SETTLING.smallest_part:
                 raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
                                        f"{carried:.0%} of the weight ({step.status.message}); check density and moduli")
     solver.rest_here()

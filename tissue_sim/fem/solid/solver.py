@@ -8,9 +8,10 @@ from typing import Any, cast
 
 import numpy as np
 
+from tissue_sim.fem.contact_settings import ALL_POINTS
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
 from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.contact import ALL, ContactEvaluation, ContactNodes
+from tissue_sim.fem.solid.contact import ContactEvaluation, ContactNodes
 from tissue_sim.fem.solid.contact_laws import NodeLaws
 from tissue_sim.fem.solid.faceting import faceting_warnings
 from tissue_sim.fem.solid.fields import SolidFields
@@ -19,6 +20,7 @@ from tissue_sim.fem.solid.free_dofs import FreeDofSystem, fixed_freedoms
 from tissue_sim.fem.solid.mass import Mass
 from tissue_sim.fem.solid.placement import PlacedSolver
 from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity, StartRates
+from tissue_sim.fem.solid.settings import NEWTON
 from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import Tangent
@@ -29,17 +31,6 @@ from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import Matrix, NextForce
-
-#: Largest number of bisections of an increment that turns an element inside out.
-_HALVINGS = 4
-#: Number of linear solves from which on only a subset of the nodes may change their contact state at once.
-_CIRCLING = 8
-#: Smallest reference force of the relative residual, over the largest load so far, 1.
-_FLOOR_SHARE = 0.1
-#: Motion of the tool over the size of the mesh below which the tool is at rest, 1.
-_NO_MOTION = 1e-14
-#: Friction over the smallest reference force below which friction is ignored, 1.
-_FRICTION_FLOOR = 1e-6
 
 
 class SolidSolver(PlacedSolver):
@@ -90,7 +81,7 @@ class SolidSolver(PlacedSolver):
         self._reacting = np.flatnonzero(stays | moved)
         self._moved = freedoms[self._bonded].ravel()
         # Positions of the bonded nodes in the frame of the tool.
-        self._held_at = Frame(start, datum).into(self._places_of(self._bonded))
+        self._held_at = Frame(start, datum).into(self._node_positions(self._bonded))
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
@@ -144,7 +135,7 @@ class SolidSolver(PlacedSolver):
         if outcome.status is StepStatus.CONVERGED:
             if inertial and self._mass is not None and self._asked:
                 has_left = outcome.iterations < max_iterations
-                own = self._own_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
+                own = self._compute_static_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
                 outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
             if self._mass is not None:
                 self._mass.motion.commit(self._committed[0], self.x, dt, inertial)
@@ -170,16 +161,17 @@ class SolidSolver(PlacedSolver):
         way = np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
         # Nodes in contact with the tool move with it in the first linear solution.
-        tool_way = frame.out_of(here.into(self._places())) - self._places()
+        tool_way = frame.out_of(here.into(self._contact_positions())) - self._contact_positions()
         pending = (max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0))
-                   > _NO_MOTION * float(np.ptp(self.mesh.nodes)))
-        changeable, bending, iterations, halvings, waits = ALL, 0.0, 0, 0, 0
-        floor = max(self._floor, _FLOOR_SHARE * self._largest_force)
+                   > NEWTON.rest_motion * float(np.ptp(self.mesh.nodes)))
+        changeable, bending, iterations, halvings, waits = ALL_POINTS, 0.0, 0, 0, 0
+        floor = max(self._floor, NEWTON.min_reference_force * self._largest_force)
+        negligible = NEWTON.friction_floor * floor
         before = first_ratio = None
         tangent.stale = False
         while True:
             self._assemble(not tangent.stale)
-            if self._least <= 0.0 and before is not None and halvings < _HALVINGS:
+            if self._least <= 0.0 and before is not None and halvings < NEWTON.max_halvings:
                 halvings += 1
                 for array, earlier in zip(self._state, before, strict=True):
                     array[:] = 0.5 * (array + earlier)
@@ -188,7 +180,7 @@ class SolidSolver(PlacedSolver):
             # In the first iteration nodes at zero gap count as pressed, because the tool will move or a law pulls.
             slack = 1e-9 if pending or (contact.laws.strength > 0.0 and iterations == 0) else 0.0
             evaluation = contact.evaluate(displacement, here if pending else frame, changeable, slack, bending,
-                                _FRICTION_FLOOR * floor, self._tolerance)
+                                negligible, self._tolerance)
             wanting, waits = max(evaluation.wanting, waits), 0
             residual = batches.residual[:-1].copy()
             np.add.at(residual.reshape(-1, 3), contact.nodes, contact.acting)
@@ -202,13 +194,13 @@ class SolidSolver(PlacedSolver):
                 status = StepStatus.DIVERGED
             elif not pending and ratio <= tolerance and evaluation.violation <= self._tolerance and not wanting:
                 if contact.release():
-                    changeable, first_ratio, tangent.stale = ALL, None, False
+                    changeable, first_ratio, tangent.stale = ALL_POINTS, None, False
                     continue
                 if tangent.stale and (self._asked or self._derivatives is not None):
                     self._assemble()
                 if self._derivatives is not None:
                     # The derivatives belong to this step, with the anchors of the last equilibrium.
-                    contact.evaluate(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor, self._tolerance)
+                    contact.evaluate(displacement, frame, 0, 0.0, 1.0, negligible, self._tolerance)
                     self._derivatives.advance(frame)
                     if self._asked:
                         self._assemble()
@@ -216,7 +208,7 @@ class SolidSolver(PlacedSolver):
                 status = StepStatus.CONVERGED
                 if self._asked:
                     # The stiffness belongs to the new anchors.
-                    evaluation = contact.evaluate(displacement, frame, 0, 0.0, 1.0, _FRICTION_FLOOR * floor,
+                    evaluation = contact.evaluate(displacement, frame, 0, 0.0, 1.0, negligible,
                                                   self._tolerance)
             elif iterations >= max_iterations:
                 status = StepStatus.SLOW
@@ -224,7 +216,7 @@ class SolidSolver(PlacedSolver):
                 status = StepStatus.DIVERGED
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
                 return self._answer(status, iterations, ratio, evaluation, frame)
-            if tangent.stale and status is None and not tangent.serves(ratio, tolerance, evaluation.switched > 0):
+            if tangent.stale and status is None and not tangent.is_accurate(ratio, tolerance, evaluation.switched > 0):
                 tangent.stale, changeable, waits = False, 0, evaluation.wanting
                 continue
             if status is not None or not tangent.stale:
@@ -249,10 +241,10 @@ class SolidSolver(PlacedSolver):
             contact.follow(motion.reshape(-1, 3)[contact.nodes] + apart)
             self._here = frame
             iterations += 1
-            halvings = _HALVINGS if pending else 0  # the motion of the tool is not bisected here
+            halvings = NEWTON.max_halvings if pending else 0  # the motion of the tool is not bisected here
             tangent.keep(ratio, far=pending)
             pending = False
-            changeable = ALL if iterations < _CIRCLING else iterations
+            changeable = ALL_POINTS if iterations < NEWTON.all_points_iterations else iterations
             bending = 1.0 if ratio < 0.1 else 0.0
 
     def held_displacement(self, frame: Frame) -> np.ndarray:
@@ -263,31 +255,31 @@ class SolidSolver(PlacedSolver):
     def _state(self) -> tuple[np.ndarray, ...]:
         return self.x, self.batches.pressures, self.contact.forces
 
-    def _places(self) -> np.ndarray:
+    def _contact_positions(self) -> np.ndarray:
         """Positions of the contact nodes, m, shape (n, 3)."""
-        return self._places_of(self.contact.nodes)
+        return self._node_positions(self.contact.nodes)
 
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
         if tangent:
             self.batches.keep_volume_rates()
         if self._mass is not None:
-            self._mass.resist(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
+            self._mass.add_inertial_forces(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
-    def _tool_constraint(self, frame: Frame) -> ToolConstraint:
-        return ToolConstraint(frame, self._moved, self._places_of(self._bonded),
-                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._places())
+    def _make_tool_constraint(self, frame: Frame) -> ToolConstraint:
+        return ToolConstraint(frame, self._moved, self._node_positions(self._bonded),
+                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._contact_positions())
 
     def _answer(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation, frame: Frame,
                 factor: Factor | None = None) -> Step:
         """Make the result of a step, with its stiffness if there is a factor of the last matrix."""
-        stiffness, constraint = None, self._tool_constraint(frame)
+        stiffness, constraint = None, self._make_tool_constraint(frame)
         if factor is not None:
             stiffness, self._along = constraint.stiffness(self._matrix.all, factor, self._free)
         return Step(status, iterations, ratio, cast("Screw", tuple(constraint.wrench().tolist())),
                     None if stiffness is None else rows(stiffness), evaluation.violation, evaluation.slipping)
 
-    def _own_stiffness(self, frame: Frame) -> Matrix | None:
+    def _compute_static_stiffness(self, frame: Frame) -> Matrix | None:
         """Static stiffness of the tissue directly after an inertial step; None if the static tangent is indefinite."""
         assert self._mass is not None
         self._mass.rate, rate = 0.0, self._mass.rate
@@ -296,7 +288,7 @@ class SolidSolver(PlacedSolver):
         factor = self._tangent.factorise(symmetric=not self.contact.state.slides.any())
         if factor is None or not factor.definite:
             return None
-        return rows(self._tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
+        return rows(self._make_tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
 
     def follow_motion(self, density: float) -> bool:
         """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.follow_motion`."""
@@ -312,7 +304,7 @@ class SolidSolver(PlacedSolver):
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
         return NextForce(wrench, rows(np.array(last.step_stiffness_matrix) + stiffer))
 
-    def _places_of(self, nodes: np.ndarray) -> np.ndarray:
+    def _node_positions(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:

@@ -90,7 +90,7 @@ class Tangent:
         """Register a solution from a state with a relative residual `ratio`; `far`: a new tangent is needed next."""
         self.stale, self._before = not far and ratio <= _SETTINGS.far, ratio
 
-    def serves(self, ratio: float, goal: float, changed: bool) -> bool:
+    def is_accurate(self, ratio: float, goal: float, changed: bool) -> bool:
         """Whether a factor of an earlier state is accurate enough; never if the contact has changed."""
         gain = min(ratio / max(self._before, 1e-300), _SETTINGS.no_gain)
         return not changed and (gain <= _SETTINGS.gain or ratio * gain**_SETTINGS.more <= goal)

@@ -10,11 +10,12 @@ import numpy as np
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.fem.history import Memory
 from tissue_sim.fem.solid.assembly import assembly_kernel
-from tissue_sim.fem.solid.batches import LANES, ElementBatches
+from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import SettingColumn
 from tissue_sim.fem.solid.point_effects import SolidEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
+from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.material.viscoelasticity import Prony
@@ -219,8 +220,10 @@ class Tissue:
         return bool(self.effects) or any(region.memory.works for region in self._regions)
 
     def stresses(self) -> np.ndarray | None:
-        """Isochoric second Piola-Kirchhoff stress of the last committed step, Pa, shape (elements, q, 6); None if no
-        material has a history."""
+        """Isochoric second Piola-Kirchhoff stress of the last committed step, Pa, shape (elements, q, 6).
+
+        None if no material has a history.
+        """
         if not self.remembers:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))

@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.frame import Frame, turned_with
+from tissue_sim.fem.solid.frame import Frame, differentiate_rotated_forces
 from tissue_sim.tool_force import Matrix
 
 
@@ -58,7 +58,7 @@ class ToolConstraint(NamedTuple):
         way, turned = np.zeros((2, len(contact.nodes), 3, 6))
         way[moves] = frame.rates(self.places[moves])
         # Contact forces rotate with the tool.
-        turned[moves] = turned_with(contact.acting[moves])
+        turned[moves] = differentiate_rotated_forces(contact.acting[moves])
         # Nodal forces for a motion of the tool with fixed tissue; the matrix contains the contact stiffness.
         pushed = matrix @ moved
         np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))

@@ -226,7 +226,7 @@ class _Found:
             return
         searched = near[bounds < self.gap - _SETTINGS.slack * tool.scale]
         if searched.size:
-            found, place = _least_gaps(sides, searched, tool, datum)
+            found, place = _minimise_gaps(sides, searched, tool, datum)
             first = int(found.argmin())
             if found[first] < self.gap:
                 self.gap, self._side, self._place = float(found[first]), int(searched[first]), place[first]
@@ -243,7 +243,7 @@ class _Found:
         return Touch(datum, self._side, self._place, normal)
 
 
-def _least_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: float) -> tuple[np.ndarray, np.ndarray]:
+def _minimise_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: float) -> tuple[np.ndarray, np.ndarray]:
     """Minimise the distances of faces from the tool.
 
     The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
@@ -257,16 +257,16 @@ def _least_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: floa
         return tool.gaps(sides.at(numbers, squares.reshape(len(numbers), -1, 2)), datum).reshape(v.shape)
 
     def along(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _least(lambda v: distances(u, v), u.shape, end)
+        return _minimise_convex(lambda v: distances(u, v), u.shape, end)
 
     end = _SETTINGS.slack * tool.scale
-    found, u = _least(lambda u: along(u)[0], numbers.shape, end)
+    found, u = _minimise_convex(lambda u: along(u)[0], numbers.shape, end)
     _, v = along(u[:, None])
     return found, np.stack([u, v[:, 0]], axis=-1)
 
 
-def _least(values: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...], end: float
-           ) -> tuple[np.ndarray, np.ndarray]:
+def _minimise_convex(values: Callable[[np.ndarray], np.ndarray], shape: tuple[int, ...], end: float
+                     ) -> tuple[np.ndarray, np.ndarray]:
     """Minimise convex functions on [0, 1] by repeated refinement.
 
     Args:

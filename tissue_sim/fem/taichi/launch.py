@@ -38,7 +38,7 @@ class BoundKernel(KernelOwner):
     """
 
     def __init__(self, kernel, arrays: Mapping[str, np.ndarray]):
-        expected = _arguments(kernel)
+        expected = _describe_arguments(kernel)
         for name in arrays:
             if name not in expected:
                 raise ValueError(f"the kernel has no argument {name!r}{nearest(name, expected)}")
@@ -58,7 +58,7 @@ class BoundKernel(KernelOwner):
     @classmethod
     def of(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
         """Bind those of the arrays whose names are arguments of the kernel."""
-        return cls(kernel, {name: arrays[name] for name in _arguments(kernel) if name in arrays})
+        return cls(kernel, {name: arrays[name] for name in _describe_arguments(kernel) if name in arrays})
 
     def is_of(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
         """Return whether this object launches this kernel with these arrays; a new binding takes a millisecond."""
@@ -74,15 +74,15 @@ class BoundKernel(KernelOwner):
 
 
 @cache
-def _arguments(kernel) -> dict[str, tuple[int, int, np.dtype]]:
+def _describe_arguments(kernel) -> dict[str, tuple[int, int, np.dtype]]:
     """Return rank, vector length and type of each argument of a kernel, by name."""
     try:
-        return {argument.name: _expected(argument.annotation) for argument in kernel._primal.arguments}
+        return {argument.name: _parse_annotation(argument.annotation) for argument in kernel._primal.arguments}
     except AttributeError as error:
-        raise _other_taichi(error) from None
+        raise _unsupported_taichi_error(error) from None
 
 
-def _expected(annotation) -> tuple[int, int, np.dtype]:
+def _parse_annotation(annotation) -> tuple[int, int, np.dtype]:
     """Return the rank of an array, the length of its last axis for vectors (otherwise 0), and its type."""
     from_taichi = initialise().lang.util.to_numpy_type
     element = annotation.dtype
@@ -112,10 +112,10 @@ def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
             shape = array.shape[: array.ndim - element_dimensions]
             context.set_arg_external_array_with_shape((place,), array.ctypes.data, array.nbytes, shape, 0)
     except (AttributeError, TypeError) as error:
-        raise _other_taichi(error) from error
+        raise _unsupported_taichi_error(error) from error
     return lambda: launch(binary, context)
 
 
-def _other_taichi(error: Exception) -> MissingBackendError:
+def _unsupported_taichi_error(error: Exception) -> MissingBackendError:
     return MissingBackendError(f"kernels are started by private names of taichi 1.7.4, and this one lacks some "
                                f"({error}); install taichi==1.7.4")

@@ -43,7 +43,7 @@ def _initialise():
     # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:
-        with _modules_at_once():
+        with _fast_module_lookup():
             import taichi as ti
         from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
     except ImportError as error:
@@ -76,11 +76,12 @@ def _place(context: Any, node: Any) -> str:
 
 
 @contextlib.contextmanager
-def _modules_at_once() -> Iterator[None]:
+def _fast_module_lookup() -> Iterator[None]:
     """Speed up `inspect.getmodule` during the import of Taichi.
 
     `inspect.getmodule` searches all loaded modules for that of each function, which takes a quarter of the import.
-    Functions and frames contain the name of their module."""
+    Functions and frames contain the name of their module.
+    """
     search, importer = inspect.getmodule, threading.get_ident()
 
     def module(thing: object, _filename: str | None = None) -> ModuleType | None:

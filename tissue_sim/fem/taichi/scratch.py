@@ -4,14 +4,31 @@ Taichi numbers its fields in the order of creation, and the key of a cached kern
 field the key does not depend on the kernels that a process created before.
 """
 
+from dataclasses import dataclass
 from functools import cache
 
 from tissue_sim.fem.taichi.runtime import initialise
 
-#: Components of each vector, one per element of a batch.
+#: Number of components of each vector, one per element of a batch (SIMD lanes). Eight lanes (AVX-512) are no faster on
+#: processors with AVX-512, slower on others, and take 1.5 times as long to compile (docs/performance.md).
 LANES = 4
 #: Number of vectors in the field.
 VECTORS = 3200
+
+
+@dataclass(frozen=True)
+class ElementSize:
+    """Size of the largest element for which a kernel reserves vectors of the scratch field.
+
+    Attributes:
+        nodes: number of nodes.
+        points: number of quadrature points.
+        modes: number of pressure modes.
+    """
+
+    nodes: int
+    points: int
+    modes: int
 
 
 def scratch(lanes: int, size: int):
@@ -27,10 +44,10 @@ def scratch(lanes: int, size: int):
     if lanes != LANES or size > VECTORS:
         raise ValueError(f"the scratch field has {VECTORS} vectors of {LANES} components; got a request for {size} of "
                          f"{lanes}")
-    return _field()
+    return _create_field()
 
 
 @cache
-def _field():
+def _create_field():
     ti = initialise()
     return ti.Vector.field(LANES, ti.f64, shape=VECTORS)

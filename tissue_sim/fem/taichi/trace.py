@@ -99,12 +99,12 @@ class Traced(NDArrayOperatorsMixin):
             return NotImplemented
         # NumPy scalars would call this method again.
         operands = [float(x) if isinstance(x, np.generic) else x for x in inputs]
-        if len(operands) == 2 and (folded := _folded(ufunc, *operands)) is not None:
+        if len(operands) == 2 and (folded := _simplify_operation(ufunc, *operands)) is not None:
             return folded
         if ufunc in _OPERATORS:
-            return _noted(_OPERATORS[ufunc], *operands)
+            return _trace_operation(_OPERATORS[ufunc], *operands)
         if ufunc in _FUNCTIONS:
-            return _noted(getattr(initialise(), _FUNCTIONS[ufunc]), *operands)
+            return _trace_operation(getattr(initialise(), _FUNCTIONS[ufunc]), *operands)
         raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}; it has exp, log, sqrt, tanh, sin, "
                          "cos, tan, abs, maximum, minimum and where")
 
@@ -115,10 +115,10 @@ class Traced(NDArrayOperatorsMixin):
         condition, yes, no = arguments
         vector = next((x for x in arguments if isinstance(x, Traced) and x.lanes), None)
         if vector is not None:
-            yes, no = (_spread(x, vector) for x in (yes, no))
+            yes, no = (_spread_over_lanes(x, vector) for x in (yes, no))
             if not condition.lanes:
-                condition = _spread(_noted(initialise().select, condition, 1.0, 0.0), vector) > 0.5
-        return _noted(initialise().select, condition, yes, no)
+                condition = _spread_over_lanes(_trace_operation(initialise().select, condition, 1.0, 0.0), vector) > 0.5
+        return _trace_operation(initialise().select, condition, yes, no)
 
 
 def traced(values: Sequence[Any], lanes: bool) -> list[Traced]:
@@ -130,10 +130,10 @@ def expressions(values: Sequence[Any], like: Any) -> list[Any]:
     """Return the results of a formula as expressions, as vectors if the traced number `like` is a vector."""
     if not like.lanes:
         return [value.value if isinstance(value, Traced) else float(value) for value in values]
-    return [_spread(value, like).value for value in values]
+    return [_spread_over_lanes(value, like).value for value in values]
 
 
-def _folded(ufunc: np.ufunc, left: Any, right: Any) -> Any:
+def _simplify_operation(ufunc: np.ufunc, left: Any, right: Any) -> Any:
     """Simplify an operation with a constant 0 or 1, or an integer power; return None if neither applies."""
     if ufunc is np.power and isinstance(right, int) and 1 <= right <= _PRODUCTS:
         return reduce(operator.mul, [left] * right)
@@ -150,14 +150,14 @@ def _is(value: Any, number: int) -> bool:
     return not isinstance(value, Traced) and value == number
 
 
-def _noted(function: Callable, *operands: Any) -> Traced:
+def _trace_operation(function: Callable, *operands: Any) -> Traced:
     lanes = any(isinstance(x, Traced) and x.lanes for x in operands)
     if any(isinstance(x, Traced) and x.value is TRIED for x in operands):
         return Traced(TRIED, lanes)
     return Traced(function(*(x.value if isinstance(x, Traced) else float(x) for x in operands)), lanes)
 
 
-def _spread(value: Any, vector: Traced) -> Traced:
+def _spread_over_lanes(value: Any, vector: Traced) -> Traced:
     """A number in all lanes of a vector."""
     if isinstance(value, Traced) and value.lanes:
         return value

@@ -2,23 +2,37 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.formats.content import FACES, OTHER_SOLIDS, SIDES, SOLIDS, Cells, MeshContent
 
-#: Largest extent of a specimen, m.
-LARGEST_EXTENT = 1.0
-#: Smallest extent of a specimen, m.
-SMALLEST_EXTENT = 1e-4
-#: Maximum number of elements.
-MOST_ELEMENTS = 300_000
-#: Maximum number of nodes; the product of three node numbers must fit into 64 bits.
-MOST_NODES = 2_000_000
-#: Smallest volume of an element, as a fraction of the cube of its largest extent.
-_FLAT = 1e-6
-#: Distance below which nodes are coincident, as a fraction of the size of the mesh.
-_SAME = 1e-9
+
+@dataclass(frozen=True)
+class MeshLimits:
+    """Limits of the meshes that are accepted from files.
+
+    Attributes:
+        smallest_extent: smallest extent of a specimen, m.
+        largest_extent: largest extent of a specimen, m.
+        most_elements: maximum number of elements.
+        most_nodes: maximum number of nodes; the product of three node numbers must fit into 64 bits.
+        flat: volume of an element, as a fraction of the cube of its largest extent, up to which it is degenerate, 1.
+        same: distance up to which nodes are coincident, as a fraction of the size of the mesh, 1.
+    """
+
+    smallest_extent: float = 1e-4
+    largest_extent: float = 1.0
+    most_elements: int = 300_000
+    most_nodes: int = 2_000_000
+    flat: float = 1e-6
+    same: float = 1e-9
+
+
+#: Limits of every file.
+LIMITS = MeshLimits()
 
 
 def solid_cells(content: MeshContent) -> Cells:
@@ -43,9 +57,9 @@ def solid_cells(content: MeshContent) -> Cells:
                          f"{other.numbers[0]} a {other.kind}; export elements of one kind")
     cells = Cells(solids[0].kind, np.concatenate([block.nodes for block in solids]),
                   np.concatenate([block.numbers for block in solids]))
-    if len(cells.nodes) > MOST_ELEMENTS or len(content.points) > MOST_NODES:
-        raise InputError(f"must have at most {MOST_ELEMENTS} elements and {MOST_NODES} nodes; got {len(cells.nodes)} "
-                         f"and {len(content.points)}. Use a coarser mesh")
+    if len(cells.nodes) > LIMITS.most_elements or len(content.points) > LIMITS.most_nodes:
+        raise InputError(f"must have at most {LIMITS.most_elements} elements and {LIMITS.most_nodes} nodes; got "
+                         f"{len(cells.nodes)} and {len(content.points)}. Use a coarser mesh")
     if (~np.isfinite(content.points)).any():
         worst = int(np.flatnonzero(~np.isfinite(content.points).all(axis=1))[0])
         raise InputError(f"node {content.point_numbers[worst]} has a coordinate that is not finite")
@@ -68,9 +82,10 @@ def require_size(points: np.ndarray, unit: str) -> None:
         InputError: the extent is outside the range.
     """
     extent = float(np.ptp(points, axis=0).max())
-    if not SMALLEST_EXTENT <= extent <= LARGEST_EXTENT:
-        raise InputError(f"the extent must be {SMALLEST_EXTENT:g} m to {LARGEST_EXTENT:g} m; got {extent:g} m with the "
-                         f"unit {unit}. State the unit of the coordinates (mesh_unit, --mesh-unit)")
+    if not LIMITS.smallest_extent <= extent <= LIMITS.largest_extent:
+        raise InputError(f"the extent must be {LIMITS.smallest_extent:g} m to {LIMITS.largest_extent:g} m; got "
+                         f"{extent:g} m with the unit {unit}. State the unit of the coordinates (mesh_unit, "
+                         "--mesh-unit)")
 
 
 def require_sound(cells: Cells, points: np.ndarray, point_numbers: np.ndarray) -> None:
@@ -109,7 +124,7 @@ def _require_distinct(points: np.ndarray, point_numbers: np.ndarray) -> None:
 
     tree = cKDTree(points)
     distance, other = tree.query(points, k=2)
-    same = distance[:, 1] <= _SAME * float(np.ptp(points, axis=0).max())
+    same = distance[:, 1] <= LIMITS.same * float(np.ptp(points, axis=0).max())
     if same.any():
         one = int(np.argmax(same))
         # The tree returns the node itself and the coincident node in any order.
@@ -129,7 +144,7 @@ def _require_volume(cells: Cells, points: np.ndarray) -> None:
         volumes = np.stack([np.linalg.det(corners[:, list(ends)] - corners[:, [corner]])
                             for corner, ends in enumerate(edges)], axis=-1)
     least, size = volumes.min(axis=1), np.ptp(corners, axis=1).max(axis=1) ** 3
-    flat = np.abs(volumes).min(axis=1) <= _FLAT * size
+    flat = np.abs(volumes).min(axis=1) <= LIMITS.flat * size
     if flat.any():
         raise InputError(f"element {cells.numbers[np.argmax(flat)]} is degenerate: it has no volume")
     if (least < 0.0).all():

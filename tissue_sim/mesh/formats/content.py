@@ -20,7 +20,7 @@ OTHER_SOLIDS = ("wedge", "pyramid", "tetra", "hexahedron", "voxel", "polyhedron"
 
 
 class Cells(NamedTuple):
-    """Elements of one kind.
+    """Elements of one kind in a mesh file.
 
     Attributes:
         kind: name in meshio, such as ``tetra10``.

@@ -68,7 +68,7 @@ class _Keyword:
             raise InputError(f"the data of *{self.name} must be integers", line=self.line) from None
 
 
-def _keywords(text: str) -> Iterator[_Keyword]:
+def _iterate_keywords(text: str) -> Iterator[_Keyword]:
     """Yield the keywords of a file with their data lines; comments are skipped."""
     current: _Keyword | None = None
     waiting = ""
@@ -103,7 +103,7 @@ def read_inp(path: Path, largest: int) -> MeshContent:
     """
     text, _ = decode_text(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
     reader = _Reader()
-    for keyword in _keywords(text):
+    for keyword in _iterate_keywords(text):
         if keyword.name == "INCLUDE":
             raise InputError("*INCLUDE is not supported; write the whole mesh into one file", line=keyword.line)
         if keyword.name == "INSTANCE" and keyword.rows:
@@ -169,10 +169,11 @@ class _Reader:
         for row in keyword.rows if kind == "ELEMENT" else []:
             if len(row) > 1 and (side := _SIDE.fullmatch(row[1].upper())):
                 numbers = (np.array([int(row[0])]) if row[0].isdigit() else
-                           self._known(self._element_sets, row[0], keyword))
+                           self._require_known_set(self._element_sets, row[0], keyword))
                 sides.append((numbers, int(side[1]) - 1))
         for row in keyword.rows if kind == "NODE" else []:
-            numbers = np.array([int(row[0])]) if row[0].isdigit() else self._known(self._node_sets, row[0], keyword)
+            numbers = (np.array([int(row[0])]) if row[0].isdigit()
+                       else self._require_known_set(self._node_sets, row[0], keyword))
             self._add(self._node_sets, name, numbers)
 
     def _read_set(self, keyword: _Keyword, sets: dict[str, np.ndarray], option: str) -> None:
@@ -192,10 +193,10 @@ class _Reader:
         self._add(sets, name, np.array([int(word) for word in words if word.isdigit()], dtype=np.int64))
         for word in words:
             if not word.isdigit():
-                self._add(sets, name, self._known(sets, word, keyword))
+                self._add(sets, name, self._require_known_set(sets, word, keyword))
 
     @staticmethod
-    def _known(sets: dict[str, np.ndarray], name: str, keyword: _Keyword) -> np.ndarray:
+    def _require_known_set(sets: dict[str, np.ndarray], name: str, keyword: _Keyword) -> np.ndarray:
         if name.upper() not in sets:
             raise InputError(f"*{keyword.name} names the set {name!r}, which is not defined before this line",
                              line=keyword.line)
@@ -214,7 +215,7 @@ class _Reader:
         starts = np.cumsum([0, *(len(block.numbers) for block in cells)])
 
         def by_block(numbers: np.ndarray) -> list[np.ndarray]:
-            indices = np.sort(elements.known(np.unique(numbers)))
+            indices = np.sort(elements.find_known_indices(np.unique(numbers)))
             return [indices[(indices >= first) & (indices < last)] - first
                     for first, last in pairwise(starts.tolist())]
 
@@ -222,7 +223,8 @@ class _Reader:
                                  for block, indices in enumerate(by_block(numbers)) for index in indices.tolist()],
                                 dtype=np.intp).reshape(-1, 3) for name, rows in self._surfaces.items() if rows}
         return MeshContent(points, nodes.numbers, cells,
-                           {name: nodes.known(np.unique(numbers)) for name, numbers in self._node_sets.items()},
+                           {name: nodes.find_known_indices(np.unique(numbers))
+                            for name, numbers in self._node_sets.items()},
                            {name: by_block(numbers) for name, numbers in self._element_sets.items()}, sides)
 
 
@@ -250,7 +252,7 @@ class _Index:
         at = np.minimum(np.searchsorted(self._sorted, numbers), self._sorted.size - 1)
         return self._order[at], self._sorted[at] == numbers
 
-    def known(self, numbers: np.ndarray) -> np.ndarray:
+    def find_known_indices(self, numbers: np.ndarray) -> np.ndarray:
         """Return the indices of the numbers that exist in the file."""
         indices, exists = self._look_up(numbers)
         return indices[exists]

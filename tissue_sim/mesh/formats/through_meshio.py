@@ -55,11 +55,11 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
     except BaseException as error:  # meshio may raise any exception for a damaged file, including SystemExit
         reason = str(error) or type(error).__name__
         raise InputError(f"cannot be read as a mesh of the format {path.suffix!r}: {reason}", file=path) from None
-    numbers, point_numbers = _numbers(path, largest) if module == "gmsh" else ({}, None)
-    return _content(mesh, first, numbers, point_numbers)
+    numbers, point_numbers = _read_numbers(path, largest) if module == "gmsh" else ({}, None)
+    return _convert_mesh(mesh, first, numbers, point_numbers)
 
 
-def _content(mesh: Any, first: int, known: dict[str, np.ndarray], point_numbers: np.ndarray | None) -> MeshContent:
+def _convert_mesh(mesh: Any, first: int, known: dict[str, np.ndarray], point_numbers: np.ndarray | None) -> MeshContent:
     points = np.asarray(mesh.points, dtype=float)
     if points.ndim != 2 or points.shape[1] not in (2, 3):
         raise InputError(f"points must have three coordinates each; got an array of shape {points.shape}")
@@ -80,7 +80,7 @@ def _content(mesh: Any, first: int, known: dict[str, np.ndarray], point_numbers:
         start += len(data)
     if point_numbers is None or len(point_numbers) != len(points):
         point_numbers = np.arange(first, first + len(points))
-    return MeshContent(points, point_numbers, cells, _point_sets(mesh), _cell_sets(mesh, cells))
+    return MeshContent(points, point_numbers, cells, _point_sets(mesh), _collect_cell_sets(mesh, cells))
 
 
 def _point_sets(mesh: Any) -> dict[str, np.ndarray]:
@@ -88,11 +88,11 @@ def _point_sets(mesh: Any) -> dict[str, np.ndarray]:
     for name, values in (mesh.point_data or {}).items():
         values = np.asarray(values)
         if values.ndim == 1 and name not in _IGNORED:
-            sets.update({each: np.flatnonzero(values == value) for each, value in _values(name, values)})
+            sets.update({each: np.flatnonzero(values == value) for each, value in _find_set_values(name, values)})
     return sets
 
 
-def _cell_sets(mesh: Any, cells: list[Cells]) -> dict[str, list[np.ndarray]]:
+def _collect_cell_sets(mesh: Any, cells: list[Cells]) -> dict[str, list[np.ndarray]]:
     sets: dict[str, list[np.ndarray]] = {}
     for name, blocks in (mesh.cell_sets or {}).items():
         if name not in _IGNORED and len(blocks) == len(cells):
@@ -104,14 +104,14 @@ def _cell_sets(mesh: Any, cells: list[Cells]) -> dict[str, list[np.ndarray]]:
         blocks = [np.asarray(block) for block in blocks]
         if name in _IGNORED or len(blocks) != len(cells) or any(block.ndim != 1 for block in blocks):
             continue
-        for each, value in _values(name, np.concatenate(blocks) if blocks else np.zeros(0)):
+        for each, value in _find_set_values(name, np.concatenate(blocks) if blocks else np.zeros(0)):
             if name == "gmsh:physical":
                 each = named.get(int(value), (f"physical {int(value)}", 0))[0]
             sets.setdefault(each, [np.flatnonzero(block == value) for block in blocks])
     return sets
 
 
-def _values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
+def _find_set_values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
     """Return the names of the sets that an integer array defines, and the value of the members of each.
 
     An array of zeros and ones defines one set with the name of the array; other arrays define sets ``name:value``. An
@@ -128,7 +128,7 @@ def _values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
     return [(f"{name}:{int(value)}", float(value)) for value in found]
 
 
-def _numbers(path: Path, largest: int) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+def _read_numbers(path: Path, largest: int) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
     """Read the numbers of elements and nodes in a text file of Gmsh, which meshio discards.
 
     Returns:
