@@ -28,6 +28,8 @@ _PASSED = (0, 5)
 #: Folders that no test reads.
 _LEFT_OUT = shutil.ignore_patterns(".git", "__pycache__", ".*_cache", "build", "*.egg-info")
 _FAILED = re.compile(r"^(?:FAILED|ERROR) (tests/\S+?\.py(?:::.+?)?)(?: - .*)?$", re.MULTILINE)
+#: Lines that pytest writes about a test that takes too long.
+_TOO_LONG = re.compile(r'^  File ".*/(tests/[^"]+)", line \d+ in (test_\w+)$', re.MULTILINE)
 
 
 @dataclass(frozen=True)
@@ -111,16 +113,20 @@ class Laboratory:
                 self._write(mutant, with_fault=False)
             if code in _PASSED:
                 return ""
+            # Without a name, the tests could not be collected.
+            if self._pass_without_fault(failed or files, seconds):
+                return " ".join(failed) or f"pytest, exit code {code}"
             if not failed:
-                return f"pytest, exit code {code}"
-            try:
-                again, _ = self._run_tests([failed], "slow or not slow", self._settings.test_seconds)
-            except subprocess.TimeoutExpired:
-                again = 1
-            if again in _PASSED:
-                return failed
-            left_out.append(failed)
+                return ""
+            left_out += failed[:1]
         return ""
+
+    def _pass_without_fault(self, tests: list[str], seconds: float) -> bool:
+        try:
+            code, _ = self._run_tests(tests, "slow or not slow", seconds)
+        except subprocess.TimeoutExpired:
+            return False
+        return code in _PASSED
 
     def _write(self, mutant: Mutant, with_fault: bool) -> None:
         path = self.root / mutant.path
@@ -134,8 +140,8 @@ class Laboratory:
         # Two files of equal size, written in the same second, have the same bytecode for Python.
         Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
 
-    def _run_tests(self, arguments: list[str], marker: str, seconds: float) -> tuple[int, str]:
-        """Run tests until the first failure. Returns pytest's exit code and the name of the failed test."""
+    def _run_tests(self, arguments: list[str], marker: str, seconds: float) -> tuple[int, list[str]]:
+        """Run tests until the first failure. Returns pytest's exit code and arguments that select the failed test."""
         report = self.root.parent / "report.txt"
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-m", marker, "-p", "no:cacheprovider",
                    "-o", f"faulthandler_timeout={self._settings.test_seconds}",
@@ -148,8 +154,10 @@ class Laboratory:
             finally:
                 # Tests that are stopped leave child processes.
                 _kill_group(process)
-        names = _FAILED.findall(report.read_text(encoding="utf-8", errors="replace"))
-        return code, names[0] if names else ""
+        text = report.read_text(encoding="utf-8", errors="replace")
+        selections = [[name] for name in _FAILED.findall(text)]
+        selections += [[file, "-k", name] for file, name in _TOO_LONG.findall(text)]
+        return code, selections[0] if selections else []
 
 
 def _kill_group(process: subprocess.Popen) -> None:
