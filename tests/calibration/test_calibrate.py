@@ -191,6 +191,7 @@ def test_a_recording_called_fit_keeps_its_sidecar(campaign, tmp_path):
         calibration.calibrate([campaign], tmp_path, overwrite=True, figures=False)
 
 
+@pytest.mark.slow
 def test_overwrite_clears_the_folders_of_the_earlier_work(campaign, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(TEXT.replace('"mooney_rivlin", ', ""), encoding="utf-8")
@@ -275,6 +276,7 @@ def test_changed_recording_is_other_work(campaign, tmp_path):
         calibration.calibrate([campaign], tmp_path / "out", figures=False)
 
 
+@pytest.mark.slow
 def test_several_campaigns(campaign, tmp_path):
     other = tmp_path / "other.toml"
     other.write_text(TEXT.replace('"mooney_rivlin", ', ""), encoding="utf-8")

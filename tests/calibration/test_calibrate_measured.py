@@ -63,6 +63,7 @@ def test_every_composition_against_its_published_fit(five, data_folder):
         assert best.parameters["C30"] == pytest.approx(C30, rel=0.02)
 
 
+@pytest.mark.slow
 def test_order_of_stiffness(five):
     moduli = [five[name].best.E0 for name in ("EF10_100T", "EF10_50T", "EF10_0T", "EF30_0T", "EF50_0T")]
     assert moduli == sorted(moduli)

@@ -195,6 +195,7 @@ def summary(page):
     return {term: re.sub(r"<[^>]+>", " ", text) for term, text in terms}
 
 
+@pytest.mark.slow
 def test_pages_of_verdicts(diagnosed, tmp_path):
     parts, measured = diagnosed
     effects = parts.proposals.effects

@@ -307,6 +307,7 @@ def test_positions_count_from_the_first_sample_of_each_recording(tmp_path):
         assert part.reading.recordings[0].displacement[0] == 0.0
 
 
+@pytest.mark.slow
 def test_air_before_the_contact_is_found_and_left_out(tmp_path, capsys):
     """A cylinder of neo-Hookean gel with 0.4 to 0.7 mm of air and a sensor that shows 0.05 N: E0 is that of the gel."""
     for number, air in enumerate((0.4, 0.55, 0.7), start=1):

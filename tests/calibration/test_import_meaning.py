@@ -174,6 +174,7 @@ def test_moduli_over_frequency_or_amplitude_are_refused(tmp_path, title, header,
         load(path, kind=kind)
 
 
+@pytest.mark.slow
 def test_the_extensometer_is_read_before_the_crosshead_and_the_difference_is_noted(tmp_path):
     way, force = LENGTH * (STRETCH - 1), STRESS * AREA
     for header, own in (("Extensometer (mm)", way), ("Video strain (%)", 100 * (STRETCH - 1))):

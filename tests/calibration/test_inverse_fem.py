@@ -163,6 +163,7 @@ class TestProblem:
         assert errors[0] == pytest.approx(0.008 * free[0], rel=0.3)
         assert np.abs(held - free)[0] < 0.1 * errors[0]
 
+    @pytest.mark.slow
     def test_an_offset_far_off_is_named(self, plates):
         """A touch at 0.6 mm where 0.03 mm is stated."""
         depth = np.linspace(0.0, 0.010, 81)
@@ -255,6 +256,7 @@ class TestStudy:
         assert 0.001 < estimate.differences[1] < 0.004
         assert 0.003 < estimate.differences[2] < 0.008
 
+    @pytest.mark.slow
     def test_profiles_meet_the_likelihood(self, folder):
         _, problem = problem_of(folder, campaign_text("lubricated", "bonded"))
         descent = descend(problem, np.array([1400.0, 600.0]), enough=1e-6)
@@ -310,6 +312,7 @@ def test_segments_that_come_again_have_numbers():
     assert number_runs(labels).tolist() == ["ramp", "ramp", "unload", "ramp 2", "hold", "ramp 3"]
 
 
+@pytest.mark.slow
 def test_viscoelastic_parameters_from_ramp_and_hold(tmp_path):
     material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e4),
                            viscoelastic=ts.Prony((ts.PronyTerm(0.3, 4.0),)))

@@ -75,6 +75,7 @@ def test_offsets_stay_where_the_eye_sees_them(frictionless):
         assert max(abs(own.zero_offset_N) for own in found.nuisances) < 0.6
 
 
+@pytest.mark.slow
 def test_samples_differ_by_more_than_their_replicates(frictionless):
     """Each sample from the other: 1 to 6 % off, more than the replicates of one differ (0.6 % at 3 mm)."""
     own = {p.test: p for p in frictionless.predictions if p.law == "neo_hooke" and p.fitted}
@@ -84,6 +85,7 @@ def test_samples_differ_by_more_than_their_replicates(frictionless):
         assert 0.6 < prediction.percent < 6.0
 
 
+@pytest.mark.slow
 def test_tension_of_the_same_silicone_is_overpredicted(frictionless):
     """Another batch, rate and laboratory: the silicone in tension is half as stiff as compression says."""
     with (frictionless.output / "residuals.csv").open(encoding="utf-8", newline="") as file:
@@ -97,6 +99,7 @@ def test_tension_of_the_same_silicone_is_overpredicted(frictionless):
     assert error.percent == pytest.approx(100 * np.sqrt(np.mean((model - measured)**2)) / measured.max(), rel=1e-3)
 
 
+@pytest.mark.slow
 def test_no_friction_is_lubricated(frictionless, data_folder, tmp_path):
     """A coefficient of 0 is the same test as lubricated platens, to the last digit."""
     found = law(fit(tmp_path, data_folder, ["neo_hooke"], kind="friction_compression",

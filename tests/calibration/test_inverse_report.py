@@ -301,6 +301,7 @@ def test_without_figures_the_correlation_is_a_table_and_names_cannot_break_the_p
     assert closes(page)
 
 
+@pytest.mark.slow
 def test_the_report_of_a_single_test_states_that_there_is_no_prediction(campaign, tmp_path):
     result, curves = campaign
     bare = msgspec.structs.replace(result.best, regions=[], profiles={}, history=[], nuisances=[], left_out=None)

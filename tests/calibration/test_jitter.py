@@ -89,6 +89,7 @@ def test_coloured_noise_is_not_taken_for_jitter():
     assert np.mean([one.contact**2 for one in found]) == pytest.approx(CONTACT**2, rel=4 * np.sqrt(2 / 9 / trials))
 
 
+@pytest.mark.slow
 def test_without_jitter_it_is_zero_or_below_what_a_replicate_resolves():
     found = [estimate_jitter(campaign(seed, contact=0.0, zero=0.0)) for seed in range(60)]
     assert np.mean([one.contact == 0.0 for one in found]) > 0.4

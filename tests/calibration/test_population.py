@@ -192,6 +192,7 @@ def test_a_specimen_that_was_left_out_is_predicted_by_the_mean_of_the_others(ani
         assert prediction.expected_N > 0.05 and 5 * prediction.expected_N > prediction.RMSE_N
 
 
+@pytest.mark.slow
 def test_a_file_states_a_population_in_its_units(animals, tmp_path):
     folder, _ = animals
     calibration.calibrate([folder / "each.toml"], tmp_path / "out", figures=False)

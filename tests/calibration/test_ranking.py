@@ -104,6 +104,7 @@ def test_both_sides_of_zero_are_fitted_and_drawn(tmp_path, timed):
         assert (min(values), max(values)) == pytest.approx((-0.3, 0.3), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_an_assumed_scatter_has_the_size_of_the_test(tmp_path):
     """A millimetre that is pressed by 2 um."""
     displacement = np.linspace(0.0, 2e-6, 80)

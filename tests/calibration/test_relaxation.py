@@ -82,6 +82,7 @@ def test_standard_errors_are_those_of_the_scatter(fit_relaxation):
     assert {one.fit.status for one in found} == {"converged"}
 
 
+@pytest.mark.slow
 def test_the_number_of_terms_is_chosen(fit_relaxation):
     found = {terms: fit_relaxation(recording(noise=5.0), "reduced_polynomial_2", terms,
                                  noise="nominal_stress_Pa = 5.0").fit for terms in (1, 2, 3)}

@@ -58,6 +58,7 @@ def test_form_b_does_not_follow_five_steps_to_shear_10(adhesive, fit_relaxation)
     assert relative(window, [first]) < 0.01
 
 
+@pytest.mark.slow
 def test_loading_and_unloading_in_tension(adhesive, fit_relaxation):
     one = tension(adhesive, "1d5_unloading_0d01")
     assert relative(fit_relaxation(one, "ogden_1", 1, kinds="uniaxial_tension").fit, one) < 0.006

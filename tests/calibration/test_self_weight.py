@@ -207,6 +207,7 @@ def test_specimens_are_named_where_there_are_several(tmp_path):
     assert result.predictions[0].percent > 5
 
 
+@pytest.mark.slow
 def test_a_held_out_test_that_the_law_does_not_carry_has_no_error(tmp_path):
     softening = {"C10": 1600.0, "C20": -500.0}
     path = write_campaign(tmp_path, [compression(values=softening, depth=8e-3)],

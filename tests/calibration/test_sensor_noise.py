@@ -72,6 +72,7 @@ def test_one_recording_tells_colour_too():
     assert np.median(found[:, 1]) == pytest.approx(0.2, rel=0.15)
 
 
+@pytest.mark.slow
 def test_the_trend_does_not_eat_noise_of_a_twentieth_of_the_segment():
     """Nor, beyond a factor of two of its variance, of a tenth."""
     found = estimates(CURVES["sphere"], 0.02, 2.0, 40, replicates=3)

@@ -168,6 +168,7 @@ def test_recordings_know_the_specimen_that_they_are_of(folder, monkeypatch, coar
         calibration.read_measured(load(folder, other))
 
 
+@pytest.mark.slow
 def test_the_force_on_a_block_follows_its_sizes():
     """Between plates that slip: proportional to length and width; a mesh that is moved has the sizes of the new one."""
     block = ts.Block(0.03, 0.02, 0.015)

@@ -73,6 +73,7 @@ def calibrated(path):
 POSITIVE = "[fit.bounds]\nC20 = [0.0, 20000.0]\n"
 
 
+@pytest.mark.slow
 def test_specimens_that_are_left_out_are_named_with_the_reason(tmp_path, capsys):
     path = campaign(tmp_path, [(1400, 700), (1250, -300), (1600, 820), (1700, 900)], after=POSITIVE, held=(4,))
     assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 0
@@ -92,6 +93,7 @@ def test_specimens_that_are_left_out_are_named_with_the_reason(tmp_path, capsys)
     assert "Population of 2 specimens" in methods and "not included: animal_2 (C20 on its bound 0 Pa)" in methods
 
 
+@pytest.mark.slow
 def test_without_two_determined_specimens_there_is_no_material(tmp_path, capsys):
     """Results of one specimen are not reported for all; a file of an earlier calibration in the folder is removed."""
     path = campaign(tmp_path, [(1400, -300), (1250, -300), (1600, 820)])
@@ -143,6 +145,7 @@ def linear_rates(displacement):
                             for a, b in ((1.0, 0.0), (0.0, 1.0))])
 
 
+@pytest.mark.slow
 def test_a_specimen_that_no_fit_has_seen_is_predicted_by_the_mean(tmp_path):
     """Error and band of the held-out test against the sums of the linear law, with Student's t of four degrees of
     freedom for what five specimens tell."""
@@ -171,6 +174,7 @@ def test_a_specimen_that_no_fit_has_seen_is_predicted_by_the_mean(tmp_path):
     assert "held out of all fits; its specimen from the mean of 5 others" in report
 
 
+@pytest.mark.slow
 def test_an_inverse_fit_predicts_it_alike(tmp_path):
     after = "contact_jitter_mm = 0.0\nzero_jitter_N = 0.0\n"
     result = calibrated(campaign(tmp_path, [*FIVE[:3], (1700, 900)], held=(4,), after=after,

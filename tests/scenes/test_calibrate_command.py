@@ -97,6 +97,7 @@ def test_folder_with_other_files_is_kept(campaign, tmp_path, capsys):
     assert [path.name for path in out.iterdir()] == ["thesis.txt"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_two_campaigns_in_one_call(campaign, tmp_path, capsys):
     second = tmp_path / "second.toml"
@@ -172,6 +173,7 @@ def test_ctrl_c_reports_finished_campaigns(fits, expected, campaign, tmp_path, c
     assert f"stopped by Ctrl-C; {expected}. Run the same command" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_only_files_of_this_call_are_listed(campaign, tmp_path, capsys):
     second = tmp_path / "second.toml"

@@ -116,6 +116,7 @@ def test_the_viewer_shows_both_models(demo):
     assert residual(with_it, scene.measurement).rmse < 0.6 * residual(scene.compared[1], scene.measurement).rmse
 
 
+@pytest.mark.slow
 def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
@@ -130,6 +131,7 @@ def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
         session.close()
 
 
+@pytest.mark.slow
 def test_the_page_opens_after_the_run(demo, monkeypatch, tmp_path):
     """The scene of the page, without a browser."""
     out, _ = demo

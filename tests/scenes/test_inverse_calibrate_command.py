@@ -336,6 +336,7 @@ def test_a_killed_run_resumes(joint, tmp_path, capsys):
     assert resumed["parameters"] == fresh["parameters"] and resumed["intervals95"] == fresh["intervals95"]
 
 
+@pytest.mark.slow
 def test_summary_of_several_campaigns(write, tmp_path, capsys):
     """Inverse and analytical campaigns, and a parameter that is no parameter of the law."""
     inverse = write("inverse", more=START + '\nfixed = { "bulk.bulk_ratio" = 5000.0 }')
@@ -385,6 +386,7 @@ def test_bad_workers(words, expected, joint, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 def test_number_of_workers_reaches_the_calibration(joint, tmp_path, monkeypatch):
     asked = []
 

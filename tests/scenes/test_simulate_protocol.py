@@ -207,6 +207,7 @@ class TestReplicates:
         assert len(ts.read_recording(one)) == len(ts.read_recording(two)) == 6
 
 
+@pytest.mark.slow
 def test_friction_scene_is_close_to_bonded(simulate, simulate_json):
     """Independent curves at 5 mm: 4.103 N with friction 0.7, 4.1035 N bonded; `fast` within 1 %."""
     words = ["friction_compression", "--depth-mm", "5", "--points", "6"]

@@ -48,6 +48,7 @@ class TestProfiles:
         bonded, stick = (force(chamfer, "ramp 6mm", 7, friction=friction)[-1] for friction in ("bonded", "stick"))
         assert bonded == pytest.approx(stick, rel=0.05)
 
+    @pytest.mark.slow
     def test_friction_of_a_side_in_the_file(self, tmp_path):
         """A straight side of the file is the shaft, as the one above the file is."""
         written, implied = (profile(tmp_path / name, *points) for name, points in (

@@ -100,6 +100,7 @@ class TestPlates:
         for friction in (2.0, "stick"):
             np.testing.assert_allclose(ts.simulate(model(friction)).force[1:], bonded, rtol=1e-4)
 
+    @pytest.mark.slow
     def test_from_point_six_on_nothing_changes(self):
         """The study's finding for 0.6 to 0.9."""
         force = [ts.simulate(model(mu), resolution="accurate").force[1:] for mu in (0.6, 0.75, 0.9)]
@@ -121,6 +122,7 @@ class TestPlates:
 
 
 class TestPunch:
+    @pytest.mark.slow
     def test_friction_and_a_rounded_edge(self, reference):
         """mu = 0.7, edge radius 0.25 mm: within 0.5 % at 2, 5 and 10 mm."""
         curve = np.loadtxt(reference / "punch_friction0.7_edge0.25mm_RP.csv", delimiter=",")

@@ -22,33 +22,38 @@ DEPTHS = np.linspace(0.0, BOX.depth, 9)
 
 
 @pytest.fixture(scope="module")
-def ball():
-    """Return a reduced model of a sliding ball, trained on eight strokes and on those along the boundary."""
+def ball(coarse):
+    """Return a reduced model of a sliding ball, trained on two strokes and on those along the boundary."""
     experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(BOX.depth, 2),
                                tool=ts.Tool("round", radius=8e-3), friction=0.3)
-    return ts.reduce_solid(ts.Model(experiment, MATERIAL), BOX, strokes=6, modes=20, tried=1)
+    return ts.reduce_solid(ts.Model(experiment, MATERIAL), BOX, resolution=coarse, strokes=2, modes=12, tried=1)
 
 
 @pytest.fixture(scope="module")
-def central(ball):
+def fine_ball(ball):
+    """Return the model of `ball` on the default mesh, with more strokes and modes."""
+    return ts.reduce_solid(ball.model, BOX, strokes=6, modes=20, tried=1)
+
+
+@pytest.fixture(scope="module")
+def central(fine_ball):
     """The same solid of strokes near the middle of the box, as one whose strokes do not reach the corners."""
-    reach = ball.model.experiment.contact_radius
+    reach = fine_ball.model.experiment.contact_radius
     small = ts.PoseBox(0.5e-3, BOX.depth)
     poses = [training_path(number, small, START, holds=False, reach=reach) for number in range(4)]
-    solver = training.make_full_order_solver(ball.model, ball.mesh)
+    solver = training.make_full_order_solver(fine_ball.model, fine_ball.mesh)
     taken = [training.simulate_snapshots(solver, each) for each in poses]
-    made = training.assemble(ball.model, ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
-                             softness=ball.softness, bulk_ratio=ball.bulk_ratio)
+    made = training.assemble(fine_ball.model, fine_ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
+                             softness=fine_ball.softness, bulk_ratio=fine_ball.bulk_ratio)
     return with_compliance(made, solver, poses, taken, [MATERIAL] * len(poses))
 
 
 @pytest.fixture(scope="module")
-def truth(ball):
+def truth(fine_ball):
     """Forces of the whole solid, straight down at each of the places, N, shape (places, depths, 3)."""
-    solver = training.make_full_order_solver(ball.model, ball.mesh)
-    taken = [training.simulate_snapshots(solver, [ts.Pose((x, y, -z)) for z in DEPTHS], tolerance=1e-5)
-             for x, y in PLACES]
-    return np.array([each.wrenches[:, :3] for each in taken])
+    solver = training.make_full_order_solver(fine_ball.model, fine_ball.mesh)
+    paths = ([ts.Pose((x, y, -z)) for z in DEPTHS] for x, y in PLACES)
+    return np.array([training.simulate_snapshots(solver, path, tolerance=1e-5).wrenches[:, :3] for path in paths])
 
 
 def answers(reduced, place):
@@ -97,10 +102,10 @@ class TestStrokes:
 
 class TestForce:
     @pytest.mark.slow
-    def test_it_is_right_within_its_stated_error_in_the_whole_box(self, ball, truth):
+    def test_it_is_right_within_its_stated_error_in_the_whole_box(self, fine_ball, truth):
         peak = np.linalg.norm(truth, axis=2).max()
         for place, forces in zip(PLACES, truth, strict=True):
-            found = answers(ball, place)
+            found = answers(fine_ball, place)
             assert all(off(a, f) <= (a.force_error or 0.0) + 0.03 * peak for a, f in zip(found, forces, strict=True))
             loaded = [a for a, f in zip(found, forces, strict=True)
                       if off(a, f) <= 0.03 * peak and np.linalg.norm(f) >= 0.2 * peak]
@@ -119,6 +124,7 @@ class TestForce:
         right = [answer for answer, force in middle if off(answer, force) <= 0.03 * peak]
         assert len(right) >= 8 and all(a.status is ts.ForceStatus.CONVERGED for a in right), "no alarm where they did"
 
+    @pytest.mark.slow
     def test_the_estimate_scales_with_the_moduli(self, central):
         errors = []
         for factor in (1.0, 3.0):
@@ -146,6 +152,7 @@ class TestFile:
         with pytest.raises(ts.InputError, match="do not fit each other"):
             ts.load_reduced(path)
 
+    @pytest.mark.slow
     def test_a_file_of_an_older_version_states_all_of_the_missing_force(self, central, tmp_path):
         """It has no table; what was right on its strokes is not known, so that the estimate is larger."""
         ts.write_reduced(replace(central, compliance=None), path := tmp_path / "old.reduced.npz")

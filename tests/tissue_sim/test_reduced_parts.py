@@ -35,7 +35,7 @@ def experiment(specimen: ts.Specimen, tool: ts.Tool | None = None, **faces) -> t
 def liver(tmp_path_factory):
     """A block of 40 x 30 x 20 mm in two regions, tetrahedra of four nodes; the file is gone when it has been read."""
     path = tmp_path_factory.mktemp("mesh") / "liver.vtu"
-    write_tetrahedra(path, np.linspace(5.0, 45.0, 7), np.linspace(-3.0, 27.0, 6), np.linspace(80.0, 100.0, 5), 90.0)
+    write_tetrahedra(path, np.linspace(5.0, 45.0, 6), np.linspace(-3.0, 27.0, 5), np.linspace(80.0, 100.0, 3), 90.0)
     return path
 
 
@@ -54,10 +54,10 @@ def organ(liver, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def skinned():
+def skinned(coarse):
     """A needle that holds a cylinder with a skin."""
     model = ts.Model(experiment(ts.Specimen(0.025, 0.015), friction="bonded"), replace(SOFT, layers=(SKIN,)))
-    return ts.reduce_solid(model, ts.PoseBox(1e-3, DEPTH), strokes=4, modes=16, tried=1)
+    return ts.reduce_solid(model, ts.PoseBox(1e-3, DEPTH), resolution=coarse, strokes=4, modes=16, tried=1)
 
 
 def whole_forces(reduced, material, poses) -> np.ndarray:
@@ -147,10 +147,11 @@ class TestLayers:
                                    atol=1e-12)
 
     @pytest.mark.slow
-    def test_made_for_several_materials(self, skinned, tmp_path):
+    def test_made_for_several_materials(self, skinned, coarse, tmp_path):
         """Half and twice the stiffness of the skin among those that it is made for: good for what is between, too."""
         also = [replace(SOFT, layers=(replace(SKIN, ratio=ratio),)) for ratio in (2.0, 8.0)]
-        made = ts.reduce_solid(skinned.model, skinned.box, strokes=9, modes=20, tried=1, also=also, folder=tmp_path)
+        made = ts.reduce_solid(skinned.model, skinned.box, resolution=coarse, strokes=9, modes=20, tried=1, also=also,
+                               folder=tmp_path)
         assert made.report["materials"] == 3 and made.report["force_rms_error"] < 0.01
         for ratio in (2.0, 5.0, 8.0):
             material = replace(SOFT, layers=(replace(SKIN, ratio=ratio),))
@@ -158,7 +159,7 @@ class TestLayers:
             assert off(reduced_forces(made, material, POSES), expected) < 0.008
         assert off(reduced_forces(skinned, material, POSES), expected) > 0.02
         with pytest.raises(ts.InputError, match="contains training paths of another model"):
-            ts.reduce_solid(skinned.model, skinned.box, strokes=9, modes=20, folder=tmp_path)
+            ts.reduce_solid(skinned.model, skinned.box, resolution=coarse, strokes=9, modes=20, folder=tmp_path)
         thicker = replace(SOFT, layers=(replace(SKIN, thickness=3e-3),))
         with pytest.raises(ts.InputError, match="must have the thicknesses of the reduced solid"):
             ts.reduce_solid(skinned.model, skinned.box, strokes=2, also=[thicker])

@@ -52,8 +52,8 @@ def off(found, expected) -> float:
 
 
 @pytest.fixture(scope="module")
-def heavy():
-    return ts.reduce_solid(model(CREEPING), BOX, strokes=6, modes=16, tried=1)
+def heavy(coarse):
+    return ts.reduce_solid(model(CREEPING), BOX, resolution=coarse, strokes=6, modes=16, tried=1)
 
 
 @pytest.mark.slow
@@ -92,9 +92,9 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
 
 
 @pytest.mark.slow
-def test_it_does_what_the_whole_one_does(heavy):
+def test_it_does_what_the_whole_one_does(heavy, coarse):
     """Soft tissue that sinks in by 1.5 mm, and creeps; its weight changes the forces by several percent."""
-    mesh, poses = training_mesh(model(), BOX, "realtime"), way(16)
+    mesh, poses = training_mesh(model(), BOX, coarse), way(16)
     expected, light = (forces(make_solver(model(CREEPING, gravity), mesh=mesh), poses) for gravity in (9.81, 0.0))
     solver = ReducedSolver(heavy, heavy.model.material)
     found = forces(solver, poses)
@@ -133,7 +133,7 @@ def test_a_height_as_placed_and_a_tool_that_slides(tmp_path):
 
 
 @pytest.mark.slow
-def test_its_file_says_how_it_stands(heavy, tmp_path):
+def test_its_file_says_how_it_stands(heavy, coarse, tmp_path):
     path = tmp_path / "heavy.reduced.npz"
     ts.write_reduced(heavy, path)
     again = ts.load_reduced(path)
@@ -143,7 +143,7 @@ def test_its_file_says_how_it_stands(heavy, tmp_path):
     np.testing.assert_array_equal(forces(ReducedSolver(again, again.model.material), poses),
                                   forces(ReducedSolver(heavy, heavy.model.material), poses))
     recording = ts.simulate(again.model, solver="reduced", mesh=again)
-    sag = make_solver(again.model, resolution="realtime").sag
+    sag = make_solver(again.model, resolution=coarse).sag
     assert recording.metadata["solver"]["self_weight"]["sag_mm"] == pytest.approx(1e3 * sag, rel=1e-6)
 
 

@@ -158,6 +158,7 @@ def test_a_recording_without_time_uses_the_stated_speed():
         motion(bare(), speed=0.0)
 
 
+@pytest.mark.slow
 def test_thinning_the_motion_adds_less_error_than_the_noise():
     """The virtual measurement has 601 samples, the simulation for comparison 50."""
     protocol = ts.Protocol.parse("ramp 8mm @1mm/s; hold 3s; unload", points=301)

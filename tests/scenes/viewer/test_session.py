@@ -104,6 +104,7 @@ def test_aim_is_limited_to_the_range_of_the_scene(session):
     assert session.frame().target == 1e-3, "a refused command changes nothing"
 
 
+@pytest.mark.slow
 def test_a_played_protocol_gives_the_curve_of_the_test(session, needle, until):
     assert done(session, "play", text=TEST, speed=SPEED) is None
     assert session.frame().motion == "protocol"
