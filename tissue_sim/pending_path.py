@@ -40,20 +40,22 @@ class PendingPath:
         meets: whether the tool meets tissue in the next increment; see `FreeTool.meet`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
+        gap: time for which an equilibrium depends on a part of the path that was left out, s; infinite while the tool
+            is in contact, because friction depends on the whole path since the touch.
         waves: error of the force by waves that the steps do not resolve.
     """
 
-    __slots__ = ("_spare", "lost", "meets", "ticks", "waves")
+    __slots__ = ("_spare", "gap", "lost", "meets", "ticks", "waves")
 
     def __init__(self) -> None:
         self.ticks: list[Tick] = []
-        self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, WaveError()
+        self.meets, self.lost, self.gap, self._spare, self.waves = False, 0.0, 0.0, 0.0, WaveError()
 
     def copy(self) -> PendingPath:
         """An independent copy, for saved states."""
         other = PendingPath()
         other.ticks, other.meets, other.lost, other._spare = list(self.ticks), self.meets, self.lost, self._spare
-        other.waves = self.waves.copy()
+        other.gap, other.waves = self.gap, self.waves.copy()
         return other
 
     @property
@@ -70,7 +72,7 @@ class PendingPath:
         """Append a tick that lasts dt, s."""
         self.ticks.append(Tick(pose, self._spare + dt))
         self._spare = 0.0
-        self.lost = max(0.0, self.lost - dt)
+        self.lost, self.gap = max(0.0, self.lost - dt), max(0.0, self.gap - dt)
 
     def extend_to_touch(self, pose: Pose, dt: float) -> None:
         """Append the part of a tick, s, in which a tool that comes back from a pose has yet to reach the tissue."""
@@ -91,9 +93,25 @@ class PendingPath:
         """Leave out the poses of all ticks, which cannot be reached; their time is added to the next tick."""
         self._spare, self.ticks = self.time, []
 
-    def restart(self, pose: Pose) -> None:
-        """Replace all ticks by one that leads to a pose in the same time."""
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether an equilibrium may differ from that of the tool's own motion, because a part of it was left out."""
+        return self.lost > 0.0 or self.gap > 0.0
+
+    def restart(self, pose: Pose, *, depends_on_path: bool) -> None:
+        """Replace all ticks by one that leads to a pose in the same time, from the undeformed tissue.
+
+        Args:
+            pose: end of the tick.
+            depends_on_path: whether the force at the end depends on the path that is left out.
+        """
         self._spare, self.ticks = 0.0, [Tick(pose, self.time)]
+        if depends_on_path:
+            self.gap = math.inf
+
+    def lift_off(self, memory: float) -> None:
+        """Shorten `gap` in the air, where friction ends, to the time for which the tissue remembers its path, s."""
+        self.gap = min(self.gap, memory)
 
     def merge(self, start: Pose, radius: float, tolerance: float, lasts: float, *, timed: bool) -> None:
         """Merge the first ticks as far as the tool moves along one line, and the oldest if there are too many.
