@@ -84,7 +84,9 @@ class PathFollower:
         """Register how fast the tool moves in contact, and whether the steps resolve its motion."""
         if self._begins:
             return
-        x, y, z, a, b, c = motion(self._pose, target)
+        x, y, z, a, b, c = way = motion(self._pose, target)
+        if self._pending.is_direct:
+            self._pending.note_motion(way, PATH.rounding * self._radius)
         length = math.hypot(x, y, z)
         if a or b or c:
             length += self._radius * math.hypot(a, b, c)
@@ -134,6 +136,7 @@ class PathFollower:
             return (1.0 - until) * dt
         solver.move_in_air(target)
         self._pose = target
+        self._pending.is_direct = True
         if self._pending.gap > 0.0:
             self._pending.lift_off(self.model.material.memory_time(self._radius))
         if solver.relaxes or self._counts_mass:
@@ -286,7 +289,8 @@ class PathFollower:
                     solver.lift_off()
                     solver.move_in_air(raised(pose, -solver.height_above(pose)))
                     # In the first step the motion to the pose is unknown, and the tool comes from above.
-                    pending.restart(pose, depends_on_path=self._keeps_path and not self._begins)
+                    pending.restart(pose, rubs=self._keeps_path and not self._begins,
+                                    ages=self.model.material.remembers and not self._begins)
                     self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < PATH.smallest_cut:
                     self._share, self._anew, status = PATH.smallest_cut, not self._bonded, ForceStatus.STOPPED
