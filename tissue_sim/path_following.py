@@ -9,6 +9,7 @@ from dataclasses import replace
 from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
 from tissue_sim.fem.solver import OwnStiffness, Solver, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
+from tissue_sim.model import Model
 from tissue_sim.path_settings import PATH
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, between, motion, raised
@@ -34,6 +35,7 @@ class PathFollower:
         error: estimate of the error of the force at the last equilibrium, N; None if it is unknown.
     """
 
+    model: Model
     budget: float | None
     inertia: str
     tolerance: float
@@ -82,7 +84,9 @@ class PathFollower:
         """Register how fast the tool moves in contact, and whether the steps resolve its motion."""
         if self._begins:
             return
-        x, y, z, a, b, c = motion(self._pose, target)
+        x, y, z, a, b, c = way = motion(self._pose, target)
+        if self._pending.is_direct:
+            self._pending.note_motion(way, PATH.rounding * self._radius)
         length = math.hypot(x, y, z)
         if a or b or c:
             length += self._radius * math.hypot(a, b, c)
@@ -132,6 +136,9 @@ class PathFollower:
             return (1.0 - until) * dt
         solver.move_in_air(target)
         self._pose = target
+        self._pending.is_direct = True
+        if self._pending.gap > 0.0:
+            self._pending.lift_off(self.model.material.memory_time(self._radius))
         if solver.relaxes or self._counts_mass:
             return dt
         self._lingers += dt
@@ -281,7 +288,9 @@ class PathFollower:
                     # Press on again from above this pose; stick anchors are new there.
                     solver.lift_off()
                     solver.move_in_air(raised(pose, -solver.height_above(pose)))
-                    pending.restart(pose)
+                    # In the first step the motion to the pose is unknown, and the tool comes from above.
+                    pending.restart(pose, rubs=self._keeps_path and not self._begins,
+                                    ages=self.model.material.remembers and not self._begins)
                     self._share, self._leaps, self._anew = 1.0, True, False
                 elif self._share < PATH.smallest_cut:
                     self._share, self._anew, status = PATH.smallest_cut, not self._bonded, ForceStatus.STOPPED
@@ -341,15 +350,16 @@ class PathFollower:
         if status is ForceStatus.CONVERGED:
             ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
-            if self._pending.lost > 0.0 or self._has_waves or not is_known_well(wrench, self.error, self._error_floor):
+            is_known = is_known_well(wrench, self.error, self._error_floor)
+            if self._pending.is_incomplete or self._has_waves or not is_known:
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
             wrench = self._carried_on(wrench, motion(at.pose, pose))
             if status is ForceStatus.STOPPED:
                 wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
-        # An equilibrium without the waves of the tissue says nothing about their force.
-        error = None if status is ForceStatus.STOPPED or self._pending.lost > 0.0 else self.error
+        # An equilibrium without the waves of the tissue, or after another path, has an unknown error.
+        error = None if status is ForceStatus.STOPPED or self._pending.is_incomplete else self.error
         if error is not None and not self._is_above:
             error += self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from tissue_sim.pose import Pose, between, motion
+from tissue_sim.pose import Pose, Screw, between, motion
 from tissue_sim.wave_error import WaveError
 
 #: Largest number of ticks that are followed one by one. The oldest ones beyond it are merged.
@@ -40,20 +40,24 @@ class PendingPath:
         meets: whether the tool meets tissue in the next increment; see `FreeTool.meet`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
+        gap: time for which an equilibrium depends on a part of the path that was left out, s; infinite while the tool
+            is in contact, because friction depends on the whole path since the touch.
+        is_direct: whether the tool has moved straight down since its touch, as it does in a `restart`.
         waves: error of the force by waves that the steps do not resolve.
     """
 
-    __slots__ = ("_spare", "lost", "meets", "ticks", "waves")
+    __slots__ = ("_spare", "gap", "is_direct", "lost", "meets", "ticks", "waves")
 
     def __init__(self) -> None:
         self.ticks: list[Tick] = []
         self.meets, self.lost, self._spare, self.waves = False, 0.0, 0.0, WaveError()
+        self.gap, self.is_direct = 0.0, True
 
     def copy(self) -> PendingPath:
         """An independent copy, for saved states."""
         other = PendingPath()
         other.ticks, other.meets, other.lost, other._spare = list(self.ticks), self.meets, self.lost, self._spare
-        other.waves = self.waves.copy()
+        other.gap, other.is_direct, other.waves = self.gap, self.is_direct, self.waves.copy()
         return other
 
     @property
@@ -70,7 +74,7 @@ class PendingPath:
         """Append a tick that lasts dt, s."""
         self.ticks.append(Tick(pose, self._spare + dt))
         self._spare = 0.0
-        self.lost = max(0.0, self.lost - dt)
+        self.lost, self.gap = max(0.0, self.lost - dt), max(0.0, self.gap - dt)
 
     def extend_to_touch(self, pose: Pose, dt: float) -> None:
         """Append the part of a tick, s, in which a tool that comes back from a pose has yet to reach the tissue."""
@@ -91,9 +95,32 @@ class PendingPath:
         """Leave out the poses of all ticks, which cannot be reached; their time is added to the next tick."""
         self._spare, self.ticks = self.time, []
 
-    def restart(self, pose: Pose) -> None:
-        """Replace all ticks by one that leads to a pose in the same time."""
+    @property
+    def is_incomplete(self) -> bool:
+        """Whether an equilibrium may differ from that of the tool's own motion, because a part of it was left out."""
+        return self.lost > 0.0 or self.gap > 0.0
+
+    def restart(self, pose: Pose, *, rubs: bool, ages: bool) -> None:
+        """Replace all ticks by one that leads straight down to a pose in the same time, from the undeformed tissue.
+
+        Args:
+            pose: end of the tick.
+            rubs: whether the force depends on the path, as with friction.
+            ages: whether the force depends on the time of the path.
+        """
         self._spare, self.ticks = 0.0, [Tick(pose, self.time)]
+        if ages or (rubs and not self.is_direct):
+            self.gap = math.inf
+
+    def note_motion(self, way: Screw, negligible: float) -> None:
+        """Register a motion of the tool in contact, m and rad; shorter parts than `negligible` are ignored."""
+        x, y, z, a, b, c = way
+        if z > negligible or max(abs(x), abs(y), abs(a), abs(b), abs(c)) > negligible:
+            self.is_direct = False
+
+    def lift_off(self, memory: float) -> None:
+        """Shorten `gap` in the air, where friction ends, to the time for which the tissue remembers its path, s."""
+        self.gap = min(self.gap, memory)
 
     def merge(self, start: Pose, radius: float, tolerance: float, lasts: float, *, timed: bool) -> None:
         """Merge the first ticks as far as the tool moves along one line, and the oldest if there are too many.

@@ -190,8 +190,10 @@ class _Reference:
     def _step(self, pose: Pose, dt: float) -> None:
         answer = self._answer = self._simulator.step(pose, dt)
         # A later equilibrium of tissue that depends on its path is no truth after one that is missing. An equilibrium
-        # whose estimated error is large, by waves or by the mesh, is the truth of the same ticks on the same mesh.
-        is_equilibrium = answer.status is ts.ForceStatus.LATE and answer.age == 0.0
+        # whose estimated error is large, by waves or by the mesh, is the truth of the same ticks on the same mesh. One
+        # at the end of another path is not.
+        is_equilibrium = (answer.status is ts.ForceStatus.LATE and answer.age == 0.0
+                          and self._simulator._pending.gap == 0.0)
         self._is_known &= answer.status is ts.ForceStatus.CONVERGED or is_equilibrium
 
     def _truth(self, factor: float) -> Truth:

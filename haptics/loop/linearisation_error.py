@@ -29,25 +29,27 @@ class LinearisationError:
     two models of the deformed tissue have come, the error is unknown. Two models of the undeformed tissue are equal;
     their difference contains no information and must not be passed to `learn`.
 
-    Two models can agree at one pose by chance. `growth` is therefore never below the shear modulus: under a ball of
-    radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved), and d is below R.
+    Two models can agree at one pose by chance. `growth` is therefore never below the curvature of a contact: under a
+    ball of radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved). The depth is that
+    of the tool, and at least its distance from the pose of the model. Where the depth is unknown, the limit is mu.
 
     Args:
         radius: radius of the contact, m.
         shear_modulus: shear modulus of the tissue, Pa.
 
     Attributes:
+        radius: radius of the contact, m.
         base: error of the newest model at its own pose, N.
         interval: time between the last two models, s.
         growth: learned error divided by the square of the distance, N/m2.
-        shear_modulus: lower limit of the growth, N/m2.
+        shear_modulus: shear modulus of the tissue, Pa.
         reach: distance between the models from which `growth` was learned, m.
         time: time of the newest model from which the estimate was learned, s; minus infinity if there is none.
         short: `SHORT` times the radius, m.
     """
 
     def __init__(self, radius: float, shear_modulus: float = 0.0):
-        self.short, self.shear_modulus = SHORT * radius, shear_modulus
+        self.radius, self.short, self.shear_modulus = radius, SHORT * radius, shear_modulus
         self.forget()
 
     def forget(self) -> None:
@@ -79,18 +81,28 @@ class LinearisationError:
         self.reach, self.time = max(memory * self.reach, between), time
         self.base, self.interval = missed, interval
 
-    @property
-    def _limited_growth(self) -> float:
-        """Growth with its lower limit, N/m2."""
-        return max(self.growth, self.shear_modulus)
+    def _limited_growth(self, distance: float, depth: float | None) -> float:
+        """Growth with its lower limit, N/m2; see `at`."""
+        if depth is None:
+            return max(self.growth, self.shear_modulus)
+        reached = min(max(depth, distance), self.radius)
+        if reached <= 0.0:
+            return self.growth
+        return max(self.growth, 2.0 * self.shear_modulus * math.sqrt(self.radius / reached))
 
     def is_valid(self, distance: float) -> bool:
         """Return whether the error at this distance, m, from the pose of a model is known."""
         return math.isfinite(self.time) and distance <= max(self.short, _VALID * self.reach)
 
-    def at(self, distance: float, age: float = 0.0) -> float:
-        """Return the estimated error, N, at a distance, m, from a model of this age, s; infinite if it is unknown."""
+    def at(self, distance: float, age: float = 0.0, depth: float | None = None) -> float:
+        """Return the estimated error of the force, N; infinite if it is unknown.
+
+        Args:
+            distance: distance of the tool from the pose of the model, m.
+            age: age of the model, s.
+            depth: depth of the tool below the undeformed surface, m; None: unknown.
+        """
         if not self.is_valid(distance):
             return math.inf
         age_factor = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
-        return self.base * age_factor + self._limited_growth * distance**2
+        return self.base * age_factor + self._limited_growth(distance, depth) * distance**2

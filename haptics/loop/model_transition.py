@@ -147,7 +147,8 @@ class ModelTransition:
             return math.inf, math.inf
         distance = self.distance(self._newest, pose) if is_loaded else 0.0
         offset = self._size(self.offset)
-        error = self.estimate.at(distance, age) + offset
+        depth = self._stepper.surface.start.position[2] - pose.position[2]
+        error = self.estimate.at(distance, age, depth) + offset
         return error, offset if math.isinf(error) and distance <= self.estimate.short else error
 
     @property

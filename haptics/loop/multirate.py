@@ -22,7 +22,7 @@ from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.pose import Pose, added, scaled
+from tissue_sim.pose import Pose, added, motion, scaled
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import (
     ERROR_FLOOR,
@@ -243,6 +243,8 @@ class MultiRateTissue(KernelOwner):
         known, self._known, self._step, transition = self._known, None, step, self._transition
         if known is not None and before is not None:
             transition.take_over(before, known, self._poses[-1][1] if self._poses else here, here, step)
+        if self._poses and stepper.distance(motion(self._poses[-1][1], here)) > transition.estimate.short:
+            self._poses.clear()  # the tool jumped: its speed is unknown
         self._poses.append((self._time, here))
         if any(step.wrench):
             self._touch.has_touched = True
@@ -271,8 +273,7 @@ class MultiRateTissue(KernelOwner):
     def _adopt(self, model: CondensedContact) -> None:
         assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
-        if model.has_own_tangent:
-            self._tangent_made = model.time
+        self._tangent_made = model.tangent_time
         self._stepper.set_model(model)
 
     def _needs_exchange(self, step: ContactStep, pose: Pose) -> bool:

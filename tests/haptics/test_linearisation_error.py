@@ -43,6 +43,17 @@ def test_models_that_agree_by_chance_leave_the_curvature_of_a_contact():
     assert learned(missed=0.0).at(2e-3) == pytest.approx(MODULUS * 2e-3**2)
 
 
+def test_the_curvature_of_a_contact_is_that_of_hertz_at_the_depth_of_the_tool():
+    """Two models that agree by chance at 1 mm; a model 1 mm away from a tool that is 2 mm deep."""
+    agreed, distance, depth = learned(missed=0.0), 1e-3, 2e-3
+    growth = 2.0 * MODULUS * math.sqrt(RADIUS / depth)
+    assert agreed.at(distance, depth=depth) == pytest.approx(growth * distance**2)
+    at_the_distance = 2.0 * MODULUS * math.sqrt(RADIUS / distance)
+    assert agreed.at(distance, depth=-depth) == pytest.approx(at_the_distance * distance**2)
+    assert agreed.at(0.0, depth=0.0) == 0.0
+    assert agreed.at(distance, depth=10.0 * RADIUS) == pytest.approx(2.0 * MODULUS * distance**2)
+
+
 def test_a_stiffer_material_raises_what_was_learned():
     estimate, before = learned(), learned().at(1e-3)
     estimate.change_modulus(2 * MODULUS)

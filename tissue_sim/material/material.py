@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -28,6 +29,8 @@ _BULK = {
     "D1_per_Pa": Declaration("D1", "1/Pa", (2e-12, 2.0), key="D1_per_Pa"),
     "bulk_ratio": Declaration("K/mu", "1", BULK_RATIOS, key="bulk_ratio"),
 }
+#: Longest relaxation times after which tissue without a tool has forgotten its path, 1: 0.7 % of the stress remains.
+MEMORY_TIMES = 5.0
 #: Largest absolute value, in a fit, of an exponent or another parameter of a law without unit.
 EXPONENT_BOUND = 50.0
 
@@ -225,6 +228,21 @@ class Material:
     def bulk_modulus(self) -> float:
         """Bulk modulus K, Pa; infinite for an incompressible material."""
         return self.bulk.modulus(self.mu0)
+
+    def memory_time(self, contact_radius: float | None) -> float:
+        """Time after which tissue without a tool has forgotten its path, s: `MEMORY_TIMES` relaxation times.
+
+        Args:
+            contact_radius: contact radius of the test, m, for the time of drainage.
+
+        Returns:
+            0 for elastic tissue; infinite with softening and other effects that do not recover.
+        """
+        if self.softening is not None or any(effect.remembers for effect in self.effects.values()):
+            return math.inf
+        prony = self.relaxation(contact_radius)
+        longest = max((term.tau for term in prony.terms), default=0.0) if prony is not None else 0.0
+        return max([MEMORY_TIMES * longest, *(own.memory_time(contact_radius) for own in self.regions.values())])
 
     def relaxation(self, contact_radius: float | None) -> Prony | None:
         """Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.

@@ -20,6 +20,8 @@ from tissue_sim.registry import Registry
 
 #: Number of scalars before the arrays of a packed `CondensedContact`.
 _MODEL_HEAD = 17
+#: Number of scalars before the arrays of a packed tangent.
+_TANGENT_HEAD = 8
 #: Number of scalars before the arrays of a packed `ContactState`.
 _STATE_HEAD = 19
 
@@ -92,6 +94,9 @@ class CondensedContact:
         reach: distance from `pose` within which the tool cannot touch other nodes, m.
         modulus: shear modulus of the material, Pa.
         residual: relative residual of the state at which the bulk was linearised.
+        tangent_time: time of the contact state of the iterate at which the tangent was assembled, s; earlier than
+            `time` if the tangent was factorised while the iteration continued.
+        tangent_pose: pose of the tool at that iterate.
         material: number of the change of material that the linearisation contains; 0: the initial material.
         has_contact: whether contact forces or a bonded tool loaded the bulk. The linearisations of undeformed tissue
             are equal for all poses of the tool in the air.
@@ -111,6 +116,8 @@ class CondensedContact:
     reach: float
     modulus: float
     residual: float
+    tangent_time: float
+    tangent_pose: Pose
     material: int = 0
     has_contact: bool = False
 
@@ -131,7 +138,9 @@ class CondensedContact:
                 self.material, self.has_contact, *self.pose.position, *self.pose.orientation)
         own = [np.array(head), self.wrench, self.free_displacement.ravel()]
         if self.has_own_tangent:
-            own += [self.nodes, self.stiffness.ravel(), self.tool_coupling.ravel(), self.compliance.ravel()]
+            tangent = self.tangent_time, *self.tangent_pose.position, *self.tangent_pose.orientation
+            own += [np.array(tangent), self.nodes, self.stiffness.ravel(), self.tool_coupling.ravel(),
+                    self.compliance.ravel()]
         return np.concatenate(own)
 
     @classmethod
@@ -154,8 +163,11 @@ class CondensedContact:
                "residual": residual, "material": int(material), "has_contact": bool(has_contact)}
         if number != base_number:
             return None if base is None or base.base != base_number else replace(base, **own)
-        nodes, stiffness, tool_coupling, compliance = np.split(rest[6 + 3 * n :], np.cumsum([n, 36, 18 * n]))
-        return cls(nodes=nodes.astype(np.intp), stiffness=stiffness.reshape(6, 6),
+        tangent, nodes, stiffness, tool_coupling, compliance = np.split(
+            rest[6 + 3 * n :], np.cumsum([_TANGENT_HEAD, n, 36, 18 * n]))
+        tangent_time, *tangent_pose = tangent.tolist()
+        return cls(tangent_time=tangent_time, tangent_pose=_pose(tangent_pose), nodes=nodes.astype(np.intp),
+                   stiffness=stiffness.reshape(6, 6),
                    tool_coupling=tool_coupling.reshape(3 * n, 6),
                    compliance=compliance.reshape(3 * n, 3 * n), **own)
 
@@ -169,7 +181,7 @@ def max_packed_size(surface: ContactSurface, whole: bool = True) -> int:
     """
     n = 3 * surface.candidates
     own = _MODEL_HEAD + 6 + n
-    return own + n // 3 + 36 + 6 * n + n * n if whole else own
+    return own + _TANGENT_HEAD + n // 3 + 36 + 6 * n + n * n if whole else own
 
 
 @dataclass(frozen=True, eq=False)

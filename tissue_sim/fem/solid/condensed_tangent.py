@@ -9,6 +9,7 @@ import numpy as np
 from tissue_sim.fem.condensed.model import Executor
 from tissue_sim.fem.linear.sparse import CondensedFactor, SparseSolver
 from tissue_sim.fem.solid.free_dofs import FreeDofSystem
+from tissue_sim.pose import Pose
 
 
 class CondensedTangent:
@@ -19,6 +20,8 @@ class CondensedTangent:
         held: indices of the degrees of freedom that the tool holds.
 
     Attributes:
+        time: time of the contact state of the iterate, s; set by the owner.
+        pose: pose of the tool at the iterate; set by the owner.
         interface: indices, in the `ContactSurface`, of the nodes onto which the tangent is condensed, shape (m,).
         nodes: those of them that are published, shape (n,).
         volume_rates: volume derivatives with which the pressures were eliminated, see `ElementBatches`.
@@ -30,6 +33,8 @@ class CondensedTangent:
         stiffness: derivative of the wrench, shape (6, 6).
     """
 
+    time: float
+    pose: Pose
     compliance: np.ndarray
     tool_coupling: np.ndarray
     stiffness: np.ndarray

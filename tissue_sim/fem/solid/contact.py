@@ -230,7 +230,7 @@ class ContactNodes:
         pushed = normal[:, None] * normals
         rubs = pressed & (mu > 0.0) & (self.held == Bond.TOUCHED) & (mu * np.maximum(-trial, 0.0) > negligible)
         limit = mu * np.maximum(-normal, 0.0)
-        length = np.linalg.norm(along, axis=1)
+        length, rubbing = np.linalg.norm(along, axis=1), np.linalg.norm(tangential, axis=1)
         tried = tangential + (augmentation * stick * springs)[:, None] * along
         size = np.linalg.norm(tried, axis=1)
         if changeable and rubs.any():
@@ -239,7 +239,7 @@ class ContactNodes:
             slips = np.where(self.slips, onwards, size > mu * np.maximum(-trial, 0.0))
             differs = (slips != self.slips) & rubs
             switched += int((differs & drawn).sum())
-            off = (length > 1e-3 * tolerance) | (np.linalg.norm(tangential, axis=1) > 1.001 * limit)
+            off = (length > 1e-3 * tolerance) | (rubbing > 1.001 * limit)
             wanting += int((differs & ~drawn & off).sum())
             begins = differs & drawn & slips
             self._ways[begins] = tried[begins] / np.maximum(size[begins], 1e-300)[:, None]
@@ -252,6 +252,10 @@ class ContactNodes:
         far = np.where(self._about > 0.0, self._about, length)
         goes = sliding & (self._about == 0.0) & (length > 1e-3 * tolerance)
         self._ways[goes] = along[goes] / length[goes, None]
+        # Without slip the friction force may turn: the radial return keeps the direction of the trial force. With a
+        # constant direction the iteration would discard the change of the force and not converge.
+        turns = sliding & (self._about == 0.0) & ~goes & (rubbing > 0.0)
+        self._ways[turns] = tangential[turns] / rubbing[turns, None]
         ways, tangent = self._ways, eye - nn
         stuck = sticks[:, None]
         rates = np.where(stuck[..., None], rates + (stick * springs)[:, None, None] * tangent, rates)

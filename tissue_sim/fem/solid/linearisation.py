@@ -285,6 +285,7 @@ class SolidLinearisation:
         solver, order, loaded = self._solver, *self._order_nodes(state, pose, ahead)
         if not np.isin(order[:max(int(_SETTINGS.needed * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
+        spare.time, spare.pose = state.time, pose
         spare.assign(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
                      executor)
         self._coming = spare
@@ -340,8 +341,7 @@ class SolidLinearisation:
         self._number += 1
         return CondensedContact(self._number, self._base, self._epoch, state.time, pose, tangent.nodes,
                                 free_displacement, tangent.compliance, tangent.tool_coupling, wrench, tangent.stiffness,
-                                reach,
-                                solver.material.mu0, self.residual)
+                                reach, solver.material.mu0, self.residual, tangent.time, tangent.pose)
 
     def _store_held_derivatives(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
         """Store the derivatives of nodes and wrench with respect to the pose of a tool that holds tissue.

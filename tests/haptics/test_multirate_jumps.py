@@ -1,0 +1,53 @@
+"""Multirate tissue whose tool jumps, and the age of the tangent on which a tissue in motion is solved."""
+
+import pytest
+
+import tissue_sim as ts
+from haptics.loop.bulk_link import DelayedBulk
+from haptics.loop.multirate import MultiRateTissue
+from tissue_sim.fem.solid.discretisation import make_solver
+from tissue_sim.fem.solid.linearisation import SolidLinearisation
+from tissue_sim.mesh.hexahedra import HEX8P0
+from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.pose import Pose
+
+#: Length of a step, s.
+DT = 1e-3
+#: Radius of the ball, m.
+RADIUS = 8e-3
+#: Simulated time from a state to its model, s.
+DELAY = 0.01
+#: Simulated time for the factorisation of a tangent, s.
+TANGENT = 0.05
+
+
+@pytest.fixture(scope="module")
+def ball():
+    """A ball on a coarse solid without friction."""
+    material = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
+    experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(2e-3, 2), friction="frictionless",
+                               tool=ts.Tool("round", radius=RADIUS))
+    model = ts.Model(experiment, material)
+    mesh = needle_solid(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
+                        around=2)
+    bulk = SolidLinearisation(make_solver(model, mesh=mesh))
+    tissue = MultiRateTissue(model, link=DelayedBulk(bulk, DELAY, TANGENT))
+    tissue.warm_up()
+    return tissue
+
+
+@pytest.mark.parametrize("height", [5e-5, 3e-4])
+def test_a_jump_in_the_air_is_no_speed(ball, height):
+    """A tool that jumps down to a place in the air and waits there does not press the tissue of the next models."""
+    ball.reset()
+    answers = [ball.step(Pose((0.0, 0.0, 3e-3)), DT) for _ in range(50)]
+    answers += [ball.step(Pose((2e-4, 0.0, height)), DT) for _ in range(60)]
+    assert {answer.status for answer in answers} == {ts.ForceStatus.CONVERGED}
+    assert not any(any(answer.wrench) for answer in answers)
+
+
+def test_the_stiffness_is_as_old_as_the_iterate_at_which_its_tangent_was_assembled(ball):
+    ball.reset()
+    answers = [ball.step(Pose((0.0, 0.0, -1e-5 * min(tick, 150))), DT) for tick in range(300)]
+    assert min(answer.stiffness_age for answer in answers[150:]) >= TANGENT
+    assert all(answer.age < answer.stiffness_age for answer in answers[150:])
