@@ -3,7 +3,8 @@
 An effect is a class with a name, a category and two sentences for reports. Its method `Effect.candidates` returns the
 parametrisations of the effect in the tests of a campaign. Score, refit and output files follow from the parameter paths
 of a candidate. A new effect needs one module and one line in `calibration.effects.catalogue`; another package registers
-its effects through the entry point group ``tissue_sim.diagnosis_effects``.
+its effects through the entry point group ``tissue_sim.diagnosis_effects``. Trial values and largest values of an effect
+are attributes of its class, so that a subclass can change them.
 """
 
 from __future__ import annotations
