@@ -9,6 +9,7 @@ import numpy as np
 from scipy import linalg, special
 
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import HeldOut, RegionGap
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.refits import copy_problem
@@ -25,8 +26,6 @@ from tissue_sim.errors import InputError
 
 #: P value below which Fisher's normal approximation of chi-square gives the equivalent standard deviations.
 _SMALLEST = 1e-14
-#: Change of the force over a hold that counts as significant, in standard errors.
-_SIGNIFICANT_CHANGE = 4.0
 #: Fraction of a hold over which the force at each end is averaged.
 _END_FRACTION = 0.1
 
@@ -240,7 +239,7 @@ def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evi
     if region.segment.startswith("hold"):
         (measured, error), (modelled, _) = _changes(region, curves, evidence, "data"), _changes(
             region, curves, evidence, "model")
-        if abs(measured - modelled) > _SIGNIFICANT_CHANGE * error:
+        if abs(measured - modelled) > LIMITS.hold_change * error:
             goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
             predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
             return (f"{place}: the {what} {goes} by {factor * abs(measured):.2g} {unit}, the model's by {predicted} "

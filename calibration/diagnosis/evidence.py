@@ -12,6 +12,7 @@ from scipy import special
 
 from calibration.campaign.campaign import Campaign, Noise
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.effects.effect import Situation
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Region
@@ -26,15 +27,9 @@ from calibration.statistics.common_signal import CommonSignal, find_common_signa
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError, InputError
 
-#: Adjusted p value below which the residuals of a region are inadequate.
-LEVEL = 0.005
-#: P value, corrected for the number of tests, below which recordings have a common signal in their residuals.
-REPEATED = 1e-3
 #: Largest difference of the displacements of corresponding samples of two recordings, as a fraction of the largest
 #: displacement.
 _SAME_POSITION = 0.005
-#: Probability that the true jitter exceeds the assumed upper limit.
-_EXCEEDANCE = 0.2
 #: Test -> its recordings.
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
@@ -112,8 +107,8 @@ class Evidence:
 
     @cached_property
     def regions(self) -> list[Region]:
-        """Residual tests of all regions; a region is adequate if its p value exceeds `LEVEL`."""
-        return [msgspec.structs.replace(region, adequate=region.p > LEVEL)
+        """Residual tests of all regions; a region is adequate if its p value exceeds `DecisionLimits.region_level`."""
+        return [msgspec.structs.replace(region, adequate=region.p > LIMITS.region_level)
                 for region in judge_regions(self.problem, self.evaluation)]
 
     @property
@@ -153,7 +148,7 @@ class Evidence:
         for name, (curve, residuals) in self._replicate_residuals.items():
             segments = _runs(curve.segment, residuals.shape[1])
             signal = find_common_signal(residuals, segments)
-            if len(self._replicate_residuals) * signal.p < REPEATED:
+            if len(self._replicate_residuals) * signal.p < LIMITS.common_signal_level:
                 found[name] = signal
         return found
 
@@ -245,7 +240,7 @@ def upper_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
     jitter = problem.jitter
     if not jitter.freedom:
         return jitter
-    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - _EXCEEDANCE))
+    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - LIMITS.jitter_exceedance))
     resolved: dict[str, list[float]] = {"contact": [], "zero": []}
     for test in problem.replicates(theta):
         for one in test:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from calibration.diagnosis.evidence import Evidence, gather
 from calibration.fit.generalised import SUSPECT
@@ -10,10 +10,22 @@ from calibration.fit.run_context import RunContext
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError
 
-#: Maximum number of fits, each with displacements counted from the contacts of the previous fit.
-_MAX_FITS = 4
-#: Contact offset, in standard deviations of the prior, at which the iteration ends.
-_TOLERANCE = 0.2
+
+@dataclass(frozen=True)
+class ContactIterationSettings:
+    """Iteration of fits whose displacements are counted from the contacts of the previous fit.
+
+    Attributes:
+        max_fits: maximum number of fits.
+        tolerance: contact offset at which the iteration ends, in standard deviations of the prior. A smaller tolerance
+            requires more fits.
+    """
+
+    max_fits: int = 4
+    tolerance: float = 0.2
+
+
+_SETTINGS = ContactIterationSettings()
 
 
 def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, list[str]]:
@@ -33,9 +45,9 @@ def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, 
     scatter, found, shifts = evidence.problem.jitter, evidence, dict[str, float]()
     if scatter.freedom != 0 or not evidence.explained:
         return evidence, []
-    for _ in range(_MAX_FITS):
+    for _ in range(_SETTINGS.max_fits):
         far = {name: contact for name, contact in _contacts(found).items() if abs(contact) > SUSPECT * scatter.contact
-               or (name in shifts and abs(contact) > _TOLERANCE * scatter.contact)}
+               or (name in shifts and abs(contact) > _SETTINGS.tolerance * scatter.contact)}
         if not far:
             break
         shifts |= {name: shifts.get(name, 0.0) + contact for name, contact in far.items()}

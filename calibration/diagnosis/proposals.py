@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import change_of
 from calibration.effects.catalogue import CATALOGUE
@@ -16,19 +17,25 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import Direction, familywise_p_values, largest_cosine
 
-#: Family-wise p value below which an effect is significant.
-LEVEL = 0.01
-#: Expected score of an effect that is detected with a probability of 90 %: the critical score 4.3 for `LEVEL` and a
-#: catalogue of this size, plus the 90 % quantile 1.28 of the normal distribution.
-SEEN = 4.3 + 1.28
 #: Fraction of a change outside the fitted space below which its second-order part is computed too.
 _SECOND_ORDER = 0.05
-#: First step of the search for a jump, as a fraction of the largest displacement.
-_COARSEST = 0.05
-#: Smallest step of the search for a jump, as a fraction of the largest displacement.
-_FINEST = 0.002
-#: Cosine between two directions above which their effects are indistinguishable (twins).
-TWINS = 0.97
+
+
+@dataclass(frozen=True)
+class JumpSearchSettings:
+    """Steps of the search for the displacement at which a force jumps.
+
+    Attributes:
+        first_step: first step, as a fraction of the largest displacement: the distance of the trial depths of the
+            effects. A larger step costs more simulations and may pass over the jump.
+        min_step: smallest step, as a fraction of the largest displacement; the sampling step if this is larger.
+    """
+
+    first_step: float = 0.05
+    min_step: float = 0.002
+
+
+_JUMP_SEARCH = JumpSearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,8 +105,8 @@ class Proposals:
 
     @property
     def seen(self) -> dict[str, Proposal]:
-        """Name -> significant candidates (`LEVEL`), strongest first."""
-        return {name: each for name, each in self.best.items() if each.p <= LEVEL}
+        """Name -> significant candidates (`DecisionLimits.effect_level`), strongest first."""
+        return {name: each for name, each in self.best.items() if each.p <= LIMITS.effect_level}
 
     @property
     def seen_in_words(self) -> list[str]:
@@ -115,7 +122,8 @@ class Proposals:
             if other.candidate.effect.name != mine[0].candidate.effect.name:
                 likeness = max(largest_cosine(one.direction, other.direction) for one in mine)
                 found[other.candidate.name] = max(found.get(other.candidate.name, 0.0), likeness)
-        return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1]) if likeness > TWINS]
+        return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1])
+                if likeness > LIMITS.twin_cosine]
 
 
 def propose(evidence: Evidence, context: RunContext, words: str = "effects, one at a time",
@@ -215,8 +223,8 @@ def refine_jump(proposal: Proposal, evidence: Evidence) -> Proposal:
     curves = [curve for curve in evidence.problem.measured
               if candidate.tests is None or curve.test.name in candidate.tests]
     deepest = max(float(curve.displacement.max()) for curve in curves)
-    step = _COARSEST * deepest
-    while step > max(step_of(curves), _FINEST * deepest):
+    step = _JUMP_SEARCH.first_step * deepest
+    while step > max(step_of(curves), _JUMP_SEARCH.min_step * deepest):
         step *= 0.5
         for change_of_depth in (-step, step):
             depth = float(np.clip(candidate.shape[candidate.jump] + change_of_depth, *candidate.bounds.get(

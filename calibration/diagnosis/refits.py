@@ -9,6 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import extend, unknowns
 from calibration.diagnosis.proposals import Proposal, Proposals, refine_jump, step_of
@@ -21,11 +22,6 @@ from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
-
-#: Odds against an effect, relative to the best one, above which the effect is excluded.
-ODDS = 20.0
-#: Smallest decrease of BIC for which an effect is accepted: odds of `ODDS` against the fit without effects.
-LEAST_GAIN = 2.0 * float(np.log(ODDS))
 
 
 @dataclass(frozen=True)
@@ -170,7 +166,7 @@ def refit(evidence: Evidence, proposals: Proposals, context: RunContext, words: 
     """
     ranked = [(name, -2.0 * each.improbability) for name, each in proposals.best.items()]
     # Rivals of the best effect are fitted even if all scores are small.
-    promising = min(_SETTINGS.promising * (LEAST_GAIN + float(np.log(evidence.samples))), max(
+    promising = min(_SETTINGS.promising * (LIMITS.min_gain + float(np.log(evidence.samples))), max(
         (squares for _, squares in ranked), default=0.0) - _SETTINGS.rival_margin)
     chosen = [name for number, (name, squares) in enumerate(ranked[:_SETTINGS.max_similar]) if squares > promising
               and (number < _SETTINGS.max_effects or squares > _SETTINGS.similar**2 * ranked[0][1])] \

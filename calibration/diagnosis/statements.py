@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, Number
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.pairs import acts_in
-from calibration.diagnosis.proposals import SEEN, Proposal, Proposals
+from calibration.diagnosis.proposals import Proposal, Proposals
 from calibration.diagnosis.refits import Refit, bound_met, odds
 from calibration.diagnosis.verdict import Judgement, share_explained
 from calibration.effects.effect import Candidate
@@ -76,7 +77,7 @@ def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit
     # The detectable size refers to the shape parameters with the highest expected score.
     mine = [each for each in proposals.all if each.candidate.name == name]
     clearest = max(mine, key=lambda each: each.direction.reach)
-    smallest = clearest.sizes(SEEN / clearest.direction.reach)
+    smallest = clearest.sizes(LIMITS.detectable_score / clearest.direction.reach)
     after = fitted.evidence(before) if fitted is not None and finite else None
     prepared = clearest.candidate.with_prepared_tests(before.campaign)
     symbols = clearest.candidate.symbols(before.campaign)

@@ -8,24 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.diagnosis.confirmation import settle_evidence
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.pairs import SECOND, find_pairs
-from calibration.diagnosis.proposals import LEVEL, Proposals, propose, rescore_all
-from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, odds, refit
+from calibration.diagnosis.pairs import find_pairs
+from calibration.diagnosis.proposals import Proposals, propose, rescore_all
+from calibration.diagnosis.refits import Refit, odds, refit
 from calibration.fit.fit import Region
 from calibration.fit.run_context import RunContext
-
-#: Fraction of the misfit that an unconfirmed effect must explain.
-NEARLY_ALL = 0.9
-#: The same if all other effects are clearly worse (`RIVALLED`).
-MOSTLY = 0.8
-#: Ratio of the second-best decrease of BIC to the best one above which other effects are not clearly worse.
-RIVALLED = 0.75
-#: Fraction of the total decrease that the effect must achieve if scores show a further effect.
-MOST_SCORED = 0.7
-#: P value of a region below which its remaining misfit is far from chance.
-FAR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,18 +50,19 @@ def judge(evidence: Evidence, proposals: Proposals, context: RunContext) -> Judg
         return Judgement("NONE" if evidence.explained else "UNKNOWN", [], (), [], evidence)
     refits = refit(evidence, proposals, context)
     sound = [each for each in refits if not each.absent and not each.beyond]
-    good = [each for each in sound if each.gain >= LEAST_GAIN
-            and (each.proposal.p <= LEVEL or not evidence.adequate)]
+    good = [each for each in sound if each.gain >= LIMITS.min_gain
+            and (each.proposal.p <= LIMITS.effect_level or not evidence.adequate)]
     if not good:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
     rivals = (each.gain for each in good if each.proposal.candidate.effect.name != best.proposal.candidate.effect.name)
-    needed = MOSTLY if next(rivals, 0.0) < RIVALLED * best.gain else NEARLY_ALL
+    has_rival = next(rivals, 0.0) >= LIMITS.rival_gain_ratio * best.gain
+    needed = LIMITS.explained_fraction if has_rival else LIMITS.explained_without_rival
     added, after = _add_instances(best, evidence, context)
     rest = rescore_all(proposals, after, [best.name]).seen
     if rest or not after.adequate:
         pairs = find_pairs(evidence, good, proposals, context)
-        if pairs and pairs[0].gain > sum(each.gain for each in added) + SECOND:
+        if pairs and pairs[0].gain > sum(each.gain for each in added) + LIMITS.min_pair_gain:
             together = settle_evidence(pairs[0].second.evidence(pairs[0].with_first))
             # A pair is accepted only if it explains the whole misfit.
             if together.explained:
@@ -79,23 +70,23 @@ def judge(evidence: Evidence, proposals: Proposals, context: RunContext) -> Judg
                 return Judgement("SET" if len(names) > 2 else "NAMED", refits, (pairs[0].first, pairs[0].second),
                                  names, together)
         # The explained fraction is meaningful only if the remaining misfit is significant.
-        far = min(region.p for region in after.regions) < FAR or after.repeated
+        far = min(region.p for region in after.regions) < LIMITS.clear_misfit_level or after.repeated
         if far and share_explained(evidence.regions, after.regions) < needed:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     # Decrease of BIC that the remaining scores predict.
     gained = sum(each.gain for each in added)
     left = max((-2.0 * each.improbability - float(np.log(evidence.samples)) for each in rest.values()), default=0.0)
     left = max(left, 0.0)
-    if left > (1.0 - MOST_SCORED) * (gained + left):
+    if left > (1.0 - LIMITS.scored_fraction) * (gained + left):
         return Judgement("UNKNOWN", refits, (), [], evidence)
     if after.repeated and share_repeated(evidence, after) < needed:
         return Judgement("UNKNOWN", refits, (), [], evidence)
     # Candidates as likely as the best one belong to the set even if their own decrease of BIC is insignificant.
-    possible = [each for each in sound if odds(best, each) < ODDS]
+    possible = [each for each in sound if odds(best, each) < LIMITS.odds]
     names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
-    alone = after.explained and left <= (1.0 - NEARLY_ALL) * (gained + left)
+    alone = after.explained and left <= (1.0 - LIMITS.explained_fraction) * (gained + left)
     return Judgement("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 
@@ -110,7 +101,7 @@ def _add_instances(best: Refit, evidence: Evidence, context: RunContext) -> tupl
     while not after.adequate and len(added) < effect.max_instances:
         more = propose(after, context, f"more of {effect.title}", only=effect.name)
         fits = refit(after, more, context, f"fits with more of {effect.title}", list(more.seen)[:1])
-        if not fits or fits[0].gain < LEAST_GAIN or fits[0].absent:
+        if not fits or fits[0].gain < LIMITS.min_gain or fits[0].absent:
             break
         added.append(fits[0])
         after = settle_evidence(fits[0].evidence(after))

@@ -6,15 +6,11 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, HeldOut, Number, RegionGap, Verdict
 
 #: SI unit -> unit in sentences, and the factor of the value.
 _UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m": ("N s/mm", 1e-3), "1": ("", 1.0)}
-
-#: Factor of the squared prediction errors of unseen data above which an added effect is called unreliable.
-_ERROR_GROWTH = 1.1
-#: Smallest explained fraction of a misfit, %, for which an effect that was not added is mentioned.
-_MIN_EXPLAINED = 30.0
 
 
 def joined(words: Sequence[str], last: str = "and") -> str:
@@ -82,7 +78,7 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
     closed = "" if after is None else (f" The gap falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
                                        f"({before / noise:.2g} to {after / noise:.2g} of the noise).")
     pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]
-    if pairs and sum(two**2 for _, two in pairs) > _ERROR_GROWTH * sum(one**2 for one, _ in pairs):
+    if pairs and sum(two**2 for _, two in pairs) > LIMITS.error_growth * sum(one**2 for one, _ in pairs):
         closed += " Data that the fits have not seen are predicted worse with it: do not rely on it."
     silent = f" {untestable} effects of the catalogue cannot be seen in these tests." if untestable else ""
     match verdict:
@@ -93,7 +89,7 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
                         f"{silent}")
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
-            worth = nearest is not None and (nearest.explained_percent or 0.0) >= _MIN_EXPLAINED
+            worth = nearest is not None and (nearest.explained_percent or 0.0) >= LIMITS.min_mentioned_percent
             near = f" {_comes_nearest(nearest)}" if nearest is not None and worth else ""
             if not where:
                 several = f" ({joined(scored[:3])})" if scored else ""

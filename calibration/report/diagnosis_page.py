@@ -7,9 +7,9 @@ from functools import partial
 from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import VERDICTS, CandidateStatement, Diagnosis, Verdict
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import LEVEL
 from calibration.diagnosis.words import joined
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
@@ -190,7 +190,8 @@ def _where(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units
 def _catalogue(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>Effects of the catalogue in these tests</h2>"
-    drawn = [each for each in seen if each.refitted or (each.p is not None and each.p <= LEVEL)][:_MAX_DRAWN]
+    drawn = [each for each in seen
+             if each.refitted or (each.p is not None and each.p <= LIMITS.effect_level)][:_MAX_DRAWN]
     if drawn and pictures is not None:
         yield pictures.show("candidates", partial(draw_candidates, drawn, [candidate_label(each) for each in drawn],
                                                   _chosen(diagnosis, drawn)), "Score and gain of each effect")
