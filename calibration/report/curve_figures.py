@@ -21,24 +21,11 @@ from calibration.report.drawing import (
     panels_per_row,
     thinning_slice,
 )
+from calibration.report.layout import LAYOUT
 from calibration.report.units import Unit, Units
 from calibration.report.views import Trace, View, interpolate_law, is_timed, trace_of_law, views
 from tissue_sim.laws import find_law
 
-#: Bins over the duration (or displacement range) of a test in which residuals are averaged.
-_BINS = 60
-#: Height of a row of panels, inches.
-_ROW_HEIGHT = 3.15
-#: Margin between the data and the frame, as a fraction of the range of the data.
-_MARGIN = 0.06
-#: Fraction of rates at either end that is ignored for the scale of the axis.
-_OUTER = 0.02
-#: Number of rates up to which all of them count for the scale of the axis.
-_FEW = 200
-#: Number of points of all recordings above which the markers are smaller.
-_DENSE = 400
-#: Minimum width of a region that gets a label, as a fraction of the panel width.
-_LABEL_WIDTH = 0.11
 #: Colour of a region whose residuals exceed the noise.
 MISFIT = "#D55E00"
 #: Legend entry of the prediction band.
@@ -62,7 +49,7 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
              if fit.law in curves]
     best, fit, best_style = drawn[0]
     shown_views = views(best, units)
-    figure, axes = new_panels([*panels_per_row(len(shown_views)), 2], _ROW_HEIGHT)
+    figure, axes = new_panels([*panels_per_row(len(shown_views)), 2], LAYOUT.test_row_height)
     band, residual = axes[-2:]
     titled = [(each, find_law(law_fit.law).title, style) for each, law_fit, style in drawn]
     for panel, view in zip(axes, shown_views, strict=False):
@@ -102,7 +89,8 @@ def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -
     for m in best.measured:
         for x, y, _ in view.lines(Trace.of(m)):
             thin = thinning_slice(x.size)
-            axes.plot(x[thin], y[thin], "o", ms=4 if points < _DENSE else 3, label=label, **marker_style(points))
+            axes.plot(x[thin], y[thin], "o", ms=4 if points < LAYOUT.dense_points else 3, label=label,
+                      **marker_style(points))
             shown.append(y)
     for rank, (curves, title, style) in enumerate(drawn):
         line = {**style, "lw": 1.8 if rank == 0 else 1.2, "zorder": 4 - rank / len(drawn)}
@@ -128,9 +116,9 @@ def _set_limits(axes, shown: np.ndarray, rates: bool) -> None:
     """
     shown = shown[np.isfinite(shown)]
     if shown.size:
-        outer = _OUTER if rates and shown.size > _FEW else 0.0
+        outer = LAYOUT.ignored_rates if rates and shown.size > LAYOUT.few_rates else 0.0
         low, high = np.quantile(shown, (outer, 1 - outer))
-        margin = (4 if outer else 1) * _MARGIN * ((high - low) or abs(high) or 1.0)
+        margin = (4 if outer else 1) * LAYOUT.margin * ((high - low) or abs(high) or 1.0)
         axes.set_ylim(low - margin, high + margin)
 
 
@@ -195,7 +183,8 @@ def _draw_band(axes, best: TestCurves, colour: str, x: Abscissa) -> None:
     for m, values in zip(best.measured, known, strict=True):
         thin = thinning_slice(m.force.size)
         difference = y * (values[:, 0] - m.force)
-        axes.plot(x.of(m)[thin], difference[thin], "o", ms=4 if points < _DENSE else 2.2, **marker_style(points))
+        axes.plot(x.of(m)[thin], difference[thin], "o", ms=4 if points < LAYOUT.dense_points else 2.2,
+                  **marker_style(points))
 
 
 def _draw_residuals(axes, drawn, x: Abscissa) -> None:
@@ -204,7 +193,8 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     y = 1 / x.load.size
     noise = y * float(np.sqrt(np.mean([m.noise.deviation**2 for m in best.measured])))
     axes.axhspan(-2 * noise, 2 * noise, color="0.6", alpha=0.22, lw=0, label="± 2 noise")
-    edges = np.linspace(min(x.of(m).min() for m in best.measured), max(x.of(m).max() for m in best.measured), _BINS + 1)
+    edges = np.linspace(min(x.of(m).min() for m in best.measured), max(x.of(m).max() for m in best.measured),
+                        LAYOUT.residual_bins + 1)
     reach = [2.2 * noise]
     for rank, (curves, _, other) in enumerate(drawn):
         by_run: dict[int, list[np.ndarray]] = {}
@@ -282,7 +272,7 @@ def _label(axes, spans, load: Unit) -> None:
     """Write the misfit above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
-        if end - start > _LABEL_WIDTH * (right - left):
+        if end - start > LAYOUT.min_labelled_width * (right - left):
             axes.text((start + end) / 2, 0.97, load.text(region.misfit_N, 2), transform=axes.get_xaxis_transform(),
                       ha="center", va="top", fontsize=8.5, color="#8a3c00", zorder=6,
                       bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.5})

@@ -13,7 +13,8 @@ from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Region
 from calibration.report.curve_figures import MISFIT, Abscissa, bin_residuals, draw_view
 from calibration.report.drawing import COLOURS, add_legend_above, new_figure, new_panels
-from calibration.report.rounding import gain_text, ratio_text
+from calibration.report.layout import LAYOUT
+from calibration.report.rounding import NORMAL_95, gain_text, ratio_text
 from calibration.report.units import Units
 from calibration.report.views import Trace, is_timed, views
 
@@ -21,18 +22,6 @@ from calibration.report.views import Trace, is_timed, views
 BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
 #: Line style of the model with the added effects.
 AFTER: dict = {"color": COLOURS[0], "ls": "-"}
-#: Bins over the duration of a test in which residuals are averaged.
-_BINS = 60
-#: Standard deviations of a normal distribution above which a result is significant (two-sided 5 %).
-_SIGNIFICANT = 1.96
-#: Standard deviations up to which the axis is linear.
-_LINEAR = 4.0
-#: Minimum width of a region that gets a label, as a fraction of the panel width.
-_LABEL_WIDTH = 0.16
-#: Height of a row of bars, inches.
-_BAR_HEIGHT = 0.3
-#: Height of title, axis labels and legend around the bars, inches.
-_FRAME_HEIGHT = 1.25
 
 
 def curves_of(evidence: Evidence, name: str) -> TestCurves:
@@ -69,7 +58,7 @@ def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Reg
     timed = is_timed(before.measured)
     # Holds get separate panels: the relaxation in a hold is a small fraction of the whole force range.
     shown = [all_views[0], *(view for view in all_views[1:] if view.log)]
-    figure, axes = new_panels([len(shown) + 1], 3.4)
+    figure, axes = new_panels([len(shown) + 1], LAYOUT.residual_row_height)
     for panel, view in zip(axes, shown, strict=False):
         draw_view(panel, drawn, view)
         # Recordings differ by their offsets and zeros: each has a separate line.
@@ -96,7 +85,8 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     measured = drawn[0][0].measured
     noise = float(np.sqrt(np.mean([m.noise.deviation**2 for m in measured]))) / x.load.size
     axes.axhspan(-noise, noise, color="0.6", alpha=0.22, lw=0, label="± noise of a sample")
-    edges = np.linspace(min(x.of(m).min() for m in measured), max(x.of(m).max() for m in measured), _BINS + 1)
+    edges = np.linspace(min(x.of(m).min() for m in measured), max(x.of(m).max() for m in measured),
+                        LAYOUT.residual_bins + 1)
     reach = 1.5 * noise
     for curves, _, style in drawn:
         by_run: dict[int, list[np.ndarray]] = {}
@@ -122,7 +112,7 @@ def _write_sizes(axes, spans, gaps: dict[str, RegionGap], x: Abscissa) -> None:
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
         gap = gaps.get(region.segment)
-        if gap is None or end - start < _LABEL_WIDTH * (right - left):
+        if gap is None or end - start < LAYOUT.min_two_line_width * (right - left):
             continue
         sizes = [x.load.text(size, 2) for size in (gap.before_N, gap.after_N) if size is not None]
         axes.text((start + end) / 2, 0.975, f"{region.segment}\n" + "\n→ ".join(sizes),
@@ -131,10 +121,10 @@ def _write_sizes(axes, spans, gaps: dict[str, RegionGap], x: Abscissa) -> None:
 
 def draw_evidence(regions: Sequence[RegionGap], units: Units):
     """Draw the significance of the residuals of each region, before and after, in standard deviations."""
-    figure = new_figure(12.0, _FRAME_HEIGHT + _BAR_HEIGHT * len(regions))
+    figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(regions))
     axes = figure.subplots()
     rows = -np.arange(len(regions), dtype=float)
-    axes.axvspan(0, _SIGNIFICANT, color="0.6", alpha=0.18, lw=0, label="chance")
+    axes.axvspan(0, NORMAL_95, color="0.6", alpha=0.18, lw=0, label="chance")
     for row, region in zip(rows, regions, strict=True):
         if region.after_sigma is not None:
             axes.plot([region.before_sigma, region.after_sigma], [row, row], color="0.75", lw=2, zorder=1)
@@ -143,14 +133,15 @@ def draw_evidence(regions: Sequence[RegionGap], units: Units):
     if any(region.after_sigma is not None for region in regions):
         axes.plot([region.after_sigma for region in regions], rows, "D", color=COLOURS[0], ms=6.5, ls="",
                   label="with the added effects", clip_on=False)
-    axes.set_xscale("symlog", linthresh=_LINEAR, linscale=1.5)
+    axes.set_xscale("symlog", linthresh=LAYOUT.linear_deviations, linscale=1.5)
     largest = max([*(region.before_sigma for region in regions),
                    *(region.after_sigma or 0.0 for region in regions), 6.0])
     ticks = [tick for tick in (0, 1, 2, 3, 4, 10, 20, 50, 100, 200, 500, 1000, 10000) if tick < 1.3 * largest]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.set(xlim=(0, 1.35 * largest), ylim=(rows[-1] - 0.7, 0.7),
-             xlabel="standard deviations of a normal distribution (linear up to 4, then logarithmic)")
+             xlabel=f"standard deviations of a normal distribution (linear up to {LAYOUT.linear_deviations:g}, then "
+                    "logarithmic)")
     axes.set_yticks(rows, [f"{region.test}, {_segment_and_speed(region)}" for region in regions])
     sizes = axes.secondary_yaxis("right")
     sizes.set_yticks(rows, [_sizes(region, units) for region in regions])
@@ -181,13 +172,13 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
     Returns:
         The matplotlib figure.
     """
-    figure = new_figure(12.0, _FRAME_HEIGHT + _BAR_HEIGHT * len(candidates))
+    figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(candidates))
     score, gain = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1))
     rows = -np.arange(len(candidates), dtype=float)
     colours = [COLOURS[0] if each.name in chosen else "#8fb8d6" if each.refitted else "0.75" for each in candidates]
-    score.axvspan(-_SIGNIFICANT, _SIGNIFICANT, color="0.6", alpha=0.18, lw=0)
+    score.axvspan(-NORMAL_95, NORMAL_95, color="0.6", alpha=0.18, lw=0)
     score.barh(rows, [each.score or 0.0 for each in candidates], 0.62, color=colours)
-    _set_signed_log_scale(score, [each.score or 0.0 for each in candidates], _LINEAR)
+    _set_signed_log_scale(score, [each.score or 0.0 for each in candidates], LAYOUT.linear_deviations)
     score.set(title="Score before a fit with the effect", xlabel="standard deviations (grey: within chance)")
     score.set_yticks(rows, names)
     score.set_ylim(rows[-1] - 0.7, 0.7)

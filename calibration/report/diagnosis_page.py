@@ -29,6 +29,7 @@ from calibration.report.diagnosis_tables import (
     testable_table,
 )
 from calibration.report.drawing import Pictures, format_count
+from calibration.report.layout import LAYOUT
 from calibration.report.page import estimate_of, html_list, html_page, recording_list, symbol_of, title_of, with_minus
 from calibration.report.units import Units
 
@@ -36,10 +37,6 @@ from calibration.report.units import Units
 HEADINGS: dict[Verdict, str] = {"NAMED": "One effect", "SET": "Several possible effects",
                                 "LOOKS_LIKE": "Probable effect", "UNKNOWN": "Unknown effect",
                                 "NONE": "No effect missing"}
-#: Maximum number of regions in the summary; the figure shows all.
-_MAX_REGIONS = 4
-#: Maximum number of effects in the figure; the table lists all.
-_MAX_DRAWN = 14
 #: Relative change below which a parameter is not mentioned as biased.
 _MIN_CHANGE = 0.005
 _NOTE = ("The models include the offset and the zero of each recording. Shaded: regions whose residuals exceed the "
@@ -106,10 +103,10 @@ def misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     # Holds first: a reader understands a change of force at constant displacement without a model.
     bad = sorted((each for each in diagnosis.regions if not each.adequate_before),
                  key=lambda one: (not one.segment.startswith("hold"), -one.before_sigma))
-    for each in bad[:_MAX_REGIONS]:
+    for each in bad[:LAYOUT.summary_regions]:
         yield f"{each.sentence}."
-    if len(bad) > _MAX_REGIONS:
-        yield f"And {format_count(len(bad) - _MAX_REGIONS, 'more region')}."
+    if len(bad) > LAYOUT.summary_regions:
+        yield f"And {format_count(len(bad) - LAYOUT.summary_regions, 'more region')}."
     good = [f"{each.test} {each.segment}" for each in diagnosis.regions if each.adequate_before]
     if good and len(good) == len(diagnosis.regions):
         yield "Every region agrees."
@@ -191,7 +188,7 @@ def _catalogue(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) ->
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>Effects of the catalogue in these tests</h2>"
     drawn = [each for each in seen
-             if each.refitted or (each.p is not None and each.p <= LIMITS.effect_level)][:_MAX_DRAWN]
+             if each.refitted or (each.p is not None and each.p <= LIMITS.effect_level)][:LAYOUT.drawn_effects]
     if drawn and pictures is not None:
         yield pictures.show("candidates", partial(draw_candidates, drawn, [candidate_label(each) for each in drawn],
                                                   _chosen(diagnosis, drawn)), "Score and gain of each effect")

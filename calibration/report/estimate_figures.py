@@ -12,23 +12,19 @@ from calibration.fit.fit import Fit
 from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import (
     COLOURS,
-    WIDTH,
     add_legend_above,
     line_styles,
     new_figure,
     new_panels,
     panels_per_row,
 )
+from calibration.report.layout import LAYOUT
 from calibration.report.page import free_parameters, with_minus
 from calibration.report.rounding import error_text, interval_text, value_and_error
 from calibration.report.symbols import math_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
 
-#: Width of one specimen in a panel, inches.
-_SPECIMEN_WIDTH = 0.9
-#: Total number of characters of the tick labels above which the labels are rotated.
-_MAX_LABEL_CHARACTERS = 40
 #: Relative standard error above which a combination of parameters is reported as undetermined.
 UNDETERMINED = 1e3
 
@@ -47,10 +43,10 @@ def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]], units: Un
         The matplotlib figure.
     """
     names = list(fit.profiles)
-    figure, grid = new_panels(panels_per_row(len(names)), 3.1)
+    figure, grid = new_panels(panels_per_row(len(names)), LAYOUT.profile_row_height)
     for axes, name in zip(grid, names, strict=True):
         _draw_profile(axes, fit, name, bounds.get(name), units)
-    add_legend_above(figure, 6)
+    add_legend_above(figure, LAYOUT.profile_legend_columns)
     return figure
 
 
@@ -113,8 +109,8 @@ def draw_specimens(fits: Sequence[Fit], units: Units):
     if not owners_of:
         return None
     rows = panels_per_row(len(owners_of))
-    width = max(rows) * (1.5 + _SPECIMEN_WIDTH * max(map(len, owners_of.values())))
-    figure, grid = new_panels(rows, 3.1, float(np.clip(width, WIDTH / 2, WIDTH)))
+    width = max(rows) * (1.5 + LAYOUT.specimen_width * max(map(len, owners_of.values())))
+    figure, grid = new_panels(rows, LAYOUT.profile_row_height, float(np.clip(width, LAYOUT.width / 2, LAYOUT.width)))
     for axes, (root, owners) in zip(grid, owners_of.items(), strict=True):
         _draw_owners(axes, fits, root, list(owners), units)
     add_legend_above(figure)
@@ -138,7 +134,7 @@ def _draw_owners(axes, fits: Sequence[Fit], root: str, owners: Sequence[str], un
             if ends:
                 axes.plot([x, x], ends, color=style["color"], lw=1.2, label="95 % interval")
             axes.errorbar(x, value, error, fmt="o", color=style["color"], lw=4, ms=6, label=find_law(fit.law).title)
-    crowded = sum(map(len, owners)) > _MAX_LABEL_CHARACTERS
+    crowded = sum(map(len, owners)) > LAYOUT.max_label_characters
     axes.set_xticks(range(len(owners)), owners, rotation=35 if crowded else 0, ha="right" if crowded else "center")
     axes.set(xlim=(-0.6, len(owners) - 0.4), ylabel=unit.label(math_symbol(root)))
     axes.grid(visible=False, axis="x")
@@ -154,7 +150,7 @@ def draw_windows(fit: Fit, units: Units):
     if len(fit.windows) < 2 or not names:
         return None
     percentages = 100.0 * np.array([window.share for window in fit.windows])
-    figure, grid = new_panels(panels_per_row(len(names)), 2.6)
+    figure, grid = new_panels(panels_per_row(len(names)), LAYOUT.window_row_height)
     for axes, name in zip(grid, names, strict=True):
         unit = units.of_parameter(fit.units[name])
         value, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
@@ -181,7 +177,7 @@ def draw_correlation(fit: Fit, units: Units):
     indices = [fit.covariance.order.index(name) for name in names]
     matrix = np.array(fit.correlation)[np.ix_(indices, indices)]
     symbols, alone = [math_symbol(fit.symbols[name]) for name in names], len(names) > 2 and not fit.directions
-    figure = new_figure(WIDTH / 2 if alone else WIDTH, 4.2 + 0.35 * max(0, len(names) - 4))
+    figure = new_figure(LAYOUT.width / (2 if alone else 1), LAYOUT.correlation_height + 0.35 * max(0, len(names) - 4))
     left, *right = figure.subplots(1, 1 if alone else 2, squeeze=False, width_ratios=(1,) if alone else (1, 1.45)).flat
     _draw_matrix(figure, left, symbols, matrix)
     for axes in right:
@@ -208,7 +204,7 @@ def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> No
     for edge in np.arange(len(symbols) - 1) + 0.5:
         axes.axvline(edge, color="white", lw=2)
         axes.axhline(edge, color="white", lw=2)
-    long = sum(map(len, symbols)) > _MAX_LABEL_CHARACTERS + 6 * len(symbols)
+    long = sum(map(len, symbols)) > LAYOUT.max_label_characters + 6 * len(symbols)
     axes.set_xticks(range(len(symbols)), symbols, rotation=35 if long else 0, ha="right" if long else "center")
     axes.set_yticks(range(len(symbols)), symbols)
     axes.grid(visible=False)

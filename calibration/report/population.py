@@ -14,12 +14,9 @@ from calibration.fit.population import in_words
 from calibration.fit.population_records import PopulationStatement
 from calibration.report.drawing import COLOURS, Pictures, add_legend_above, new_panels, panels_per_row
 from calibration.report.page import html_table, title_of, with_minus
-from calibration.report.rounding import error_text, interval_text, value_and_error
+from calibration.report.rounding import NORMAL_95, error_text, interval_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol
 from calibration.report.units import Unit, Units
-
-#: Half width of a 95 % interval, standard errors.
-_HALF_WIDTH95 = 1.96
 
 
 class Scatter(NamedTuple):
@@ -104,7 +101,7 @@ def _draw_parameter(axes, fit: Fit, population: PopulationStatement, k: int, uni
                  label="mean, 95 %")
     axes.axvline(population.mean[k] / unit.size, color=COLOURS[0], lw=1.4)
     values, errors = (np.array(getattr(population, key))[:, k] / unit.size for key in ("estimates", "errors"))
-    axes.errorbar(values, rows, xerr=_HALF_WIDTH95 * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
+    axes.errorbar(values, rows, xerr=NORMAL_95 * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
                   label="specimen alone, 95 %")
     axes.plot(np.array(population.shrunken)[:, k] / unit.size, rows, "D", mfc="white", mec="0.2", ms=4, zorder=5,
               label="using the other specimens")

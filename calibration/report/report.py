@@ -18,6 +18,7 @@ from calibration.report.curve_figures import describe_region, draw_test, format_
 from calibration.report.drawing import Pictures, format_count
 from calibration.report.estimate_figures import draw_correlation, draw_profiles, draw_specimens, draw_windows
 from calibration.report.figures import draw_history, draw_predictions, draw_regions, format_percent
+from calibration.report.layout import LAYOUT
 from calibration.report.page import (
     correlation_tables,
     estimate_of,
@@ -49,8 +50,6 @@ from calibration.report.units import Units
 from calibration.report.usability import usability_section
 from tissue_sim.laws import find_law
 
-#: Maximum number of misfits in the summary; the table lists all.
-_MAX_MISFITS = 3
 #: Explanation above the figures of the tests.
 _NOTE = ("Displacement, strain, force and stress are positive under load. Tangents are slopes of straight lines "
          "fitted in short windows, the same for recordings and laws. Laws are drawn without contact offset and force "
@@ -151,13 +150,13 @@ def _prediction_in_words(prediction: Prediction, test: Test, units: Units) -> st
 
 def _misfits(fit: Fit, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     bad = sorted((r for r in fit.regions if not r.adequate), key=lambda r: r.p)
-    for r in bad[:_MAX_MISFITS]:
+    for r in bad[:LAYOUT.summary_misfits]:
         test = tests[r.test]
         size = units.load(test).text(r.misfit_N, 2)
         yield (f"<b>{escape(r.test)}</b>, {escape(describe_region(r, test, units))}: {size} that the law does not "
                f"explain ({escape(format_probability(r.p))})")
-    if len(bad) > _MAX_MISFITS:
-        yield f"and {len(bad) - _MAX_MISFITS} more regions, in the table below."
+    if len(bad) > LAYOUT.summary_misfits:
+        yield f"and {len(bad) - LAYOUT.summary_misfits} more regions, in the table below."
 
 
 def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.output_folder import picture_of_test
-from calibration.report.drawing import WIDTH, Pictures, new_figure
+from calibration.report.drawing import Pictures, new_figure
+from calibration.report.layout import LAYOUT
 from calibration.report.page import html_list
 from tissue_sim.recording.contact import Contact
 
@@ -23,10 +24,6 @@ if TYPE_CHECKING:
 SPANS = {"approach": "#56B4E9", "preload": "#CC79A7", "preconditioning": "#E69F00", "ramp": "#009E73",
          "load": "#009E73", "hold": "#7F3C8D", "unload": "#999999", "retract": "#999999", "reload": "#0072B2",
          "failure": "#D55E00"}
-#: Samples before contact in the detail view of the contact.
-_SAMPLES_BEFORE_CONTACT = 80
-#: Displacement after contact in the detail view, as a fraction of the largest displacement after contact.
-_FRACTION_AFTER_CONTACT = 0.12
 
 
 def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None, segmentation: Segmentation,
@@ -51,7 +48,7 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
     clock = travel if table else np.arange(force.size) if time is None else time
     contact = segmentation.contact
     has_detail = contact is not None and np.isfinite(contact.interval[1])
-    figure = new_figure(WIDTH, 4.2)
+    figure = new_figure(LAYOUT.width, LAYOUT.segment_height)
     over_time, detail = figure.subplots(1, 2, width_ratios=(1.6, 1)) if has_detail else (figure.subplots(), None)
     _draw_spans(over_time, clock, segmentation)
     line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
@@ -98,9 +95,9 @@ def _draw_contact(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray,
     scale, factor = (1.0, 1e-3) if stressed else (1e3, 1.0)
     position = scale * contact.displacement
     low, high = (scale * end for end in contact.interval)
-    beyond = max(_FRACTION_AFTER_CONTACT * (travel.max() - position), 2 * (high - position))
+    beyond = max(LAYOUT.fraction_after_contact * (travel.max() - position), 2 * (high - position))
     end = int(np.argmax(travel >= position + beyond)) or travel.size
-    first = max(contact.index - _SAMPLES_BEFORE_CONTACT, 0)
+    first = max(contact.index - LAYOUT.samples_before_contact, 0)
     shown = slice(first, end)
     axes.plot(travel[shown], load[shown], ".", ms=3.5, color="0.25", zorder=3)
     base = factor * (contact.force_zero + contact.drift * (clock[shown] - clock[0]))
