@@ -112,13 +112,14 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.result import read_diagnosis
     from calibration.fit.run_context import RunContext
-    from calibration.report.diagnosis_outputs import files_of_diagnosis
+    from calibration.report.diagnosis_outputs import list_diagnosis_files
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                                    RunContext(campaign.name, tasks, progress, announce=announce))
                  for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run(parts, output, read_diagnosis, overwrite, figures, figures_format, files_of_diagnosis)
+        results, failures = _run(parts, output, read_diagnosis, overwrite, figures, figures_format,
+                                 list_diagnosis_files)
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results

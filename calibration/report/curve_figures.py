@@ -23,7 +23,7 @@ from calibration.report.drawing import (
 )
 from calibration.report.layout import LAYOUT
 from calibration.report.units import Unit, Units
-from calibration.report.views import Trace, View, interpolate_law, is_timed, trace_of_law, views
+from calibration.report.views import Trace, View, interpolate_law, is_timed, list_views, trace_of_law
 from tissue_sim.laws import find_law
 
 #: Colour of a region whose residuals exceed the noise.
@@ -48,7 +48,7 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     drawn = [(curves[fit.law], fit, style) for fit, style in zip(fits, line_styles(), strict=False)
              if fit.law in curves]
     best, fit, best_style = drawn[0]
-    shown_views = views(best, units)
+    shown_views = list_views(best, units)
     figure, axes = new_panels([*panels_per_row(len(shown_views)), 2], LAYOUT.test_row_height)
     band, residual = axes[-2:]
     titled = [(each, find_law(law_fit.law).title, style) for each, law_fit, style in drawn]
@@ -66,7 +66,7 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     _draw_band(band, best, best_style["color"], x)
     _draw_residuals(residual, drawn, x)
     band.sharex(residual)
-    _label(residual, spans, x.load)
+    _write_misfit_labels(residual, spans, x.load)
     for panel in (band, residual):
         panel.set(xlabel=x.label, ylabel=x.load.label("model − data"))
     figure.align_labels()
@@ -102,14 +102,14 @@ def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -
                 if band is not None and np.isfinite(band).any():
                     axes.fill_between(x, y - band, y + band, color=style["color"], alpha=0.25, lw=0, zorder=2,
                                       label=BAND)
-    _set_limits(axes, np.concatenate(shown), view.rates)
+    _set_y_limits(axes, np.concatenate(shown), view.rates)
     axes.set(title=view.title, xlabel=view.x, ylabel=view.y)
     if view.log:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
 
 
-def _set_limits(axes, shown: np.ndarray, rates: bool) -> None:
+def _set_y_limits(axes, shown: np.ndarray, rates: bool) -> None:
     """Set the y limits from the recordings and the best law.
 
     Other laws may leave the frame, so that a poor law does not flatten the curves. Outlying rates may leave it too.
@@ -138,13 +138,20 @@ class Abscissa:
     timed: bool
     label: str
 
-    def of(self, measured: MeasuredCurve) -> np.ndarray:
+    def positions_of(self, measured: MeasuredCurve) -> np.ndarray:
+        """Return the position of each sample on this axis, in the unit of the axis, shape (n,)."""
         return measured.clock if self.timed else measured.displacement / self.travel.size
+
+    def bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
+        """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
+        positions = [self.positions_of(measured) for measured in recordings]
+        return np.linspace(min(each.min() for each in positions), max(each.max() for each in positions),
+                           LAYOUT.residual_bins + 1)
 
     def spans(self, region: Region, recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
         """Yield the interval of a region on this axis; on a time axis one interval for each cycle."""
         measured = recordings[0]
-        start, end = _ends(region, measured.test)
+        start, end = _region_ends(region, measured.test)
         if not self.timed:
             yield start / self.travel.size, end / self.travel.size
             return
@@ -183,7 +190,7 @@ def _draw_band(axes, best: TestCurves, colour: str, x: Abscissa) -> None:
     for m, values in zip(best.measured, known, strict=True):
         thin = thinning_slice(m.force.size)
         difference = y * (values[:, 0] - m.force)
-        axes.plot(x.of(m)[thin], difference[thin], "o", ms=4 if points < LAYOUT.dense_points else 2.2,
+        axes.plot(x.positions_of(m)[thin], difference[thin], "o", ms=4 if points < LAYOUT.dense_points else 2.2,
                   **marker_style(points))
 
 
@@ -193,8 +200,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     y = 1 / x.load.size
     noise = y * float(np.sqrt(np.mean([m.noise.deviation**2 for m in best.measured])))
     axes.axhspan(-2 * noise, 2 * noise, color="0.6", alpha=0.22, lw=0, label="± 2 noise")
-    edges = np.linspace(min(x.of(m).min() for m in best.measured), max(x.of(m).max() for m in best.measured),
-                        LAYOUT.residual_bins + 1)
+    edges = x.bin_edges(best.measured)
     reach = [2.2 * noise]
     for rank, (curves, _, other) in enumerate(drawn):
         by_run: dict[int, list[np.ndarray]] = {}
@@ -234,7 +240,7 @@ def bin_residuals(measured: MeasuredCurve, residual: np.ndarray, x: Abscissa, ed
     Yields:
         Mean position and mean residual, shape (2, bins), NaN in empty bins; and the standard deviation, shape (bins,).
     """
-    at, noise = x.of(measured), measured.noise
+    at, noise = x.positions_of(measured), measured.noise
     step = 1.0 if measured.time is None else float(np.median(np.diff(measured.time)))
     ends = [0, at.size]
     if not x.timed and measured.segment is not None:
@@ -268,7 +274,7 @@ def deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -
     return np.sqrt(((1 + phi) / (1 - phi) - 2 * phi * (1 - phi**n) / (n * (1 - phi) ** 2)) / n)
 
 
-def _label(axes, spans, load: Unit) -> None:
+def _write_misfit_labels(axes, spans, load: Unit) -> None:
     """Write the misfit above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
@@ -278,7 +284,7 @@ def _label(axes, spans, load: Unit) -> None:
                       bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.5})
 
 
-def _ends(region: Region, test: Test) -> tuple[float, float]:
+def _region_ends(region: Region, test: Test) -> tuple[float, float]:
     """Return the displacements (strains for a test without specimen) at both ends of a region, SI."""
     size = 1.0 if test.specimen is None else 1e-3
     return region.start * size, region.end * size
@@ -287,7 +293,7 @@ def _ends(region: Region, test: Test) -> tuple[float, float]:
 def describe_region(region: Region, test: Test, units: Units) -> str:
     """Return a region in words, such as ``ramp from 3.3 to 6.7 mm`` or ``hold at 10 mm``."""
     travel = units.travel(test)
-    start, end = (f"{end / travel.size:.3g}" for end in _ends(region, test))
+    start, end = (f"{end / travel.size:.3g}" for end in _region_ends(region, test))
     span = f"{f'at {start}' if start == end else f'from {start} to {end}'} {travel.name}".rstrip()
     return f"{region.segment} {span}".strip()
 

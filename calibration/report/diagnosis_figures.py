@@ -16,7 +16,7 @@ from calibration.report.drawing import COLOURS, add_legend_above, new_figure, ne
 from calibration.report.layout import LAYOUT
 from calibration.report.rounding import NORMAL_95, gain_text, ratio_text
 from calibration.report.units import Units
-from calibration.report.views import Trace, is_timed, views
+from calibration.report.views import Trace, is_timed, list_views
 
 #: Line style of the model without the added effects.
 BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
@@ -24,7 +24,7 @@ BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
 AFTER: dict = {"color": COLOURS[0], "ls": "-"}
 
 
-def curves_of(evidence: Evidence, name: str) -> TestCurves:
+def curves_of_test(evidence: Evidence, name: str) -> TestCurves:
     """Return the measured and fitted curves of one test, with the offset and zero of each recording, without bands."""
     problem = evidence.problem
     number = next(i for i, test in enumerate(problem.tests) if test.name == name)
@@ -36,7 +36,7 @@ def curves_of(evidence: Evidence, name: str) -> TestCurves:
                       fitted, test.area)
 
 
-def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Region], gaps: Sequence[RegionGap],
+def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequence[Region], gaps: Sequence[RegionGap],
              label: str, units: Units):
     """Draw one test: the recordings, the model without and with the added effects, and the residuals.
 
@@ -54,7 +54,7 @@ def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Reg
     drawn = [(before, "model, nothing added", BEFORE)]
     if after is not None:
         drawn.insert(0, (after, f"model with {label}", AFTER))
-    all_views = views(before, units)
+    all_views = list_views(before, units)
     timed = is_timed(before.measured)
     # Holds get separate panels: the relaxation in a hold is a small fraction of the whole force range.
     shown = [all_views[0], *(view for view in all_views[1:] if view.log)]
@@ -75,7 +75,7 @@ def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Reg
             for edge in (start, end):
                 panel.axvline(edge, color=MISFIT, alpha=0.3, lw=0.8, zorder=0)
     _draw_residuals(axes[-1], drawn, x)
-    _write_sizes(axes[-1], spans, {gap.segment: gap for gap in gaps}, x)
+    _write_misfit_labels(axes[-1], spans, {gap.segment: gap for gap in gaps}, x)
     add_legend_above(figure)
     return figure
 
@@ -85,8 +85,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     measured = drawn[0][0].measured
     noise = float(np.sqrt(np.mean([m.noise.deviation**2 for m in measured]))) / x.load.size
     axes.axhspan(-noise, noise, color="0.6", alpha=0.22, lw=0, label="± noise of a sample")
-    edges = np.linspace(min(x.of(m).min() for m in measured), max(x.of(m).max() for m in measured),
-                        LAYOUT.residual_bins + 1)
+    edges = x.bin_edges(measured)
     reach = 1.5 * noise
     for curves, _, style in drawn:
         by_run: dict[int, list[np.ndarray]] = {}
@@ -107,7 +106,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     right.spines["right"].set_visible(True)
 
 
-def _write_sizes(axes, spans, gaps: dict[str, RegionGap], x: Abscissa) -> None:
+def _write_misfit_labels(axes, spans, gaps: dict[str, RegionGap], x: Abscissa) -> None:
     """Write the misfit before and after above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
@@ -142,21 +141,21 @@ def draw_evidence(regions: Sequence[RegionGap], units: Units):
     axes.set(xlim=(0, 1.35 * largest), ylim=(rows[-1] - 0.7, 0.7),
              xlabel=f"standard deviations of a normal distribution (linear up to {LAYOUT.linear_deviations:g}, then "
                     "logarithmic)")
-    axes.set_yticks(rows, [f"{region.test}, {_segment_and_speed(region)}" for region in regions])
+    axes.set_yticks(rows, [f"{region.test}, {_format_segment_and_speed(region)}" for region in regions])
     sizes = axes.secondary_yaxis("right")
-    sizes.set_yticks(rows, [_sizes(region, units) for region in regions])
+    sizes.set_yticks(rows, [_format_misfits(region, units) for region in regions])
     for side in (axes.yaxis, sizes.yaxis):
         side.set_tick_params(length=0, pad=9)
     add_legend_above(figure)
     return figure
 
 
-def _segment_and_speed(region: RegionGap) -> str:
+def _format_segment_and_speed(region: RegionGap) -> str:
     """Return the segment of a region with its speed, such as ``ramp at 0.248 mm/s``."""
     return f"{region.segment} at {region.speed_mm_s:g} mm/s" if region.speed_mm_s else region.segment
 
 
-def _sizes(region: RegionGap, units: Units) -> str:
+def _format_misfits(region: RegionGap, units: Units) -> str:
     sizes = [units.force.text(size, 2) for size in (region.before_N, region.after_N) if size is not None]
     return " → ".join(sizes)
 
@@ -189,8 +188,8 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
                           color="0.5", bbox={"fc": "white", "ec": "none", "pad": 0.8})
             continue
         gain.barh(row, each.delta_BIC, 0.62, color=colour)
-        gain.text(max(each.delta_BIC, 0.0), row, f"  {gain_text(each.delta_BIC)}{_odds(each)}", va="center",
-                  fontsize=8.5)
+        gain.text(max(each.delta_BIC, 0.0), row, f"  {gain_text(each.delta_BIC)}{_format_odds_against_best(each)}",
+                  va="center", fontsize=8.5)
     _set_signed_log_scale(gain, [*known, 0.0], 10.0, margin=12.0)
     gain.axvline(10.0, color="0.4", lw=0.9, ls=(0, (3, 2)))
     gain.set(title="Gain in BIC of a fit with the effect", xlabel="ΔBIC (dashed: minimum of 10 for an effect)")
@@ -200,7 +199,7 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
     return figure
 
 
-def _odds(each: CandidateStatement) -> str:
+def _format_odds_against_best(each: CandidateStatement) -> str:
     """Return the odds against the best candidate, such as ``, 1 : 45``; empty for the best."""
     ratio = each.evidence_ratio
     return "" if ratio is None or ratio <= 1.0 else f", 1 : {ratio_text(ratio)}"

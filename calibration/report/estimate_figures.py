@@ -19,7 +19,7 @@ from calibration.report.drawing import (
     panels_per_row,
 )
 from calibration.report.layout import LAYOUT
-from calibration.report.page import free_parameters, with_minus
+from calibration.report.page import free_parameters, use_minus_signs
 from calibration.report.rounding import error_text, interval_text, value_and_error
 from calibration.report.symbols import math_symbol
 from calibration.report.units import Units
@@ -87,7 +87,8 @@ def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None,
     symbol = math_symbol(fit.symbols[name])
     axes.set(xlim=(left, right), ylim=(-0.02 * ceiling, ceiling), xlabel=unit.label(symbol),
              ylabel="increase of sum of squares")
-    axes.set_title(with_minus(f"{symbol} = {value_and_error(estimate, error, unit.name)}{words}"), fontweight="normal")
+    axes.set_title(use_minus_signs(f"{symbol} = {value_and_error(estimate, error, unit.name)}{words}"),
+                   fontweight="normal")
     axes.locator_params(axis="x", nbins=6)
 
 
@@ -112,12 +113,12 @@ def draw_specimens(fits: Sequence[Fit], units: Units):
     width = max(rows) * (1.5 + LAYOUT.specimen_width * max(map(len, owners_of.values())))
     figure, grid = new_panels(rows, LAYOUT.profile_row_height, float(np.clip(width, LAYOUT.width / 2, LAYOUT.width)))
     for axes, (root, owners) in zip(grid, owners_of.items(), strict=True):
-        _draw_owners(axes, fits, root, list(owners), units)
+        _draw_parameter_by_specimen(axes, fits, root, list(owners), units)
     add_legend_above(figure)
     return figure
 
 
-def _draw_owners(axes, fits: Sequence[Fit], root: str, owners: Sequence[str], units: Units) -> None:
+def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Sequence[str], units: Units) -> None:
     """Draw one parameter of all specimens (tests, recordings) that own a value of the parameter."""
     having = [(fit, style) for fit, style in zip(fits, line_styles(), strict=False)
               if any(symbol.startswith(f"{root}@") for symbol in fit.symbols.values())]
@@ -179,17 +180,17 @@ def draw_correlation(fit: Fit, units: Units):
     symbols, alone = [math_symbol(fit.symbols[name]) for name in names], len(names) > 2 and not fit.directions
     figure = new_figure(LAYOUT.width / (2 if alone else 1), LAYOUT.correlation_height + 0.35 * max(0, len(names) - 4))
     left, *right = figure.subplots(1, 1 if alone else 2, squeeze=False, width_ratios=(1,) if alone else (1, 1.45)).flat
-    _draw_matrix(figure, left, symbols, matrix)
+    _draw_correlation_matrix(figure, left, symbols, matrix)
     for axes in right:
         if len(names) == 2:
-            _draw_ellipse(axes, fit, names, units)
+            _draw_confidence_ellipse(axes, fit, names, units)
         else:
-            _draw_directions(axes, fit, names)
+            _draw_poorly_determined_combinations(axes, fit, names)
     add_legend_above(figure)
     return figure
 
 
-def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> None:
+def _draw_correlation_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
     shades = LinearSegmentedColormap.from_list("signed", [
@@ -213,7 +214,7 @@ def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> No
     figure.colorbar(image, ax=axes, shrink=0.85, label="correlation").outline.set_visible(False)
 
 
-def _draw_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
+def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
     scales = [units.of_parameter(fit.units[name]) for name in names]
     indices = [fit.covariance.order.index(name) for name in names]
     sizes = np.array([unit.size for unit in scales])
@@ -236,7 +237,7 @@ def _draw_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
     axes.locator_params(nbins=7)
 
 
-def _draw_directions(axes, fit: Fit, names: Sequence[str]) -> None:
+def _draw_poorly_determined_combinations(axes, fit: Fit, names: Sequence[str]) -> None:
     directions = fit.directions[:4]
     height = 0.8 / len(directions)
     for k, (direction, style) in enumerate(zip(directions, line_styles(), strict=False)):

@@ -128,7 +128,8 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
                   va="center", fontsize=9)
     axes.set(xlim=(0, 1.16 * limit), ylim=(-0.5, len(cases) - 0.5), yticks=range(len(cases)),
              xlabel="root mean square error, % of the largest measured force (or stress)",
-             yticklabels=[_case(by_name[test], fitted, several.get(test, 0)) for test, fitted in cases])
+             yticklabels=[_format_prediction_label(by_name[test], fitted, several.get(test, 0))
+                          for test, fitted in cases])
     axes.invert_yaxis()
     axes.set_axisbelow(True)
     axes.grid(visible=False, axis="y")
@@ -147,7 +148,7 @@ def format_percent(value: float) -> str:
     return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
 
 
-def _case(test: Test, fitted: Sequence[str], of_mean: int) -> str:
+def _format_prediction_label(test: Test, fitted: Sequence[str], of_mean: int) -> str:
     if of_mean:
         return f"{test.name}\n{'held' if test.hold_out else 'left'} out, mean of {of_mean}"
     others = f"{len(fitted)} others" if len(fitted) >= 3 else ", ".join(fitted)
@@ -169,7 +170,7 @@ def draw_history(fits: Sequence[Fit]):
     return figure
 
 
-def chosen_start(fit: Fit) -> int:
+def best_start_number(fit: Fit) -> int:
     """Return the number of the start with the lowest final error; starts on the accurate mesh are preferred."""
     last = {step.start: step for step in sorted(fit.history, key=lambda step: step.run)}
     return min(last, key=lambda start: (not last[start].corrected, last[start].error))
@@ -181,7 +182,7 @@ def _draw_convergence(above, below, fit: Fit) -> None:
     starts: dict[int, list] = {}
     for step in sorted(fit.history, key=lambda step: step.run):
         starts.setdefault(step.start, []).append(step)
-    chosen = chosen_start(fit)
+    chosen = best_start_number(fit)
     names = list(starts[chosen][0].parameters)
     scale = {name: fit.parameters[name] or max(abs(step.parameters[name]) for step in fit.history) or 1.0
              for name in names}

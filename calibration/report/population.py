@@ -13,13 +13,13 @@ from calibration.fit.fit import Fit
 from calibration.fit.population import in_words
 from calibration.fit.population_records import PopulationStatement
 from calibration.report.drawing import COLOURS, Pictures, add_legend_above, new_panels, panels_per_row
-from calibration.report.page import html_table, title_of, with_minus
+from calibration.report.page import html_table, title_of, use_minus_signs
 from calibration.report.rounding import NORMAL_95, error_text, interval_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol
 from calibration.report.units import Unit, Units
 
 
-class Scatter(NamedTuple):
+class PopulationRow(NamedTuple):
     """Formatted statistics of one parameter in a population of specimens.
 
     Attributes:
@@ -41,7 +41,7 @@ class Scatter(NamedTuple):
     next_specimen: str
 
 
-def format_population(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[Scatter]:
+def format_population(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[PopulationRow]:
     """Yield the formatted statistics of each parameter of a population."""
     for k, path in enumerate(population.order):
         name = f"{path}@{population.specimens[0]}"
@@ -52,8 +52,8 @@ def format_population(fit: Fit, population: PopulationStatement, units: Units) -
         intervals = [interval_text(low / unit.size, high / unit.size, precision, mean) for (low, high), precision in (
             (population.mean_intervals[k], error), (population.spread_intervals[k], spread_error),
             (population.next_specimen[k], error))]
-        yield Scatter(fit.symbols[name].partition("@")[0], unit, value_and_error(mean, error, unit.name), intervals[0],
-                      f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
+        yield PopulationRow(fit.symbols[name].partition("@")[0], unit, value_and_error(mean, error, unit.name),
+                            intervals[0], f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
 
 
 def population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
@@ -63,7 +63,7 @@ def population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) ->
         return
     yield "<h2>Specimens as a population</h2>"
     yield html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "Next specimen, 95\u00a0%", "Specimens"], [
-        [title_of(fit.law), html_symbol(each.symbol), *map(with_minus, (
+        [title_of(fit.law), html_symbol(each.symbol), *map(use_minus_signs, (
             each.mean, each.mean_interval, each.spread, each.spread_interval, each.next_specimen)),
          str(len(found.specimens))]
         for fit, found in having for each in format_population(fit, found, units)])

@@ -50,7 +50,7 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
     has_detail = contact is not None and np.isfinite(contact.interval[1])
     figure = new_figure(LAYOUT.width, LAYOUT.segment_height)
     over_time, detail = figure.subplots(1, 2, width_ratios=(1.6, 1)) if has_detail else (figure.subplots(), None)
-    _draw_spans(over_time, clock, segmentation)
+    _draw_segment_spans(over_time, clock, segmentation)
     line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
     if used is not None and not used.all():
         over_time.plot(np.where(used, clock, np.nan), load, color="#0072B2", lw=3.2, alpha=0.55,
@@ -74,7 +74,7 @@ def _draw_motion(axes, clock: np.ndarray, travel: np.ndarray, label: str) -> Non
     axes.spines["right"].set_visible(True)
 
 
-def _draw_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
+def _draw_segment_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
     named: set[str] = set()
     for name, first, end in segmentation.runs():
         last = min(end, clock.size - 1)
@@ -130,28 +130,28 @@ def segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[Measur
         if not (curves := known.get(test)):
             continue
         yield f"<h3>{escape(test)}</h3>"
-        yield html_list(_in_words(curve) for curve in curves)
+        yield html_list(_describe_recording(curve) for curve in curves)
         if pictures is not None:
             drawn = next((curve for curve in curves if curve.notes), curves[0])
-            yield pictures.show(picture_of_test(campaign, number, "segments"), partial(_draw_whole, drawn),
+            yield pictures.show(picture_of_test(campaign, number, "segments"), partial(_draw_recording_segments, drawn),
                                 f"Segments of {drawn.name}",
                                 f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a part is "
                                 "fitted.")
 
 
-def _draw_whole(curve: MeasuredCurve):
+def _draw_recording_segments(curve: MeasuredCurve):
     whole = curve.whole
     assert whole is not None
     return draw_segments(whole.displacement + whole.shift, whole.recorded_force, whole.time, whole.segmentation,
                          whole.used)
 
 
-def _in_words(curve: MeasuredCurve) -> str:
+def _describe_recording(curve: MeasuredCurve) -> str:
     whole = curve.whole
     assert whole is not None
     found = whole.segmentation
     runs = [name for name, _, _ in found.runs()]
-    parts = [f"{'stated' if found.stated else 'found'}: {_counted_runs(runs)}",
+    parts = [f"{'stated' if found.stated else 'found'}: {_count_segments(runs)}",
              f"{int(whole.used.sum())} of {whole.used.size} samples fitted"]
     if found.contact is not None:
         parts.append(found.contact.in_words(stressed=found.stressed))
@@ -161,7 +161,7 @@ def _in_words(curve: MeasuredCurve) -> str:
     return f"<b>{escape(curve.name)}</b>: {escape('; '.join(parts))}{notes}"
 
 
-def _counted_runs(runs: Sequence[str]) -> str:
+def _count_segments(runs: Sequence[str]) -> str:
     """List the segments and count equal pairs, such as ``approach, ramp, 3 × (unload, reload)``."""
     parts: list[str] = []
     k = 0

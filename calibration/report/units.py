@@ -74,7 +74,8 @@ class Units:
     @classmethod
     def of_sizes(cls, travel: float, force: float, modulus: float) -> Units:
         """Choose the units for typical displacements (m), forces (N) and moduli (Pa); see `of`."""
-        return cls(_unit(_LENGTH_UNITS, 10 * travel), _unit(_FORCE_UNITS, 10 * force), Unit(*pressure_unit(modulus)))
+        return cls(_choose_unit(_LENGTH_UNITS, 10 * travel), _choose_unit(_FORCE_UNITS, 10 * force),
+                   Unit(*pressure_unit(modulus)))
 
     def load(self, test: Test) -> Unit:
         """Return the unit of force, or of stress for a test without specimen."""
@@ -107,7 +108,7 @@ class Units:
         return known.get(unit, Unit(unit, 1.0))
 
 
-def _unit(units: Mapping[str, float], size: float) -> Unit:
+def _choose_unit(units: Mapping[str, float], size: float) -> Unit:
     """Return the largest unit that is not larger than `size`; the smallest unit if all are larger."""
     return Unit(*next((pair for pair in units.items() if size >= pair[1]), [*units.items()][-1]))
 
@@ -116,7 +117,7 @@ def pressure_unit(pressure: float) -> tuple[str, float]:
     """Return the unit for a pressure in Pa and its size in Pa; Pa for zero and for values that are not finite."""
     # Round first: 999.999 Pa is written as 1 kPa.
     size = float(f"{abs(pressure):.4g}") if math.isfinite(pressure) else 0.0
-    unit = _unit(PRESSURE_UNITS, size)
+    unit = _choose_unit(PRESSURE_UNITS, size)
     return unit.name, unit.size
 
 

@@ -13,7 +13,14 @@ from calibration.fit.ranking import ranked_by_held_out
 from calibration.fit.self_weight import statement
 from calibration.report.curve_figures import describe_region, format_probability
 from calibration.report.drawing import format_count
-from calibration.report.page import estimate_of, interval_of, moduli_of, number, remarks_by_law, stable_stretches
+from calibration.report.page import (
+    estimate_of,
+    format_moduli,
+    format_number,
+    format_stable_stretches,
+    interval_of,
+    remarks_by_law,
+)
 from calibration.report.report_tables import direction_in_words, suggestion_in_words
 from calibration.report.units import Units
 from scenes.commands.calibrate.population import population_table
@@ -104,9 +111,9 @@ def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
     for fit in fits:
         error = fit.RMSE_N if forces else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(_ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
+        table.add_row(_ranked_name(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
                       _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
-                      *moduli_of(fit, units), stable_stretches(fit),
+                      *format_moduli(fit, units), format_stable_stretches(fit),
                       style=_ranked_style(fit, best))
     return table
 
@@ -166,7 +173,7 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
         chance = "-" if p.expected_N is None else load.text(p.expected_N, 2)
         how = f"{'left out' if p.fitted else 'held out'}{f', by the mean of {len(p.mean_of)}' if p.mean_of else ''}"
         table.add_row(p.law if p.law != last else "", Text(p.test), how,
-                      "none" if error is None else load.text(error, 3), number(p.percent, 2), chance)
+                      "none" if error is None else load.text(error, 3), format_number(p.percent, 2), chance)
         last = p.law
     return table
 
