@@ -185,11 +185,11 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
 
     campaign = whole_campaign(load_campaign(path, planned=True), law)
     measured = read_planned(campaign, replicates, samples)
-    from calibration.diagnosis.design import design
+    from calibration.diagnosis.design import compute_design
     from calibration.fit.run_context import RunContext
 
     with open_tasks(workers or Workers()) as tasks:
-        return design(campaign, measured, RunContext(campaign.name, tasks, progress))
+        return compute_design(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
 def _check_format(figures_format: str | None) -> None:

@@ -32,7 +32,7 @@ class DurationSettings:
     min_announced: float = 60.0
 
 
-_SETTINGS = DurationSettings()
+SETTINGS = DurationSettings()
 
 
 def simulation_seconds(problem: Problem) -> dict[str, float]:
@@ -61,16 +61,16 @@ def simulation_seconds(problem: Problem) -> dict[str, float]:
     return found
 
 
-def in_words(seconds: Mapping[str, float]) -> str:
+def describe_duration(seconds: Mapping[str, float]) -> str:
     """Describe the expected duration and ways to shorten it; empty for a short diagnosis.
 
     Args:
         seconds: name of the test -> processor time of a simulation, s, from `simulation_seconds`.
     """
     each = sum(seconds.values())
-    if _SETTINGS.max_simulations * each < _SETTINGS.min_announced:
+    if SETTINGS.max_simulations * each < SETTINGS.min_announced:
         return ""
-    low, high = math.floor(_SETTINGS.min_simulations * each / 60.0), math.ceil(_SETTINGS.max_simulations * each / 60.0)
+    low, high = math.floor(SETTINGS.min_simulations * each / 60.0), math.ceil(SETTINGS.max_simulations * each / 60.0)
     minutes = f"{low} to {high} minutes" if low else f"up to {high} minute{'s' if high > 1 else ''}"
     return (f"expect {minutes} on one processor: a simulation of {'its tests' if len(seconds) > 1 else 'its test'} in "
             f"space takes {each:.2g} s; --workers N shares them between N processes, a smaller max_strain shortens "

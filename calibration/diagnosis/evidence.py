@@ -146,19 +146,19 @@ class Evidence:
         """
         found = {}
         for name, (curve, residuals) in self._replicate_residuals.items():
-            segments = _runs(curve.segment, residuals.shape[1])
+            segments = _find_runs(curve.segment, residuals.shape[1])
             signal = find_common_signal(residuals, segments)
             if len(self._replicate_residuals) * signal.p < LIMITS.common_signal_level:
                 found[name] = signal
         return found
 
     @property
-    def repeated(self) -> list[str]:
+    def tests_with_common_signal(self) -> list[str]:
         """Names of tests whose residuals have a significant common signal."""
         return list(self.common_signals)
 
     @cached_property
-    def repeated_in_words(self) -> list[str]:
+    def common_signals_in_words(self) -> list[str]:
         """Descriptions of the common signals, such as ``needle (most at 5.1 mm)`` or ``plates (a wave of 17 s)``."""
         words = []
         for name, each in self.common_signals.items():
@@ -176,7 +176,7 @@ class Evidence:
     @property
     def explained(self) -> bool:
         """Whether the residuals have neither a smooth misfit nor a common signal."""
-        return self.adequate and not self.repeated
+        return self.adequate and not self.tests_with_common_signal
 
     @cached_property
     def samples(self) -> float:
@@ -191,7 +191,7 @@ class Evidence:
         return max(total, 2.0)
 
 
-def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
+def _find_runs(labels: np.ndarray | None, size: int) -> list[slice]:
     """Return the runs of equal labels as slices; one slice without labels."""
     if labels is None:
         return [slice(0, size)]
@@ -199,7 +199,7 @@ def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
     return list(map(slice, ends[:-1], ends[1:]))
 
 
-def gather(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext) -> Evidence:
+def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext) -> Evidence:
     """Fit a campaign without effects.
 
     Args:

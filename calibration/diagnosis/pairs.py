@@ -9,8 +9,8 @@ import numpy as np
 
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import Proposal, Proposals, rescore, rescore_all
-from calibration.diagnosis.refits import Refit, odds, refit
+from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate, rescore, rescore_all
+from calibration.diagnosis.refits import Refit, fit_effects, odds
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import largest_cosine
 
@@ -34,7 +34,7 @@ _SETTINGS = PairSearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class EffectPair:
     """Two effects.
 
     Attributes:
@@ -53,7 +53,8 @@ class Pair:
         return self.first.gain + self.second.gain
 
 
-def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, context: RunContext) -> list[Pair]:
+def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: CatalogueScores,
+               context: RunContext) -> list[EffectPair]:
     """Return pairs of effects that are as likely as the best pair, best first; empty if one effect suffices.
 
     Args:
@@ -62,28 +63,29 @@ def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, 
         proposals: scores of all effects.
         context: workers and listeners.
     """
-    found: list[Pair] = []
+    found: list[EffectPair] = []
     firsts = [first for number, first in enumerate(good[:_SETTINGS.max_first_effects])
               if number < _SETTINGS.first_effects or odds(good[0], first) < LIMITS.odds]
     for first in firsts:
         with_first = first.evidence(evidence)
         others = rescore_all(proposals, with_first, [first.name])
         # Two effects with a common parameter cannot be combined.
-        likely = [name for name, each in others.seen.items() if each.p <= LIMITS.pair_level
+        likely = [name for name, each in others.significant.items() if each.p <= LIMITS.pair_level
                   and not each.candidate.paths & first.proposal.candidate.paths][:_SETTINGS.second_effects]
-        fits = refit(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
-                     likely) if likely else []
-        found += [Pair(first, second, with_first) for second in fits if second.gain >= LIMITS.min_pair_gain
-                  and not second.absent and not second.beyond and _both_needed(first, second, good, evidence)]
+        fits = fit_effects(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
+                           likely) if likely else []
+        found += [EffectPair(first, second, with_first) for second in fits if second.gain >= LIMITS.min_pair_gain
+                  and not second.is_absent and not second.is_at_bound
+                  and _are_both_required(first, second, good, evidence)]
     found.sort(key=lambda pair: -pair.gain)
-    kept: dict[frozenset[str], Pair] = {}
+    kept: dict[frozenset[str], EffectPair] = {}
     for pair in found:
         if 0.5 * (found[0].gain - pair.gain) < np.log(LIMITS.odds):
             kept.setdefault(frozenset((pair.first.name, pair.second.name)), pair)
     return list(kept.values())
 
 
-def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
+def _are_both_required(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
     """Return whether both effects of a pair are required and change the forces differently.
 
     Two effects with similar changes of the forces could explain a misfit by the difference of their changes, although
@@ -106,7 +108,7 @@ def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: E
     return largest_cosine(first.proposal.direction, single.direction) < LIMITS.max_pair_cosine
 
 
-def acts_in(proposal: Proposal, evidence: Evidence, most: int = 2) -> list[str]:
+def regions_of_largest_change(proposal: ScoredCandidate, evidence: Evidence, most: int = 2) -> list[str]:
     """Return the regions in which an effect changes the force most, after projection on the residual space.
 
     Args:

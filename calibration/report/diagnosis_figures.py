@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.diagnosis.diagnosis import CandidateStatement, RegionGap
+from calibration.diagnosis.diagnosis import CandidateStatement, RegionMisfit
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Region
@@ -36,8 +36,8 @@ def curves_of_test(evidence: Evidence, name: str) -> TestCurves:
                       fitted, test.area)
 
 
-def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequence[Region], gaps: Sequence[RegionGap],
-             label: str, units: Units):
+def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequence[Region],
+                     gaps: Sequence[RegionMisfit], label: str, units: Units):
     """Draw one test: the recordings, the model without and with the added effects, and the residuals.
 
     Args:
@@ -106,7 +106,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     right.spines["right"].set_visible(True)
 
 
-def _write_misfit_labels(axes, spans, gaps: dict[str, RegionGap], x: Abscissa) -> None:
+def _write_misfit_labels(axes, spans, gaps: dict[str, RegionMisfit], x: Abscissa) -> None:
     """Write the misfit before and after above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
@@ -118,7 +118,7 @@ def _write_misfit_labels(axes, spans, gaps: dict[str, RegionGap], x: Abscissa) -
                   transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8, color="#8a3c00", zorder=6)
 
 
-def draw_evidence(regions: Sequence[RegionGap], units: Units):
+def draw_evidence(regions: Sequence[RegionMisfit], units: Units):
     """Draw the significance of the residuals of each region, before and after, in standard deviations."""
     figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(regions))
     axes = figure.subplots()
@@ -139,8 +139,8 @@ def draw_evidence(regions: Sequence[RegionGap], units: Units):
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.set(xlim=(0, 1.35 * largest), ylim=(rows[-1] - 0.7, 0.7),
-             xlabel=f"standard deviations of a normal distribution (linear up to {LAYOUT.linear_deviations:g}, then "
-                    "logarithmic)")
+             xlabel="standard deviations of a normal distribution "
+                    f"(linear up to {LAYOUT.linear_deviations:g}, then logarithmic)")
     axes.set_yticks(rows, [f"{region.test}, {_format_segment_and_speed(region)}" for region in regions])
     sizes = axes.secondary_yaxis("right")
     sizes.set_yticks(rows, [_format_misfits(region, units) for region in regions])
@@ -150,12 +150,12 @@ def draw_evidence(regions: Sequence[RegionGap], units: Units):
     return figure
 
 
-def _format_segment_and_speed(region: RegionGap) -> str:
+def _format_segment_and_speed(region: RegionMisfit) -> str:
     """Return the segment of a region with its speed, such as ``ramp at 0.248 mm/s``."""
     return f"{region.segment} at {region.speed_mm_s:g} mm/s" if region.speed_mm_s else region.segment
 
 
-def _format_misfits(region: RegionGap, units: Units) -> str:
+def _format_misfits(region: RegionMisfit, units: Units) -> str:
     sizes = [units.force.text(size, 2) for size in (region.before_N, region.after_N) if size is not None]
     return " → ".join(sizes)
 

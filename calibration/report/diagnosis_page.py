@@ -10,7 +10,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import VERDICTS, CandidateStatement, Diagnosis, Verdict
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.words import joined
+from calibration.diagnosis.words import join_words
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
 from calibration.output_folder import picture_of_test
@@ -96,7 +96,7 @@ def _format_summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: 
     rows = [(HEADINGS[verdict], [f"<b>{escape(diagnosis.message)}</b>", *meaning]),
             ("Where", [escape(sentence) for sentence in misfit_sentences(diagnosis)]),
             ("Influence", [f"{escape(capitalise(effects[each.name].title))}: {escape(effects[each.name].signature)}"
-                           + (f"; largest here in {escape(joined(each.acts_in))}." if each.acts_in else ".")
+                           + (f"; largest here in {escape(join_words(each.acts_in))}." if each.acts_in else ".")
                            for each in diagnosis.effects if each.name in effects]),
             ("Distinguished by", list(_separation_sentences(diagnosis, effects))),
             ("Biased parameters", list(_bias_sentences(diagnosis.fit_before, diagnosis.fit_after, units))),
@@ -119,7 +119,7 @@ def misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     if good and len(good) == len(diagnosis.regions):
         yield "Every region agrees."
     elif good:
-        yield f"{joined(good)} {'agrees' if len(good) == 1 else 'agree'}."
+        yield f"{join_words(good)} {'agrees' if len(good) == 1 else 'agree'}."
 
 
 def _separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
@@ -169,10 +169,10 @@ def _smallest_and_largest(sizes: Sequence[float | None]) -> list[float]:
 
 
 def _misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units: Units,
-           pictures: Pictures) -> Iterator[str]:
+                    pictures: Pictures) -> Iterator[str]:
     yield "<h2>Where model and measurement differ</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
-    label = joined([each.title for each in diagnosis.effects])
+    label = join_words([each.title for each in diagnosis.effects])
     for number, test in enumerate(before.campaign.tests):
         gaps = [each for each in diagnosis.regions if each.test == test.name]
         if not gaps:
@@ -227,7 +227,7 @@ def _format_next_experiments(diagnosis: Diagnosis) -> str:
     lines = []
     for each in diagnosis.next_experiment:
         by = "" if each.deviations is None else f" by {each.deviations:.2g} standard deviations"
-        names = joined([labels.get(name, name) for name in each.separates], "and")
+        names = join_words([labels.get(name, name) for name in each.separates], "and")
         separation = f' <span class="quiet">Distinguishes {escape(names)}{by}.</span>' if names else ""
         lines.append(f"{escape(capitalise(each.sentence))}.{separation}")
     return f"<ol>{''.join(f'<li>{line}</li>' for line in lines)}</ol>"
@@ -238,7 +238,7 @@ def _assumption_sentences(diagnosis: Diagnosis, before: Evidence, units: Units) 
     sources = sorted({curve.noise.source for curve in before.problem.measured})
     colour = "white" if not diagnosis.noise_correlation_s else \
         f"correlated over {diagnosis.noise_correlation_s:.2g} s"
-    yield f"Noise: {units.force.text(diagnosis.noise_N, 2)} (standard deviation, {joined(sources)}), {colour}."
+    yield f"Noise: {units.force.text(diagnosis.noise_N, 2)} (standard deviation, {join_words(sources)}), {colour}."
     freedom = before.problem.jitter.freedom
     source = "stated in the campaign, or the default prior" if freedom is None else \
         f"estimated with {format_count(freedom, 'degree')} of freedom" if freedom else \

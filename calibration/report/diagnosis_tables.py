@@ -5,7 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from calibration.diagnosis.diagnosis import CandidateStatement, Diagnosis, HeldOut, Number, RegionGap
+from calibration.diagnosis.diagnosis import (
+    CandidateStatement,
+    Diagnosis,
+    EffectParameter,
+    HeldOutPrediction,
+    RegionMisfit,
+)
 from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
 from calibration.report.page import estimate_of, html_table, interval_of, symbol_of, use_minus_signs
@@ -56,7 +62,7 @@ def sizes_in_words(candidate: CandidateStatement, units: Units) -> str:
     return ", ".join(words)
 
 
-def number_in_words(number: Number, units: Units) -> str:
+def number_in_words(number: EffectParameter, units: Units) -> str:
     """Return a fitted parameter as HTML, such as ``g₁ = 3.02 ± 0.05 %``."""
     unit, error = unit_of(number.path, number.unit, units), number.standard_error
     text = value_and_error(number.value / unit.size, error and error / unit.size, unit.name)
@@ -138,7 +144,7 @@ def format_odds(ratio: float | None) -> str:
     return "best" if ratio <= 1.0 else f"{ratio_text(ratio)} : 1"
 
 
-def region_table(regions: Sequence[RegionGap], units: Units) -> str:
+def region_table(regions: Sequence[RegionMisfit], units: Units) -> str:
     """Return the HTML table of the regions: misfit and significance, before and after."""
     rows: list[list[str | None]] = []
     last = None
@@ -188,9 +194,9 @@ def relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
     return before.parameters[name] / after.parameters[name] - 1.0
 
 
-def held_out_table(held_out: Sequence[HeldOut], units: Units) -> str:
+def held_out_table(held_out: Sequence[HeldOutPrediction], units: Units) -> str:
     """Return the HTML table of the prediction errors in data that were not fitted."""
-    def size(value: float | None, noise: float | None, adequate: bool | None) -> str:
+    def format_error(value: float | None, noise: float | None, adequate: bool | None) -> str:
         if value is None:
             return "-"
         ratio = f" ({value / noise:.2g} × noise)" if noise else ""
@@ -198,9 +204,9 @@ def held_out_table(held_out: Sequence[HeldOut], units: Units) -> str:
 
     kinds = {"replicate": "recording, left out of the fits to the other recordings",
              "test": "test, held out of all fits"}
-    rows = [[escape(each.name), escape(kinds.get(each.kind, each.kind)), size(each.before_N, each.noise_N,
+    rows = [[escape(each.name), escape(kinds.get(each.kind, each.kind)), format_error(each.before_N, each.noise_N,
                                                                                each.adequate_before),
-             size(each.after_N, each.noise_N, each.adequate_after),
+             format_error(each.after_N, each.noise_N, each.adequate_after),
              {None: "not tested", True: "yes", False: '<span class="bad">no</span>'}[
                  each.adequate_before if each.after_N is None else each.adequate_after],
              escape(each.note)] for each in held_out]

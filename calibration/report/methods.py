@@ -199,7 +199,7 @@ def _format_parameters(fit: Fit, units: Units) -> Iterator[str]:
     for name in fit.parameters:
         interval = interval_of(fit, name, units)
         yield use_minus_signs(f"{plain_symbol(fit.symbols[name])} = {estimate_of(fit, name, units)}"
-                         f"{f' [{interval}]' if interval else ''}")
+                              f"{f' [{interval}]' if interval else ''}")
 
 
 def _software_paragraph(cite) -> str:

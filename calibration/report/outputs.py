@@ -69,7 +69,7 @@ def write_failure(campaign: Campaign, failures: Mapping[str, str], folder: Path)
 
 
 def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
-                  method: str) -> MaterialFile:
+                        method: str) -> MaterialFile:
     """Return the material file of a fit: parameters, uncertainty, valid range and provenance.
 
     Args:
@@ -178,7 +178,7 @@ def _format_residual_table(curves: Curves) -> str:
 
 
 def _format_row_in_units(test: TestCurves, displacement: float, forces: Sequence[float],
-              errors: Sequence[float] = ()) -> list[float | str | None]:
+                         errors: Sequence[float] = ()) -> list[float | str | None]:
     """Return the cells of a row: abscissa (name, value), displacement in mm, forces in N and stresses in Pa.
 
     Cells that the test does not define are None. A nominal stress is negative in compression, its errors are positive.

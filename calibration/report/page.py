@@ -151,12 +151,12 @@ def shear_modulus_error(fit: Fit) -> float | None:
     if any(material.errors.get(name) is None for name in law.parameters):
         return None
 
-    def rate(name: str) -> float:
+    def differentiate_modulus(name: str) -> float:
         step = _STEP * (abs(values[name]) or 1.0)
         ends = (law.mu0({**values, name: values[name] + side * step}) for side in (1, -1))
         return (next(ends) - next(ends)) / (2 * step)
 
-    rates = [rate(name) for name in law.parameters]
+    rates = [differentiate_modulus(name) for name in law.parameters]
     order = list(material.parameters)
     indices = [order.index(name) for name in law.parameters]
     variance = sum(rates[a] * rates[b] * float(material.covariance[i, j])
@@ -263,11 +263,11 @@ def free_parameters(fit: Fit) -> list[str]:
 def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
     """Return the HTML table of contact offset and force zero of each recording, in these units."""
 
-    def scaled(value: float, error: float | None, size: float) -> str:
+    def format_nuisance(value: float, error: float | None, size: float) -> str:
         return use_minus_signs(value_and_error(value / size, error and error / size))
 
-    rows = [[escape(n.replicate), scaled(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
-             scaled(n.zero_offset_N, n.zero_offset_error_N, load.size),
+    rows = [[escape(n.replicate), format_nuisance(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
+             format_nuisance(n.zero_offset_N, n.zero_offset_error_N, load.size),
              f'<span class="bad">{escape(", ".join(n.on_bound))}</span>'] for n in fit.nuisances]
     bound = slice(None, None if any(n.on_bound for n in fit.nuisances) else 3)
     labels = ["Recording", travel.label("Contact offset"), load.label("Zero"), "On its bound"]

@@ -176,7 +176,7 @@ def _undetermined_sentences(fits: Sequence[Fit], units: Units) -> Iterator[str]:
 
 
 def _figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: Units,
-              pictures: Pictures) -> Iterator[str]:
+                     pictures: Pictures) -> Iterator[str]:
     campaign, fits = result.campaign, result.fits
     # Without an expected error by chance the figure shows no more than the table.
     if any(p.percent is not None and (p.expected_N is not None or p.fitted) for p in result.predictions):

@@ -84,14 +84,14 @@ def identifiability_table(fits: Sequence[Fit], units: Units) -> str:
 
     Columns: condition number, poorly determined combinations, parameters that are not identifiable, and remedies.
     """
-    def remedies(fit: Fit) -> str:
+    def format_suggestions(fit: Fit) -> str:
         return "; ".join(escape(suggestion_in_words(each, fit, units, plain_symbol)) for each in fit.suggestions)
 
     rows = [[title_of(fit.law), format_number(fit.condition, 3),
              "; ".join(escape(direction_in_words(d, fit, plain_symbol)) for d in fit.directions) or "none",
              f'<span class="bad">{", ".join(symbol_of(fit, name) for name in fit.not_identifiable)}</span>'
              if fit.not_identifiable else "none",
-             remedies(fit) or "-"] for fit in fits]
+             format_suggestions(fit) or "-"] for fit in fits]
     return html_table(["Law", "Condition number", "Poorly determined", "Not identifiable", "Remedy"], rows,
                       text=(2, 3, 4))
 
