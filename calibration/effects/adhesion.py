@@ -44,8 +44,8 @@ class Adhesion(Effect):
                              "no face can lift off, because all faces are bonded")
         tests = require_tests([test for test in free if self._lifts_off(situation, test)],
                               "no tool returns past the first contact, and adhesion shows only there")
-        deepest = max(map(situation.depth, tests))
-        trial_force = self.trial_fraction * min(map(situation.force, tests))
+        deepest = max(map(situation.largest_displacement, tests))
+        trial_force = self.trial_fraction * min(map(situation.largest_force, tests))
 
         def add_adhesion(length: float):
             return lambda test: replace(test, experiment=replace(test.experiment, adhesion=Pull(0.0, length)))

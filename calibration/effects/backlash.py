@@ -20,6 +20,6 @@ class Backlash(Effect):
         """Return the candidates in the tests with an unloading."""
         tests = require_tests(situation.simulated_tests(situation.has_unloading),
                               "no recording has an unloading, and backlash shows only after a reversal")
-        return rig_parameter_candidates(self, situation, "rig.backlash", tests,
-                                        lambda group: self.trial_fraction * min(map(situation.depth, group)),
-                                        two_sided=False)
+        return rig_parameter_candidates(
+            self, situation, "rig.backlash", tests,
+            lambda group: self.trial_fraction * min(map(situation.largest_displacement, group)), two_sided=False)

@@ -18,5 +18,6 @@ class ContactOffset(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(self, situation, "rig.contact_offset", tests,
-                                        lambda group: self.trial_fraction * situation.depth(group[0]), each=True)
+        return rig_parameter_candidates(
+            self, situation, "rig.contact_offset", tests,
+            lambda group: self.trial_fraction * situation.largest_displacement(group[0]), each=True)

@@ -19,5 +19,5 @@ class GuideFriction(Effect):
         """Return the candidates with a friction force above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         return rig_parameter_candidates(self, situation, "rig.guide_friction", tests,
-                                        lambda group: self.trial_fraction * min(map(situation.force, group)),
+                                        lambda group: self.trial_fraction * min(map(situation.largest_force, group)),
                                         two_sided=False)

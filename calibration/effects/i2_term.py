@@ -1,7 +1,7 @@
 """Dependence of the strain energy on the second invariant."""
 
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
-from calibration.effects.wider_law import WIDER, require_contained
+from calibration.effects.wider_law import WIDER, require_special_case
 
 
 class I2Term(Effect):
@@ -20,9 +20,9 @@ class I2Term(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidate that extends the fitted law to Biderman's law by C01."""
-        if "C01" in require_contained(situation.law):
+        if "C01" in require_special_case(situation.law):
             raise NotTestableError("the fitted law has a term in I2 - 3 already")
         # mu = 2 (C10 + C01).
-        size = 0.5 * self.trial_fraction * situation.modulus
+        size = 0.5 * self.trial_fraction * situation.shear_modulus
         return [Candidate(self, {"C01": size}, absent={"C01": 0.0},
-                          bounds={"C01": (0.0, self.max_fraction * situation.modulus)}, law=WIDER)]
+                          bounds={"C01": (0.0, self.max_fraction * situation.shear_modulus)}, law=WIDER)]

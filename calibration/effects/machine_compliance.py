@@ -18,6 +18,6 @@ class MachineCompliance(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidates whose trial compliance follows from the stiffest test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        stiffest = max(tests, key=lambda test: situation.force(test) / situation.depth(test))
-        size = self.trial_fraction * situation.depth(stiffest) / situation.force(stiffest)
+        stiffest = max(tests, key=lambda test: situation.largest_force(test) / situation.largest_displacement(test))
+        size = self.trial_fraction * situation.largest_displacement(stiffest) / situation.largest_force(stiffest)
         return rig_parameter_candidates(self, situation, "rig.compliance", tests, lambda _: size, two_sided=False)

@@ -25,7 +25,7 @@ class Puncture(Effect):
             raise NotTestableError("the fitted material has a puncture already")
         needles = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).tool.is_plate),
                                 "no test has a needle")
-        deepest = max(map(situation.depth, needles))
+        deepest = max(map(situation.largest_displacement, needles))
         drop, depth = "puncture.drop", "puncture.depth"
         return [Candidate(self, {drop: self.trial_fraction}, shape={depth: fraction * deepest},
                           bounds={drop: (0.0, self.max_fraction), depth: (0.01 * deepest, deepest)}, jump=depth)

@@ -19,5 +19,6 @@ class SensorDrift(Effect):
         """Return the candidates with a drift of the zero."""
         _, longest = situation.step_and_duration
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(self, situation, "rig.sensor_drift", tests,
-                                        lambda group: self.trial_fraction * min(map(situation.force, group)) / longest)
+        return rig_parameter_candidates(
+            self, situation, "rig.sensor_drift", tests,
+            lambda group: self.trial_fraction * min(map(situation.largest_force, group)) / longest)

@@ -1,7 +1,7 @@
 """Strain stiffening beyond the fitted law."""
 
 from calibration.effects.effect import Candidate, Effect, Situation
-from calibration.effects.wider_law import WIDER, absent_order
+from calibration.effects.wider_law import WIDER, lowest_missing_power
 
 
 class StrainStiffening(Effect):
@@ -21,10 +21,10 @@ class StrainStiffening(Effect):
 
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return the candidate with the lowest power of I1 - 3 that the fitted law lacks."""
-        path, order = absent_order(situation.law)
-        largest = max((situation.strain(test) for test in situation.simulated_tests()), default=0.1)
+        path, order = lowest_missing_power(situation.law)
+        largest = max((situation.largest_strain(test) for test in situation.simulated_tests()), default=0.1)
         # Ratio of the stresses of Cn0 (I1 - 3)^n and C10 (I1 - 3), with C10 = mu / 2 and I1 = 3 + 3 strain^2 to lowest
         # order.
-        size = self.trial_fraction * 0.5 * situation.modulus / (order * (3.0 * largest**2) ** (order - 1))
+        size = self.trial_fraction * 0.5 * situation.shear_modulus / (order * (3.0 * largest**2) ** (order - 1))
         return [Candidate(self, {path: size}, absent={path: 0.0},
                           bounds={path: (0.0, self.max_trial_coefficients * size)}, law=WIDER)]

@@ -19,6 +19,6 @@ class Tilt(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per test."""
         tests = require_tests(situation.simulated_tests(), "no test has a tool")
-        return rig_parameter_candidates(self, situation, "experiment.tilt", tests,
-                                        lambda group: self.trial_fraction * situation.depth(group[0]), each=True,
-                                        two_sided=False)
+        return rig_parameter_candidates(
+            self, situation, "experiment.tilt", tests,
+            lambda group: self.trial_fraction * situation.largest_displacement(group[0]), each=True, two_sided=False)

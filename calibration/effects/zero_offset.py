@@ -21,7 +21,7 @@ class ZeroOffset(Effect):
         path = "rig.zero_offset"
 
         def trial_offset(group):
-            return self.trial_fraction * min(map(situation.force, group))
+            return self.trial_fraction * min(map(situation.largest_force, group))
 
         shared = rig_parameter_candidates(self, situation, path, tests, trial_offset)
         if len(tests) < 2:

@@ -60,14 +60,14 @@ def _list_simulation_assumptions(result: CalibrationResult, units: Units) -> lis
         source = "stated in the campaign, or the default prior" if freedom is None else \
             f"estimated with {freedom} degrees of freedom" if freedom else \
             "assumed, because no test has two recordings"
-        contact, zero = units.scatter(best.jitter, campaign.tests)
+        contact, zero = units.format_scatter(best.jitter, campaign.tests)
         lines.append(f"Between recordings the contact point scatters by {contact} and the force zero by {zero} "
                      f"(standard deviations), {source}.")
     tests = {test.name: test for test in campaign.tests}
     alike: dict[str, list[str]] = {}
     for noise in result.noise:
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.3g} s"
-        alike.setdefault(f"{units.load(tests[noise.test]).text(noise.deviation_N, 2)} (standard deviation, "
+        alike.setdefault(f"{units.load_unit(tests[noise.test]).text(noise.deviation_N, 2)} (standard deviation, "
                          f"{noise.source}), {colour}", []).append(f"Noise of {noise.test}")
     for mesh in best.mesh:
         if mesh.largest_percent is None:

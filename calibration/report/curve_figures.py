@@ -55,7 +55,8 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     for panel, view in zip(axes, shown_views, strict=False):
         draw_view(panel, titled, view)
     timed = is_timed(best.measured)
-    x = Abscissa(units.travel(best.test), units.load(best.test), timed, "time [s]" if timed else shown_views[0].x)
+    x = Abscissa(units.travel_unit(best.test), units.load_unit(best.test), timed,
+                 "time [s]" if timed else shown_views[0].x)
     spans = [(r, span) for r in fit.regions if r.test == best.test.name and not r.adequate
              for span in x.spans(r, best.measured)]
     for _, (start, end) in spans:
@@ -292,7 +293,7 @@ def _region_ends(region: Region, test: Test) -> tuple[float, float]:
 
 def describe_region(region: Region, test: Test, units: Units) -> str:
     """Return a region in words, such as ``ramp from 3.3 to 6.7 mm`` or ``hold at 10 mm``."""
-    travel = units.travel(test)
+    travel = units.travel_unit(test)
     start, end = (f"{end / travel.size:.3g}" for end in _region_ends(region, test))
     span = f"{f'at {start}' if start == end else f'from {start} to {end}'} {travel.name}".rstrip()
     return f"{region.segment} {span}".strip()

@@ -66,7 +66,8 @@ def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequ
             for m, fitted in zip(curves.measured[1:], curves.fitted[1:], strict=True):
                 for along, force, _ in view.lines(replace(Trace.of(m), force=fitted)):
                     panel.plot(along, force, **style, lw=1.2, zorder=3)
-    x = Abscissa(units.travel(before.test), units.load(before.test), timed, "time [s]" if timed else all_views[0].x)
+    x = Abscissa(units.travel_unit(before.test), units.load_unit(before.test), timed,
+                 "time [s]" if timed else all_views[0].x)
     spans = [(region, span) for region in regions if not region.adequate
              for span in x.spans(region, before.measured)]
     for panel in axes[-1:] if timed else (axes[0], axes[-1]):

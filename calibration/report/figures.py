@@ -67,7 +67,7 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
                 axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
                                   ec="white", lw=2)
                 axes.text((j + 0.5) / len(row), (low + high) / 2,
-                          f"{units.load(test).text(region.misfit_N, 2)},{gap}{format_probability(region.p)}",
+                          f"{units.load_unit(test).text(region.misfit_N, 2)},{gap}{format_probability(region.p)}",
                           ha="center", va="center", fontsize=font, color="white" if deviate > 4.2 else "0.1",
                           fontweight="normal" if region.adequate else "bold")
             ticks.append(top - 0.75)

@@ -156,13 +156,13 @@ def _ranking_sentence(result: CalibrationResult, cite) -> str:
 
 def _noise_paragraph(result: CalibrationResult, units: Units) -> str:
     tests = {test.name: test for test in result.campaign.tests}
-    levels = [f"{units.load(tests[n.test]).text(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
+    levels = [f"{units.load_unit(tests[n.test]).text(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
         "white)" if n.correlation_time_s == 0 else f"correlated over {n.correlation_time_s:.2g} s)")
         for n in result.noise]
     if result.noise_Pa is not None:
         levels = [f"{units.pressure.text(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
     jitter = result.best.jitter
-    contact, zero = ("", "") if jitter is None else units.scatter(jitter, result.campaign.tests)
+    contact, zero = ("", "") if jitter is None else units.format_scatter(jitter, result.campaign.tests)
     scatter = f" Between recordings the contact point scatters by {contact} and the force zero by {zero}." \
         if contact else ""
     basis = {"noise": "this noise", "residuals": "the residuals, which exceed this noise",

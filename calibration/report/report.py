@@ -70,7 +70,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     """
     campaign, analytical = result.campaign, result.campaign.fit.method == "analytical"
     tests, units = {test.name: test for test in campaign.tests}, Units.of(result)
-    typical = Units.typical(campaign.tests)
+    typical = Units.choose_typical_test(campaign.tests)
     recordings = {c.test.name: c.measured for c in next(iter(curves.values()))}
     parts = [f'<p class="quiet">{format_count(sum(map(len, recordings.values())), "recording")} of '
              f"{format_count(len(campaign.tests), 'test')}, {format_count(len(result.fits), 'law')}; "
@@ -91,7 +91,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     parts += correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>",
-                  nuisance_table(result.best, units.travel(typical), units.load(typical))]
+                  nuisance_table(result.best, units.travel_unit(typical), units.load_unit(typical))]
     if any(fit.history for fit in result.fits):
         parts += ["<h2>Every solve</h2>", *(
             f"<details><summary>{title_of(fit.law)}: {_format_effort(fit)}</summary>"
@@ -142,7 +142,7 @@ def _format_prediction(prediction: Prediction, test: Test, units: Units) -> str:
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
     if prediction.percent is None:
         return name + f'<span class="bad">no prediction: {escape(prediction.note)}</span>'
-    load, error = units.load(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
+    load, error = units.load_unit(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
     size = "" if error is None else f"{load.text(error, 2)}, "
     expected = prediction.expected_N
     chance = "" if expected is None else f" (expected by chance: {load.text(expected, 2)})"
@@ -154,7 +154,7 @@ def _misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: Units) -> Iter
     bad = sorted((r for r in fit.regions if not r.adequate), key=lambda r: r.p)
     for r in bad[:LAYOUT.summary_misfits]:
         test = tests[r.test]
-        size = units.load(test).text(r.misfit_N, 2)
+        size = units.load_unit(test).text(r.misfit_N, 2)
         yield (f"<b>{escape(r.test)}</b>, {escape(describe_region(r, test, units))}: {size} that the law does not "
                f"explain ({escape(format_probability(r.p))})")
     if len(bad) > LAYOUT.summary_misfits:

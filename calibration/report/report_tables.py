@@ -51,7 +51,7 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
         how = "held out of all fits" if test.hold_out else f"left out; fitted to {', '.join(p.fitted)}"
         how += f"; its specimen from the mean of {len(p.mean_of)} others" if p.mean_of else ""
         how += f"; no prediction: {p.note}" if p.percent is None and p.note else ""
-        load = units.load(test)
+        load = units.load_unit(test)
         error, chance = (None if value is None else load.text(value, 2) for value in (
             p.RMSE_Pa if test.specimen is None else p.RMSE_N, p.expected_N))
         rows.append([None if p.law == last else title_of(p.law), escape(p.test), escape(how), error or "-",
@@ -67,7 +67,7 @@ def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -
         last = None
         for r in fit.regions:
             test = tests[r.test]
-            load, travel = units.load(test), units.travel(test)
+            load, travel = units.load_unit(test), units.travel_unit(test)
             at = travel.text(r.at * (1.0 if test.specimen is None else 1e-3), 3)
             rows.append([None if last else title_of(fit.law), None if r.test == last else escape(r.test),
                          escape(describe_region(r, test, units)), load.text(r.misfit_N, 2),

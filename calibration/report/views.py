@@ -108,7 +108,7 @@ def list_views(best: TestCurves, units: Units) -> list[View]:
     - Load against time, and load in holds against the logarithm of time, for timed tests.
     """
     test, found = best.test, []
-    x, load, area = units.travel(test), units.load(test), _loaded_area(best)
+    x, load, area = units.travel_unit(test), units.load_unit(test), _loaded_area(best)
     curve, x_label, history = _LoadCurve(x, load), x.label("displacement"), _LoadHistory(load)
     if test.specimen is not None:
         found.append(View("Force and displacement", x_label, load.label("force"), curve.lines))
