@@ -17,17 +17,22 @@ from msgspec.structs import replace
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
-from calibration.diagnosis.confirmation import gap, region_gaps, unseen_replicates, unseen_tests
+from calibration.diagnosis.confirmation import (
+    compare_regions,
+    predict_held_out_tests,
+    predict_left_out_recordings,
+    smooth_misfit,
+)
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
-from calibration.diagnosis.duration import in_words, simulation_seconds
-from calibration.diagnosis.evidence import Evidence, Measured, gather, whole_campaign
-from calibration.diagnosis.next_experiment import next_experiments
-from calibration.diagnosis.offsets import settle_contacts
-from calibration.diagnosis.proposals import Proposals, propose
+from calibration.diagnosis.duration import describe_duration, simulation_seconds
+from calibration.diagnosis.evidence import Evidence, Measured, gather_evidence, whole_campaign
+from calibration.diagnosis.next_experiment import suggest_experiments
+from calibration.diagnosis.offsets import refit_from_contacts
+from calibration.diagnosis.proposals import CatalogueScores, score_effects
 from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import candidate_statements, found_effects
-from calibration.diagnosis.verdict import judge
-from calibration.diagnosis.words import message
+from calibration.diagnosis.verdict import decide_verdict
+from calibration.diagnosis.words import diagnosis_message
 from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.assess import assess_fit
 from calibration.fit.fit import Fit
@@ -57,7 +62,7 @@ class Diagnosed:
     diagnosis: Diagnosis
     before: Evidence
     after: Evidence | None
-    proposals: Proposals
+    proposals: CatalogueScores
 
 
 @dataclass
@@ -104,37 +109,38 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     campaign = scale_offsets(campaign, measured)
     clock = _StageClock(solves)
     with clock.measure_stage("fit without any effect"):
-        before, offsets = settle_contacts(gather(campaign, measured, solves, steps), steps)
+        before, offsets = refit_from_contacts(gather_evidence(campaign, measured, solves, steps), steps)
     with clock.measure_stage("scores of the catalogue"):
-        proposals = propose(before, steps)
+        proposals = score_effects(before, steps)
     with clock.measure_stage("fits with the likeliest"):
-        judgement = judge(before, proposals, steps)
+        judgement = decide_verdict(before, proposals, steps)
     after: Evidence | None = None
     with clock.measure_stage("last fit and unseen data"):
         steps.report_progress("final fit and prediction of data that were not fitted")
         if judgement.added:
             after = judgement.evidence
-        held_out = [*unseen_replicates(before, after), *unseen_tests(before, after)]
+        held_out = [*predict_left_out_recordings(before, after), *predict_held_out_tests(before, after)]
         fit_before = _convert_to_fit(before)
         fit_after = None if after is None else _convert_to_fit(after)
         candidates = candidate_statements(proposals, judgement, before)
         effects = [] if after is None else found_effects(judgement, before, after)
-        regions = region_gaps(before, after)
+        regions = compare_regions(before, after)
     with clock.measure_stage("the next experiment"):
         steps.report_progress("choosing the next experiment")
-        further = next_experiments(before, proposals, judgement)
-    gaps = gap(before), None if after is None else gap(after)
+        further = suggest_experiments(before, proposals, judgement)
+    gaps = smooth_misfit(before), None if after is None else smooth_misfit(after)
     noises = [curve.noise for curve in before.problem.measured]
     noise = float(np.sqrt(np.mean([one.deviation**2 for one in noises])))
     titles = {row.name: row.title for row in candidates}
     jitter = (after or before).problem.jitter
     diagnosis = Diagnosis(
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
-        message=message(judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable],
-                        regions, (*gaps, noise), sum(not row.testable for row in candidates), held_out,
-                        next((row for row in candidates if row.explained_percent is not None), None),
-                        before.repeated_in_words, offsets, list(proposals.seen_in_words),
-                        stressed=all(curve.stressed for curve in before.problem.measured)),
+        message=diagnosis_message(
+            judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable], regions,
+            (*gaps, noise), sum(not row.testable for row in candidates), held_out,
+            next((row for row in candidates if row.explained_percent is not None), None),
+            before.common_signals_in_words, offsets, list(proposals.significant_in_words),
+            stressed=all(curve.stressed for curve in before.problem.measured)),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
         noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),
@@ -224,7 +230,8 @@ class CampaignDiagnosis:
         with self._clock.measure_stage("check of the start values"):
             estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
             estimator.check(law, 0)
-            if self.steps.announce is not None and (words := in_words(simulation_seconds(estimator.problem(law)))):
+            if self.steps.announce is not None and (
+                    words := describe_duration(simulation_seconds(estimator.problem(law)))):
                 self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:

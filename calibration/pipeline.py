@@ -140,14 +140,14 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.result import read_diagnosis
     from calibration.fit.run_context import RunContext
-    from calibration.report.diagnosis_outputs import files_of_diagnosis
+    from calibration.report.diagnosis_outputs import list_diagnosis_files
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                                    RunContext(campaign.name, tasks, progress, announce=announce))
                  for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run_campaigns(parts, output, read_diagnosis, overwrite, figures, figures_format,
-                                           files_of_diagnosis)
+                                           list_diagnosis_files)
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
@@ -214,11 +214,11 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
 
     campaign = whole_campaign(load_campaign(path, planned=True), law)
     measured = read_planned(campaign, replicates, samples)
-    from calibration.diagnosis.design import design
+    from calibration.diagnosis.design import compute_design
     from calibration.fit.run_context import RunContext
 
     with open_tasks(workers or Workers()) as tasks:
-        return design(campaign, measured, RunContext(campaign.name, tasks, progress))
+        return compute_design(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
 def _check_figures_format(figures_format: str | None) -> None:

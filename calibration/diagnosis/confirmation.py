@@ -9,7 +9,8 @@ import numpy as np
 from scipy import linalg, special
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.diagnosis import HeldOut, RegionGap
+from calibration.diagnosis.decision_limits import LIMITS
+from calibration.diagnosis.diagnosis import HeldOutPrediction, RegionMisfit
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.refits import copy_problem
 from calibration.fit.estimate import Estimate, settle
@@ -25,13 +26,11 @@ from tissue_sim.errors import InputError
 
 #: P value below which Fisher's normal approximation of chi-square gives the equivalent standard deviations.
 _SMALLEST = 1e-14
-#: Change of the force over a hold that counts as significant, in standard errors.
-_SIGNIFICANT_CHANGE = 4.0
 #: Fraction of a hold over which the force at each end is averaged.
 _END_FRACTION = 0.1
 
 
-def settle_evidence(evidence: Evidence) -> Evidence:
+def with_updated_corrections(evidence: Evidence) -> Evidence:
     """Recompute jitter and mesh corrections of evidence with an effect, which are those of the fit without it.
 
     The evidence is returned unchanged if this fit fails.
@@ -42,14 +41,14 @@ def settle_evidence(evidence: Evidence) -> Evidence:
     return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
 
-def deviations(region: Region) -> float:
+def equivalent_deviations(region: Region) -> float:
     """Return the number of standard deviations of a normal distribution with the p value of a region (two-sided)."""
     if region.p > _SMALLEST:
         return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # converts -0.0 to 0.0
     return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
 
 
-def region_gaps(before: Evidence, after: Evidence | None) -> list[RegionGap]:
+def compare_regions(before: Evidence, after: Evidence | None) -> list[RegionMisfit]:
     """Return the misfit of each region before and after effects were added, with a description.
 
     Args:
@@ -62,49 +61,51 @@ def region_gaps(before: Evidence, after: Evidence | None) -> list[RegionGap]:
         other = later.get((region.test, region.segment))
         curves = [(curve, rows) for curve, rows in zip(before.problem.measured, before.problem.rows, strict=True)
                   if curve.test.name == region.test]
-        inside = _inside(curves[0][0], region.segment)
-        answers.append(RegionGap(
-            test=region.test, segment=region.segment, speed_mm_s=_speed(curves[0][0], inside),
-            cycle=_cycle(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
-            before_sigma=deviations(region), adequate_before=region.adequate,
+        inside = _samples_of_segment(curves[0][0], region.segment)
+        answers.append(RegionMisfit(
+            test=region.test, segment=region.segment, speed_mm_s=_mean_speed(curves[0][0], inside),
+            cycle=_cycle_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
+            before_sigma=equivalent_deviations(region), adequate_before=region.adequate,
             after_N=None if other is None else other.misfit_N,
-            after_sigma=None if other is None else deviations(other),
+            after_sigma=None if other is None else equivalent_deviations(other),
             adequate_after=None if other is None else other.adequate,
-            sentence=_sentence(region, curves, before)))
+            sentence=_describe_misfit(region, curves, before)))
     return answers
 
 
-def gap(evidence: Evidence) -> float:
+def smooth_misfit(evidence: Evidence) -> float:
     """Return the root mean square of the smooth part of the residuals over all samples, N."""
     weights, total = 0.0, 0.0
     for region in evidence.regions:
-        count = sum(int(_inside(curve, region.segment).sum()) for curve in evidence.problem.measured
+        count = sum(int(_samples_of_segment(curve, region.segment).sum()) for curve in evidence.problem.measured
                     if curve.test.name == region.test)
         weights += count
         total += count * region.misfit_N**2
     return float(np.sqrt(total / weights)) if weights else 0.0
 
 
-def unseen_replicates(before: Evidence, after: Evidence | None) -> list[HeldOut]:
+def predict_left_out_recordings(before: Evidence, after: Evidence | None) -> list[HeldOutPrediction]:
     """Predict the last recording of each test with at least three recordings by fits to the other recordings."""
-    plain = _without_last(before)
+    plain = _fit_without_last_recordings(before)
     if plain is None:
         return []
-    with_effect = None if after is None else _without_last(after)
-    first = _predict_last(*plain)
-    second = [None] * len(first) if with_effect is None else _predict_last(*with_effect)
-    return [_held_out(test.measured[0].name, "replicate", one, two, test.measured)
+    with_effect = None if after is None else _fit_without_last_recordings(after)
+    first = _predict_last_recordings(*plain)
+    second = [None] * len(first) if with_effect is None else _predict_last_recordings(*with_effect)
+    return [_build_held_out_record(test.measured[0].name, "replicate", one, two, test.measured)
             for test, one, two in zip(plain[1].tests, first, second, strict=True)]
 
 
-def unseen_tests(before: Evidence, after: Evidence | None) -> list[HeldOut]:
+def predict_held_out_tests(before: Evidence, after: Evidence | None) -> list[HeldOutPrediction]:
     """Predict the tests that the campaign holds out."""
     found = []
     for test in before.campaign.tests:
         if not test.hold_out:
             continue
-        pair = [None if evidence is None else _predict_test(evidence, test.name) for evidence in (before, after)]
-        found.append(_held_out(test.name, "test", pair[0] or "not predicted", pair[1], before.measured[test.name]))
+        first = _predict_held_out_test(before, test.name)
+        second = None if after is None else _predict_held_out_test(after, test.name)
+        found.append(_build_held_out_record(test.name, "test", first or "not predicted", second,
+                                            before.measured[test.name]))
     return found
 
 
@@ -112,18 +113,18 @@ def unseen_tests(before: Evidence, after: Evidence | None) -> list[HeldOut]:
 Prediction = tuple[float, bool]
 
 
-def _held_out(name: str, kind: str, before: Prediction | str, after: Prediction | str | None,
-              curves: Sequence[MeasuredCurve]) -> HeldOut:
+def _build_held_out_record(name: str, kind: str, before: Prediction | str, after: Prediction | str | None,
+                           curves: Sequence[MeasuredCurve]) -> HeldOutPrediction:
     """Combine predictions before and after (or the reasons why there are none) to a record."""
     note = "; ".join(dict.fromkeys(each for each in (before, after) if isinstance(each, str)))
     one = before if isinstance(before, tuple) else (None, None)
     two = after if isinstance(after, tuple) else (None, None)
-    return HeldOut(name=name, kind=kind, before_N=one[0], adequate_before=one[1], after_N=two[0],
-                   adequate_after=two[1], noise_N=float(np.mean([curve.noise.deviation for curve in curves])),
-                   note=note)
+    return HeldOutPrediction(name=name, kind=kind, before_N=one[0], adequate_before=one[1], after_N=two[0],
+                             adequate_after=two[1], noise_N=float(np.mean([curve.noise.deviation for curve in curves])),
+                             note=note)
 
 
-def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
+def _predict_held_out_test(evidence: Evidence, name: str) -> Prediction | str:
     """Predict a held-out test; return the reason if this is impossible."""
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
@@ -137,7 +138,7 @@ def _predict_test(evidence: Evidence, name: str) -> Prediction | str:
         return str(failure)
 
 
-def _without_last(evidence: Evidence) -> tuple[Estimate, Problem] | None:
+def _fit_without_last_recordings(evidence: Evidence) -> tuple[Estimate, Problem] | None:
     """Return the fit without the last recording of each test with three or more, and the problem of these recordings.
 
     None if no test has three recordings.
@@ -147,24 +148,24 @@ def _without_last(evidence: Evidence) -> tuple[Estimate, Problem] | None:
     if not any(repeated):
         return None
 
-    def part(test, first: int, last: int | None):
+    def with_recordings(test, first: int, last: int | None):
         changes: dict = {"measured": test.measured[first:last]}
         if hasattr(test, "motion_of"):
             changes["motion_of"] = test.motion_of[first:last]
         return replace(test, **changes)
 
-    rest = Problem(problem.space, tuple(part(test, 0, -1) if several else test
+    rest = Problem(problem.space, tuple(with_recordings(test, 0, -1) if several else test
                                         for test, several in zip(problem.tests, repeated, strict=True)),
                    problem.solves, problem.jitter, problem.mesh_error)
     chosen = [i for i, several in enumerate(repeated) if several]
-    last = Problem(problem.space, tuple(part(problem.tests[i], -1, None) for i in chosen), problem.solves,
+    last = Problem(problem.space, tuple(with_recordings(problem.tests[i], -1, None) for i in chosen), problem.solves,
                    problem.jitter, tuple(problem.mesh_error[i] for i in chosen))
     descent = descend(rest, evidence.estimate.theta, corrected=True)
     estimate = Estimate(1, descent.theta, descent.error, descent.converged, descent.failure, (), {}, 0.0, problem=rest)
     return estimate, last
 
 
-def _predict_last(estimate: Estimate, last: Problem) -> list[Prediction | str]:
+def _predict_last_recordings(estimate: Estimate, last: Problem) -> list[Prediction | str]:
     """Predict each test of a problem from an estimate; return the reason if this is impossible."""
     if not np.isfinite(estimate.error):
         return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
@@ -206,14 +207,14 @@ def _prediction_errors(unseen: Problem, theta: np.ndarray, covariance: np.ndarra
     return answers
 
 
-def _inside(curve: MeasuredCurve, segment: str) -> np.ndarray:
+def _samples_of_segment(curve: MeasuredCurve, segment: str) -> np.ndarray:
     """Return the samples of a segment, bool, shape (n,); all samples if the region is a third of a loading."""
     if curve.segment is None or segment not in curve.segment:
         return np.ones(curve.force.size, bool)
     return curve.segment == segment
 
 
-def _speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
+def _mean_speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
     """Return the mean speed over some samples, mm/s, to three digits; None without time."""
     if curve.time is None or inside.sum() < 2:
         return None
@@ -223,24 +224,24 @@ def _speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
     return float(f"{1e3 * speed:.3g}")
 
 
-def _cycle(segment: str) -> int:
+def _cycle_number(segment: str) -> int:
     """Return the number at the end of a segment's name, such as 2 for ``hold 2``; 1 without a number."""
     last = segment.rpartition(" ")[2]
     return int(last) if last.isdigit() else 1
 
 
-def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence) -> str:
+def _describe_misfit(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence) -> str:
     """Describe the misfit of a region: change over a hold, or largest deviation, and its significance."""
     place = f"{region.test} {region.segment}"
     if region.adequate:
         return f"{place} agrees"
-    sigma, stressed = deviations(region), curves[0][0].stressed
+    sigma, stressed = equivalent_deviations(region), curves[0][0].stressed
     what, unit, factor = ("stress", "kPa", 1e-3) if stressed else ("force", "N", 1.0)
     at = f"strain {region.at:.3g}" if stressed else f"{region.at:.3g} mm"
     if region.segment.startswith("hold"):
-        (measured, error), (modelled, _) = _changes(region, curves, evidence, "data"), _changes(
-            region, curves, evidence, "model")
-        if abs(measured - modelled) > _SIGNIFICANT_CHANGE * error:
+        measured, error = _force_change_over_hold(region, curves, evidence, "data")
+        modelled, _ = _force_change_over_hold(region, curves, evidence, "model")
+        if abs(measured - modelled) > LIMITS.hold_change * error:
             goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
             predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
             return (f"{place}: the {what} {goes} by {factor * abs(measured):.2g} {unit}, the model's by {predicted} "
@@ -250,8 +251,8 @@ def _sentence(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evi
             f"({sigma:.0f} sigma)")
 
 
-def _changes(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence,
-             of: str) -> tuple[float, float]:
+def _force_change_over_hold(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence,
+                            of: str) -> tuple[float, float]:
     """Return the mean change of the force over a hold, N, and its standard error, N.
 
     Args:
@@ -263,7 +264,7 @@ def _changes(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evid
     force = evidence.problem.data if of == "data" else evidence.evaluation.force
     changes, errors = [], []
     for curve, rows in curves:
-        inside = force[rows][_inside(curve, region.segment)]
+        inside = force[rows][_samples_of_segment(curve, region.segment)]
         end = max(int(_END_FRACTION * inside.size), 1)
         changes.append(inside[-end:].mean() - inside[:end].mean())
         errors.append(curve.noise.deviation * np.sqrt(2.0 / end))

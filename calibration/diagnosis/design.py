@@ -14,7 +14,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.planned import with_forces
 from calibration.diagnosis.diagnosis import CandidateStatement
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import propose
+from calibration.diagnosis.proposals import score_effects
 from calibration.diagnosis.statements import candidate_statements
 from calibration.diagnosis.verdict import Judgement
 from calibration.fit.campaign_problem import build_problem, guess_jitter
@@ -125,8 +125,8 @@ def _expected_mesh_error(test: ForwardTest, space: ParameterSpace, theta: np.nda
     return mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
 
 
-def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], context: RunContext,
-           solves: SimulationCache | None = None) -> Design:
+def compute_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], context: RunContext,
+                   solves: SimulationCache | None = None) -> Design:
     """Compute the expected information of planned experiments.
 
     Args:
@@ -139,7 +139,7 @@ def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]]
         InputError: see `expected_evidence`.
     """
     evidence = expected_evidence(campaign, measured, solves or SimulationCache())
-    proposals = propose(evidence, context)
+    proposals = score_effects(evidence, context)
     nothing = Judgement("NONE", [], (), [], evidence)
     rows = [msgspec.structs.replace(row, score=None, p=None, estimate={})
             for row in candidate_statements(proposals, nothing, evidence)]
@@ -155,10 +155,10 @@ def design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]]
     return Design(campaign=campaign.name, law=campaign.fit.laws[0], candidates=rows, parameters=evidence.values,
                   symbols=space.symbols,
                   units={each.name: each.declaration.unit for each in space.unknowns}, standard_errors=errors,
-                  noise_N=noise, tests=[_planned(test.name, test.measured) for test in problem.tests])
+                  noise_N=noise, tests=[_summarise_planned_test(test.name, test.measured) for test in problem.tests])
 
 
-def _planned(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTest:
+def _summarise_planned_test(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTest:
     """Summarise the recordings of a planned test."""
     clocks = [curve.clock[-1] - curve.clock[0] for curve in curves if curve.time is not None]
     return PlannedTest(

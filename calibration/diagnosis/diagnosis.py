@@ -10,14 +10,14 @@ from calibration.fit.fit import Fit
 
 Verdict = Literal["NAMED", "SET", "LOOKS_LIKE", "UNKNOWN", "NONE"]
 VERDICTS: dict[Verdict, str] = {
-    "NAMED": "one effect explains the gap, and nothing else does",
-    "SET": "several effects explain it, and these tests do not tell them apart",
-    "LOOKS_LIKE": "one effect explains most of it, and its form is not confirmed",
-    "UNKNOWN": "there is a gap that no known effect explains",
+    "NAMED": "one effect explains the misfit, and no other effect does",
+    "SET": "several effects explain the misfit, and these tests cannot distinguish them",
+    "LOOKS_LIKE": "one effect explains most of the misfit, and its form is not confirmed",
+    "UNKNOWN": "no known effect explains the misfit",
     "NONE": "nothing is missing that these tests could show"}
 
 
-class Number(msgspec.Struct, frozen=True, kw_only=True):
+class EffectParameter(msgspec.Struct, frozen=True, kw_only=True):
     """Fitted parameter of an effect.
 
     Attributes:
@@ -39,8 +39,8 @@ class Number(msgspec.Struct, frozen=True, kw_only=True):
     bound: float | None = None
 
     @property
-    def beyond(self) -> bool:
-        """Whether the size of the effect ended on a bound, so that its value is no estimate."""
+    def is_at_bound(self) -> bool:
+        """Whether the size of the effect ended on a bound, so that its value is not reliable."""
         return self.bound is not None and self.absent is not None
 
 
@@ -61,7 +61,7 @@ class FoundEffect(msgspec.Struct, frozen=True, kw_only=True):
     category: str = msgspec.field(name="room")
     title: str
     tests: list[str] = []
-    parameters: list[Number] = []
+    parameters: list[EffectParameter] = []
     acts_in: list[str] = []
     written_to: str = ""
 
@@ -113,12 +113,12 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
     delta_BIC: float | None = None
     explained_percent: float | None = None
     evidence_ratio: float | None = None
-    parameters: list[Number] = []
+    parameters: list[EffectParameter] = []
     on_bound: list[str] = []
     note: str = ""
 
 
-class RegionGap(msgspec.Struct, frozen=True, kw_only=True):
+class RegionMisfit(msgspec.Struct, frozen=True, kw_only=True):
     """Misfit in one segment of one test before and after effects were added; values after are None if none was added.
 
     Attributes:
@@ -150,7 +150,7 @@ class RegionGap(msgspec.Struct, frozen=True, kw_only=True):
     sentence: str = ""
 
 
-class HeldOut(msgspec.Struct, frozen=True, kw_only=True):
+class HeldOutPrediction(msgspec.Struct, frozen=True, kw_only=True):
     """Prediction of data that were not fitted.
 
     Attributes:
@@ -236,7 +236,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     effects: list[FoundEffect] = []
     indistinguishable: list[str] = []
     candidates: list[CandidateStatement] = []
-    regions: list[RegionGap] = []
+    regions: list[RegionMisfit] = []
     gap_before_N: float
     gap_after_N: float | None = None
     noise_N: float
@@ -244,7 +244,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     contact_jitter_mm: float = 0.0
     zero_jitter_N: float = 0.0
     mesh_percent: float = 0.0
-    held_out: list[HeldOut] = []
+    held_out: list[HeldOutPrediction] = []
     next_experiment: list[NextExperiment] = []
     fit_before: Fit
     fit_after: Fit | None = None

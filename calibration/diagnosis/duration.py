@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 from calibration.fit.problem import Problem
 from calibration.fit.starts import generate_starts
@@ -15,13 +15,24 @@ from tissue_sim.errors import InputError
 from tissue_sim.model import Model
 from tissue_sim.rig.rig import Rig
 
-#: Duration of a short diagnosis in simulations of each test: no effect is missing (docs/inverse_calibration.md).
-MIN_SIMULATIONS = 40.0
-#: Duration of a long diagnosis in simulations of each test: friction of plates, whose simulations take longest, is
-#: among the fitted effects.
-MAX_SIMULATIONS = 300.0
-#: Duration below which no announcement is made, s.
-_MIN_ANNOUNCED = 60.0
+
+@dataclass(frozen=True)
+class DurationSettings:
+    """Range of the duration of a diagnosis, in simulations of each test.
+
+    Attributes:
+        min_simulations: simulations of a short diagnosis: no effect is missing (docs/inverse_calibration.md).
+        max_simulations: simulations of a long diagnosis: friction of plates, whose simulations take longest, is among
+            the fitted effects.
+        min_announced: duration from which the duration is announced, s.
+    """
+
+    min_simulations: float = 40.0
+    max_simulations: float = 300.0
+    min_announced: float = 60.0
+
+
+SETTINGS = DurationSettings()
 
 
 def simulation_seconds(problem: Problem) -> dict[str, float]:
@@ -51,16 +62,16 @@ def simulation_seconds(problem: Problem) -> dict[str, float]:
     return found
 
 
-def in_words(seconds: Mapping[str, float]) -> str:
+def describe_duration(seconds: Mapping[str, float]) -> str:
     """Describe the expected duration and ways to shorten it; empty for a short diagnosis.
 
     Args:
         seconds: name of the test -> processor time of a simulation, s, from `simulation_seconds`.
     """
     each = sum(seconds.values())
-    if MAX_SIMULATIONS * each < _MIN_ANNOUNCED:
+    if SETTINGS.max_simulations * each < SETTINGS.min_announced:
         return ""
-    low, high = math.floor(MIN_SIMULATIONS * each / 60.0), math.ceil(MAX_SIMULATIONS * each / 60.0)
+    low, high = math.floor(SETTINGS.min_simulations * each / 60.0), math.ceil(SETTINGS.max_simulations * each / 60.0)
     minutes = f"{low} to {high} minutes" if low else f"up to {high} minute{'s' if high > 1 else ''}"
     return (f"expect {minutes} on one processor: a simulation of {'its tests' if len(seconds) > 1 else 'its test'} in "
             f"space takes {each:.2g} s; --workers N shares them between N processes, a smaller max_strain shortens "

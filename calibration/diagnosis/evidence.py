@@ -12,6 +12,7 @@ from scipy import special
 
 from calibration.campaign.campaign import Campaign, Noise
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.effects.effect import Situation
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Region
@@ -26,15 +27,9 @@ from calibration.statistics.common_signal import CommonSignal, find_common_signa
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError, InputError
 
-#: Adjusted p value below which the residuals of a region are inadequate.
-LEVEL = 0.005
-#: P value, corrected for the number of tests, below which recordings have a common signal in their residuals.
-REPEATED = 1e-3
 #: Largest difference of the displacements of corresponding samples of two recordings, as a fraction of the largest
 #: displacement.
 _SAME_POSITION = 0.005
-#: Probability that the true jitter exceeds the assumed upper limit.
-_EXCEEDANCE = 0.2
 #: Test -> its recordings.
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
@@ -112,8 +107,8 @@ class Evidence:
 
     @cached_property
     def regions(self) -> list[Region]:
-        """Residual tests of all regions; a region is adequate if its p value exceeds `LEVEL`."""
-        return [msgspec.structs.replace(region, adequate=region.p > LEVEL)
+        """Residual tests of all regions; a region is adequate if its p value exceeds `DecisionLimits.region_level`."""
+        return [msgspec.structs.replace(region, adequate=region.p > LIMITS.region_level)
                 for region in judge_regions(self.problem, self.evaluation)]
 
     @property
@@ -151,19 +146,19 @@ class Evidence:
         """
         found = {}
         for name, (curve, residuals) in self._replicate_residuals.items():
-            segments = _runs(curve.segment, residuals.shape[1])
+            segments = _find_runs(curve.segment, residuals.shape[1])
             signal = find_common_signal(residuals, segments)
-            if len(self._replicate_residuals) * signal.p < REPEATED:
+            if len(self._replicate_residuals) * signal.p < LIMITS.common_signal_level:
                 found[name] = signal
         return found
 
     @property
-    def repeated(self) -> list[str]:
+    def tests_with_common_signal(self) -> list[str]:
         """Names of tests whose residuals have a significant common signal."""
         return list(self.common_signals)
 
     @cached_property
-    def repeated_in_words(self) -> list[str]:
+    def common_signals_in_words(self) -> list[str]:
         """Descriptions of the common signals, such as ``needle (most at 5.1 mm)`` or ``plates (a wave of 17 s)``."""
         words = []
         for name, each in self.common_signals.items():
@@ -181,7 +176,7 @@ class Evidence:
     @property
     def explained(self) -> bool:
         """Whether the residuals have neither a smooth misfit nor a common signal."""
-        return self.adequate and not self.repeated
+        return self.adequate and not self.tests_with_common_signal
 
     @cached_property
     def samples(self) -> float:
@@ -196,7 +191,7 @@ class Evidence:
         return max(total, 2.0)
 
 
-def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
+def _find_runs(labels: np.ndarray | None, size: int) -> list[slice]:
     """Return the runs of equal labels as slices; one slice without labels."""
     if labels is None:
         return [slice(0, size)]
@@ -204,7 +199,7 @@ def _runs(labels: np.ndarray | None, size: int) -> list[slice]:
     return list(map(slice, ends[:-1], ends[1:]))
 
 
-def gather(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext) -> Evidence:
+def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext) -> Evidence:
     """Fit a campaign without effects.
 
     Args:
@@ -245,7 +240,7 @@ def upper_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
     jitter = problem.jitter
     if not jitter.freedom:
         return jitter
-    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - _EXCEEDANCE))
+    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - LIMITS.jitter_exceedance))
     resolved: dict[str, list[float]] = {"contact": [], "zero": []}
     for test in problem.linearise_replicates(theta):
         for one in test:

@@ -16,8 +16,8 @@ from calibration.forward.simulated import SimulatedTest
 from tissue_sim.errors import InputError
 
 
-def extend(problem: Problem, campaign: Campaign, candidate: Candidate, values: Mapping[str, float] | None = None, *,
-           free: bool) -> tuple[Problem, Campaign]:
+def add_effect(problem: Problem, campaign: Campaign, candidate: Candidate, values: Mapping[str, float] | None = None, *,
+               free: bool) -> tuple[Problem, Campaign]:
     """Return the problem and the campaign with an effect; mesh corrections and jitter are unchanged.
 
     Args:
@@ -36,7 +36,7 @@ def extend(problem: Problem, campaign: Campaign, candidate: Candidate, values: M
     by_name = {test.name: test for test in changed.tests}
     layered = bool(changed.fit.material.layers)
 
-    def with_part(test: ForwardTest) -> ForwardTest:
+    def add_effect_to_test(test: ForwardTest) -> ForwardTest:
         if not isinstance(test, SimulatedTest):
             return test
         asked = by_name[test.name]
@@ -45,11 +45,11 @@ def extend(problem: Problem, campaign: Campaign, candidate: Candidate, values: M
         experiment = replace(asked.experiment, protocol=test.experiment.protocol)
         return replace(test, experiment=experiment, rig=asked.rig, layered=layered)
 
-    return Problem(space, tuple(map(with_part, problem.tests)), problem.solves, problem.jitter,
+    return Problem(space, tuple(map(add_effect_to_test, problem.tests)), problem.solves, problem.jitter,
                    problem.mesh_error), changed
 
 
-def unknowns(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
+def free_values(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
     """Return the free parameters of a space, SI, shape (p,).
 
     Args:
@@ -60,8 +60,8 @@ def unknowns(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[
     return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.varied])
 
 
-def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
-              factor: float = 1.0) -> np.ndarray | str:
+def change_by_effect(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
+                     factor: float = 1.0) -> np.ndarray | str:
     """Compute the change of the whitened model by an effect of its trial size.
 
     Args:
@@ -82,7 +82,7 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
         if t in touched), *(evaluation.nuisances[first:last] for first, last in dict.fromkeys(
             (problem.shared[t].start, problem.shared[t].stop) for t in touched))])
 
-    def held(of: Problem) -> Problem:
+    def hold_parameters(of: Problem) -> Problem:
         # Fixed parameters avoid the computation of derivatives.
         space = of.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
         return Problem(space, tuple(of.tests[t] for t in touched), of.solves, of.jitter,
@@ -90,21 +90,21 @@ def change_of(problem: Problem, evaluation: Evaluation, campaign: Campaign, cand
 
     try:
         absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
-        with_it = held(extend(problem, campaign, candidate, candidate.scaled_sizes(absent, factor), free=False)[0])
+        sizes = candidate.scaled_sizes(absent, factor)
+        with_it = hold_parameters(add_effect(problem, campaign, candidate, sizes, free=False)[0])
         # Both forces must be computed on one mesh and by one method, so that their difference is due to the effect.
-        without = held(extend(problem, campaign, candidate, absent, free=False)[0]) if candidate.changes_mesh(
-            campaign) \
-            else _with_equal_method(held(problem), with_it)
-        change = _residual(with_it, nuisances)
+        without = _with_equal_method(hold_parameters(problem), with_it) if not candidate.changes_mesh(campaign) \
+            else hold_parameters(add_effect(problem, campaign, candidate, absent, free=False)[0])
+        change = _residual_at_fixed_parameters(with_it, nuisances)
         # Without changes of mesh and method the residual without the effect is that of the evaluation.
         change -= np.concatenate([evaluation.residual[rows] for rows, (t, _) in zip(
             problem.rows, problem.places, strict=True) if t in touched]) if without is None else \
-            _residual(without, nuisances)
+            _residual_at_fixed_parameters(without, nuisances)
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)
     groups: dict[str, np.ndarray] = {}
     for rows, (t, r) in zip(with_it.rows, with_it.places, strict=True):
-        column = groups.setdefault(_group(with_it.tests[t], candidate), np.zeros(problem.samples))
+        column = groups.setdefault(_parameter_group(with_it.tests[t], candidate), np.zeros(problem.samples))
         column[problem.rows[problem.places.index((touched[t], r))]] = change[rows]
     return np.column_stack(list(groups.values()))
 
@@ -115,20 +115,20 @@ def _with_equal_method(held: Problem, other: Problem) -> Problem | None:
     Returns:
         The problem; None if no test changes.
     """
-    def adapt(test: ForwardTest, of: ForwardTest) -> ForwardTest:
+    def simulate_full_motion(test: ForwardTest, of: ForwardTest) -> ForwardTest:
         if not (isinstance(test, SimulatedTest) and isinstance(of, SimulatedTest)):
             return test
         differs = test.uses_position_curve(held.space, np.zeros(0)) and not of.uses_position_curve(
             other.space, np.zeros(0))
         return replace(test, full_motion=True) if differs else test
 
-    tests = tuple(map(adapt, held.tests, other.tests))
+    tests = tuple(map(simulate_full_motion, held.tests, other.tests))
     if all(one is test for one, test in zip(tests, held.tests, strict=True)):
         return None
     return Problem(held.space, tests, held.solves, held.jitter, held.mesh_error)
 
 
-def _residual(held: Problem, nuisances: np.ndarray) -> np.ndarray:
+def _residual_at_fixed_parameters(held: Problem, nuisances: np.ndarray) -> np.ndarray:
     """Return the whitened residual of a problem without free parameters at given nuisances, shape (N,).
 
     Raises:
@@ -138,7 +138,7 @@ def _residual(held: Problem, nuisances: np.ndarray) -> np.ndarray:
     return held._linearise(answers, nuisances)[0]
 
 
-def _group(test: ForwardTest, candidate: Candidate) -> str:
+def _parameter_group(test: ForwardTest, candidate: Candidate) -> str:
     """Return a key that is equal for tests with common parameters of a candidate."""
     if candidate.scope == "per_test":
         return test.name

@@ -13,7 +13,7 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.planned import create_planned_curves
 from calibration.diagnosis.diagnosis import NextExperiment
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import Proposals
+from calibration.diagnosis.proposals import CatalogueScores
 from calibration.diagnosis.refits import Refit
 from calibration.diagnosis.verdict import Judgement
 from calibration.effects.effect import Candidate
@@ -52,7 +52,7 @@ _SETTINGS = PlanSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Plan:
+class PlannedRamp:
     """Planned test.
 
     Attributes:
@@ -66,7 +66,7 @@ class Plan:
     protocol: Protocol
 
 
-def next_experiments(before: Evidence, proposals: Proposals, judgement: Judgement) -> list[NextExperiment]:
+def suggest_experiments(before: Evidence, proposals: CatalogueScores, judgement: Judgement) -> list[NextExperiment]:
     """Return further experiments, the most informative first.
 
     For a set of indistinguishable effects, planned tests are ranked by the smallest difference of any two members.
@@ -80,7 +80,7 @@ def next_experiments(before: Evidence, proposals: Proposals, judgement: Judgemen
     rivals = [each for each in judgement.refits if each.name in judgement.indistinguishable]
     found: list[NextExperiment] = []
     if judgement.verdict == "SET" and len(rivals) > 1:
-        for plan in plans(before):
+        for plan in vary_existing_tests(before):
             closest = _smallest_separation(plan, before, rivals)
             if closest is not None and closest[1] > 1.0:
                 found.append(NextExperiment(sentence=plan.sentence, separates=closest[0], deviations=closest[1]))
@@ -94,14 +94,14 @@ def next_experiments(before: Evidence, proposals: Proposals, judgement: Judgemen
                                            "is a property of the tissue")]
     if judgement.verdict == "NONE":
         silent: dict[str, list[str]] = {}
-        for name in proposals.silent:
+        for name in proposals.untestable:
             silent.setdefault(proposals.effects[name.partition("@")[0]].separated_by, []).append(name)
         by_hand = [NextExperiment(sentence=f"to see {', '.join(each)}: {sentence}", separates=each)
                    for sentence, each in silent.items()]
     return [*found[:_SETTINGS.max_plans], *by_hand]
 
 
-def plans(before: Evidence) -> list[Plan]:
+def vary_existing_tests(before: Evidence) -> list[PlannedRamp]:
     """Return variations of the existing tests: hold, higher speed, larger depth, smaller tool or lower specimen."""
     found = []
     faster, smaller = _SETTINGS.speed_factor, _SETTINGS.size_factor
@@ -115,28 +115,28 @@ def plans(before: Evidence) -> list[Plan]:
         held = curve.segment is not None and any(str(name).startswith(("hold", "unload")) for name in curve.segment)
         label = f"{1e3 * depth:.3g} mm"
         if not held:
-            found.append(_plan(f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and unloading",
-                               test, depth, speed, hold=True))
-        found.append(_plan(f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)", test,
-                           depth, faster * speed, hold=held))
+            found.append(_plan_ramp(f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and unloading",
+                                    test, depth, speed, hold=True))
+        found.append(_plan_ramp(f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)", test,
+                                depth, faster * speed, hold=held))
         height = experiment.specimen.height
         deeper = min(_SETTINGS.depth_factor * depth, _SETTINGS.max_depth * experiment.thickness)
         if deeper > 1.1 * depth:
-            found.append(_plan(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper, speed, hold=held))
+            found.append(_plan_ramp(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper, speed, hold=held))
         radius = experiment.tool.radius
         if not experiment.tool.is_plate and radius is not None:
             tool = replace(experiment.tool, radius=smaller * radius)
-            found.append(_plan(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
-                               replace(test, experiment=replace(experiment, tool=tool)), depth, speed, hold=held))
+            found.append(_plan_ramp(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
+                                    replace(test, experiment=replace(experiment, tool=tool)), depth, speed, hold=held))
         elif "height" in declared(type(experiment.specimen)):
             lower = with_values(experiment.specimen, {"height": smaller * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
-            found.append(_plan(f"{test.name} on a specimen of half the height, to {1e3 * smaller * depth:.3g} mm",
-                               shorter, smaller * depth, speed, hold=held))
+            found.append(_plan_ramp(f"{test.name} on a specimen of half the height, to {1e3 * smaller * depth:.3g} mm",
+                                    shorter, smaller * depth, speed, hold=held))
     return [plan for plan in found if plan is not None]
 
 
-def _plan(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) -> Plan | None:
+def _plan_ramp(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) -> PlannedRamp | None:
     """Return a planned ramp, with hold and unloading if `hold`; None if the motion or geometry is invalid."""
     ending = f"; hold {_SETTINGS.hold:g}s; unload" if hold else ""
     text = f"ramp {1e3 * depth:.6g}mm @{1e3 * speed:.6g}mm/s{ending}"
@@ -144,12 +144,13 @@ def _plan(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) 
         assert test.experiment is not None
         protocol = Protocol.parse(text)
         experiment = replace(test.experiment, protocol=Protocol.ramp(1e-3 * test.experiment.specimen.height, 2))
-        return Plan(sentence, replace(test, name=f"{test.name} (planned)", experiment=experiment), protocol)
+        return PlannedRamp(sentence, replace(test, name=f"{test.name} (planned)", experiment=experiment), protocol)
     except InputError:
         return None
 
 
-def _smallest_separation(plan: Plan, before: Evidence, rivals: Sequence[Refit]) -> tuple[list[str], float] | None:
+def _smallest_separation(plan: PlannedRamp, before: Evidence,
+                         rivals: Sequence[Refit]) -> tuple[list[str], float] | None:
     """Return the two rivals that a planned test separates least, and their difference in standard deviations.
 
     The difference of the expected forces is taken relative to noise, nuisances and parameter uncertainty: d'V^-1 d with
@@ -161,7 +162,7 @@ def _smallest_separation(plan: Plan, before: Evidence, rivals: Sequence[Refit]) 
     noise = before.measured[plan.test.name.removesuffix(" (planned)")][0].noise
     curves = create_planned_curves(plan.test, plan.protocol, noise)
     try:
-        expected = [_expected(plan.test, curves, before, each) for each in rivals]
+        expected = [_predict_planned_test(plan.test, curves, before, each) for each in rivals]
     except (InfeasibleError, InputError):
         return None
     worst: tuple[list[str], float] | None = None
@@ -176,8 +177,8 @@ def _smallest_separation(plan: Plan, before: Evidence, rivals: Sequence[Refit]) 
     return worst
 
 
-def _expected(test: Test, curves: tuple[MeasuredCurve, ...], before: Evidence,
-              rival: Refit) -> tuple[np.ndarray, np.ndarray]:
+def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before: Evidence,
+                          rival: Refit) -> tuple[np.ndarray, np.ndarray]:
     """Return the whitened force that a refit predicts for a planned test, and its uncertainty.
 
     Returns:

@@ -2,21 +2,33 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
-from calibration.diagnosis.evidence import Evidence, gather
+from calibration.diagnosis.evidence import Evidence, gather_evidence
 from calibration.fit.generalised import INVERSE_WARNINGS
 from calibration.fit.run_context import RunContext
 from calibration.statistics.jitter import Jitter
 from tissue_sim.errors import ConvergenceError
 
-#: Maximum number of fits, each with displacements counted from the contacts of the previous fit.
-_MAX_FITS = 4
-#: Contact offset, in standard deviations of the prior, at which the iteration ends.
-_TOLERANCE = 0.2
+
+@dataclass(frozen=True)
+class ContactIterationSettings:
+    """Iteration of fits whose displacements are counted from the contacts of the previous fit.
+
+    Attributes:
+        max_fits: maximum number of fits.
+        tolerance: contact offset at which the iteration ends, in standard deviations of the prior. A smaller tolerance
+            requires more fits.
+    """
+
+    max_fits: int = 4
+    tolerance: float = 0.2
 
 
-def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, list[str]]:
+_SETTINGS = ContactIterationSettings()
+
+
+def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, list[str]]:
     """Repeat the fit with displacements counted from the fitted contacts if these are far beyond their prior.
 
     The prior and the linear extrapolation of the simulated force bias such a contact, and the bias may appear as an
@@ -33,27 +45,28 @@ def settle_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, 
     scatter, found, shifts = evidence.problem.jitter, evidence, dict[str, float]()
     if scatter.freedom != 0 or not evidence.explained:
         return evidence, []
-    for _ in range(_MAX_FITS):
-        far = {name: contact for name, contact in _contacts(found).items()
+    for _ in range(_SETTINGS.max_fits):
+        far = {name: contact for name, contact in _fitted_contacts(found).items()
                if abs(contact) > INVERSE_WARNINGS.suspect_nuisance * scatter.contact
-               or (name in shifts and abs(contact) > _TOLERANCE * scatter.contact)}
+               or (name in shifts and abs(contact) > _SETTINGS.tolerance * scatter.contact)}
         if not far:
             break
         shifts |= {name: shifts.get(name, 0.0) + contact for name, contact in far.items()}
         measured = {test: tuple(replace(curve, displacement=curve.displacement - shifts.get(curve.name, 0.0))
                                 for curve in curves) for test, curves in evidence.measured.items()}
         try:
-            found = gather(evidence.campaign, measured, evidence.problem.solves, context)
+            found = gather_evidence(evidence.campaign, measured, evidence.problem.solves, context)
         except ConvergenceError:
             return evidence, []
     if not found.explained:
         return evidence, []
-    rest = _contacts(found)
+    rest = _fitted_contacts(found)
     stressed = {curve.name: curve.stressed for curve in evidence.problem.measured}
-    return found, [_sentence(name, shift + rest[name], scatter, stressed[name]) for name, shift in shifts.items()]
+    return found, [_describe_contact_offset(name, shift + rest[name], scatter, stressed[name])
+                   for name, shift in shifts.items()]
 
 
-def _contacts(evidence: Evidence) -> dict[str, float]:
+def _fitted_contacts(evidence: Evidence) -> dict[str, float]:
     """Return recording -> fitted contact offset, m (strain for recordings of stress)."""
     problem, nuisances = evidence.problem, evidence.evaluation.nuisances
     if "contact" not in problem.kinds:
@@ -63,7 +76,7 @@ def _contacts(evidence: Evidence) -> dict[str, float]:
             for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)}
 
 
-def _sentence(name: str, contact: float, scatter: Jitter, stressed: bool) -> str:
+def _describe_contact_offset(name: str, contact: float, scatter: Jitter, stressed: bool) -> str:
     """Describe a contact offset beyond the assumed scatter."""
     size, assumed = (f"{each:.2g} of strain" if stressed else f"{1e3 * each:.2f} mm"
                      for each in (abs(contact), scatter.contact))

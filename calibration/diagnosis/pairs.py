@@ -7,31 +7,34 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import Proposal, Proposals, rescore, rescore_all
-from calibration.diagnosis.refits import ODDS, Refit, odds, refit
+from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate, rescore, rescore_all
+from calibration.diagnosis.refits import Refit, fit_effects, odds
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import largest_cosine
 
-#: Smallest decrease of BIC by a second effect. Two effects reduce almost any misfit, and 50 effects form 1200 pairs: 2
-#: ln 1200 corrects for the choice of a pair, and 2 ln 20 gives odds of 20.
-SECOND = 20.0
-#: Largest family-wise p value of a second effect in a fit with the first one.
-SECOND_LEVEL = 1e-3
-#: Largest cosine between the changes of the forces by two effects that count as different.
-DIFFERENT = 0.5
-#: Smallest ratio of the score of the second effect alone to its score in the fit with the first effect.
-MIN_SCORE_RATIO = 0.5
-#: Number of first effects that are combined with a second one.
-_FIRSTS = 2
-#: Largest number of first effects if further ones are as likely as the best.
-_MAX_FIRSTS = 3
-#: Number of second effects that are fitted for each first effect.
-_SECONDS = 3
+
+@dataclass(frozen=True)
+class PairSearchSettings:
+    """Numbers of effects that the search for pairs combines. Larger numbers find more pairs and cost more fits.
+
+    Attributes:
+        first_effects: number of first effects that are combined with a second one.
+        max_first_effects: largest number of first effects if further ones are as likely as the best.
+        second_effects: number of second effects that are fitted for each first effect.
+    """
+
+    first_effects: int = 2
+    max_first_effects: int = 3
+    second_effects: int = 3
+
+
+_SETTINGS = PairSearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class EffectPair:
     """Two effects.
 
     Attributes:
@@ -50,7 +53,8 @@ class Pair:
         return self.first.gain + self.second.gain
 
 
-def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, context: RunContext) -> list[Pair]:
+def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: CatalogueScores,
+               context: RunContext) -> list[EffectPair]:
     """Return pairs of effects that are as likely as the best pair, best first; empty if one effect suffices.
 
     Args:
@@ -59,28 +63,29 @@ def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: Proposals, 
         proposals: scores of all effects.
         context: workers and listeners.
     """
-    found: list[Pair] = []
-    firsts = [first for number, first in enumerate(good[:_MAX_FIRSTS])
-              if number < _FIRSTS or odds(good[0], first) < ODDS]
+    found: list[EffectPair] = []
+    firsts = [first for number, first in enumerate(good[:_SETTINGS.max_first_effects])
+              if number < _SETTINGS.first_effects or odds(good[0], first) < LIMITS.odds]
     for first in firsts:
         with_first = first.evidence(evidence)
         others = rescore_all(proposals, with_first, [first.name])
         # Two effects with a common parameter cannot be combined.
-        likely = [name for name, each in others.seen.items() if each.p <= SECOND_LEVEL
-                  and not each.candidate.paths & first.proposal.candidate.paths][:_SECONDS]
-        fits = refit(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
-                     likely) if likely else []
-        found += [Pair(first, second, with_first) for second in fits if second.gain >= SECOND
-                  and not second.absent and not second.beyond and _both_needed(first, second, good, evidence)]
+        likely = [name for name, each in others.significant.items() if each.p <= LIMITS.pair_level
+                  and not each.candidate.paths & first.proposal.candidate.paths][:_SETTINGS.second_effects]
+        fits = fit_effects(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
+                           likely) if likely else []
+        found += [EffectPair(first, second, with_first) for second in fits if second.gain >= LIMITS.min_pair_gain
+                  and not second.is_absent and not second.is_at_bound
+                  and _are_both_required(first, second, good, evidence)]
     found.sort(key=lambda pair: -pair.gain)
-    kept: dict[frozenset[str], Pair] = {}
+    kept: dict[frozenset[str], EffectPair] = {}
     for pair in found:
-        if 0.5 * (found[0].gain - pair.gain) < np.log(ODDS):
+        if 0.5 * (found[0].gain - pair.gain) < np.log(LIMITS.odds):
             kept.setdefault(frozenset((pair.first.name, pair.second.name)), pair)
     return list(kept.values())
 
 
-def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
+def _are_both_required(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
     """Return whether both effects of a pair are required and change the forces differently.
 
     Two effects with similar changes of the forces could explain a misfit by the difference of their changes, although
@@ -93,15 +98,17 @@ def _both_needed(first: Refit, second: Refit, good: Sequence[Refit], evidence: E
         evidence: fit without effects.
     """
     alone = next((each for each in good if each.name == second.name), None)
-    if alone is not None and alone.gain > first.gain + second.gain - SECOND:
+    if alone is not None and alone.gain > first.gain + second.gain - LIMITS.min_pair_gain:
         return False
     single, score_with_first = rescore(second.proposal, evidence), second.proposal.strength
-    if not single.direction.freedom or single.strength * score_with_first < MIN_SCORE_RATIO * score_with_first**2:
+    if not single.direction.freedom:
         return False
-    return largest_cosine(first.proposal.direction, single.direction) < DIFFERENT
+    if single.strength * score_with_first < LIMITS.min_score_ratio * score_with_first**2:
+        return False
+    return largest_cosine(first.proposal.direction, single.direction) < LIMITS.max_pair_cosine
 
 
-def acts_in(proposal: Proposal, evidence: Evidence, most: int = 2) -> list[str]:
+def regions_of_largest_change(proposal: ScoredCandidate, evidence: Evidence, most: int = 2) -> list[str]:
     """Return the regions in which an effect changes the force most, after projection on the residual space.
 
     Args:

@@ -9,30 +9,37 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.extended import change_of
+from calibration.diagnosis.extended import change_by_effect
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import Direction, familywise_p_values, largest_cosine
 
-#: Family-wise p value below which an effect is significant.
-LEVEL = 0.01
-#: Expected score of an effect that is detected with a probability of 90 %: the critical score 4.3 for `LEVEL` and a
-#: catalogue of this size, plus the 90 % quantile 1.28 of the normal distribution.
-SEEN = 4.3 + 1.28
 #: Fraction of a change outside the fitted space below which its second-order part is computed too.
 _SECOND_ORDER = 0.05
-#: First step of the search for a jump, as a fraction of the largest displacement.
-_COARSEST = 0.05
-#: Smallest step of the search for a jump, as a fraction of the largest displacement.
-_FINEST = 0.002
-#: Cosine between two directions above which their effects are indistinguishable (twins).
-TWINS = 0.97
+
+
+@dataclass(frozen=True)
+class JumpSearchSettings:
+    """Steps of the search for the displacement at which a force jumps.
+
+    Attributes:
+        first_step: first step, as a fraction of the largest displacement: the distance of the trial depths of the
+            effects. A larger step costs more simulations and may pass over the jump.
+        min_step: smallest step, as a fraction of the largest displacement; the sampling step if this is larger.
+    """
+
+    first_step: float = 0.05
+    min_step: float = 0.002
+
+
+_JUMP_SEARCH = JumpSearchSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Proposal:
+class ScoredCandidate:
     """Scored candidate.
 
     Attributes:
@@ -75,37 +82,37 @@ class Proposal:
 
 
 @dataclass(frozen=True, eq=False)
-class Proposals:
+class CatalogueScores:
     """Scores of all effects of the catalogue.
 
     Attributes:
         all: scored candidates that the tests can show.
-        silent: name -> reason why the tests cannot show an effect.
+        untestable: name -> reason why the tests cannot show an effect.
         effects: name -> effect, for the whole catalogue.
     """
 
-    all: tuple[Proposal, ...]
-    silent: dict[str, str]
+    all: tuple[ScoredCandidate, ...]
+    untestable: dict[str, str]
     effects: dict[str, Effect]
 
     @cached_property
-    def best(self) -> dict[str, Proposal]:
+    def best(self) -> dict[str, ScoredCandidate]:
         """Name -> candidate with the highest score, in the order of the scores."""
-        found: dict[str, Proposal] = {}
+        found: dict[str, ScoredCandidate] = {}
         for each in sorted(self.all, key=lambda one: one.improbability):
             found.setdefault(each.candidate.name, each)
         return found
 
     @property
-    def seen(self) -> dict[str, Proposal]:
-        """Name -> significant candidates (`LEVEL`), strongest first."""
-        return {name: each for name, each in self.best.items() if each.p <= LEVEL}
+    def significant(self) -> dict[str, ScoredCandidate]:
+        """Name -> significant candidates (`DecisionLimits.effect_level`), strongest first."""
+        return {name: each for name, each in self.best.items() if each.p <= LIMITS.effect_level}
 
     @property
-    def seen_in_words(self) -> list[str]:
+    def significant_in_words(self) -> list[str]:
         """Descriptions of the significant candidates, such as ``zero offset (8.1 standard deviations)``."""
         return [f"{each.candidate.effect.title} ({abs(each.strength):.2g} standard deviations)"
-                for each in self.seen.values()]
+                for each in self.significant.values()]
 
     def twins(self, name: str) -> list[str]:
         """Return the names of indistinguishable candidates of other effects, most similar first."""
@@ -115,11 +122,12 @@ class Proposals:
             if other.candidate.effect.name != mine[0].candidate.effect.name:
                 likeness = max(largest_cosine(one.direction, other.direction) for one in mine)
                 found[other.candidate.name] = max(found.get(other.candidate.name, 0.0), likeness)
-        return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1]) if likeness > TWINS]
+        return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1])
+                if likeness > LIMITS.twin_cosine]
 
 
-def propose(evidence: Evidence, context: RunContext, words: str = "effects, one at a time",
-            only: str | None = None) -> Proposals:
+def score_effects(evidence: Evidence, context: RunContext, words: str = "effects, one at a time",
+                  only: str | None = None) -> CatalogueScores:
     """Simulate every effect of the catalogue at its trial size, and compute its score.
 
     Args:
@@ -128,46 +136,46 @@ def propose(evidence: Evidence, context: RunContext, words: str = "effects, one 
         words: description for progress messages.
         only: name of the only effect; None: all effects.
     """
-    silent: dict[str, str] = {}
+    untestable: dict[str, str] = {}
     effects: dict[str, Effect] = {}
     candidates: list[Candidate] = []
     for name, kind in CATALOGUE.items() if only is None else [(only, CATALOGUE[only])]:
         effects[name] = effect = kind()
         if effect.scales_all_forces and any(each.is_modulus for each in evidence.problem.space.varied):
-            silent[name] = "no force tells it from the moduli"
+            untestable[name] = "forces cannot separate it from the moduli"
             continue
         try:
             candidates += effect.candidates(evidence.situation)
         except NotTestableError as reason:
-            silent[name] = str(reason)
+            untestable[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
-    changes = context.run_all(change_of, [(problem, evaluation, evidence.campaign, each) for each in candidates], words,
-                           names=[each.title for each in candidates])
+    changes = context.run_all(change_by_effect, [(problem, evaluation, evidence.campaign, each) for each in candidates],
+                              words, names=[each.title for each in candidates])
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
-    directions = {number: _direction(candidates[number], change, evidence) for number, change in columns.items()}
+    directions = {number: _project_change(candidates[number], change, evidence) for number, change in columns.items()}
     # If nearly all of a change lies in the fitted space, the rest may be a nonlinearity. With c(s) = a s + b s^2 the
     # combination 4 c(1/2) - c(1) = a removes the second-order part.
     bent = [number for number, direction in directions.items() if direction.reach < _SECOND_ORDER * direction.length]
-    halves = context.run_all(change_of, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
+    halves = context.run_all(change_by_effect, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
                                       for number in bent], words,
                           names=[candidates[number].title for number in bent]) if bent else []
     for number, half in zip(bent, halves, strict=True):
         if not isinstance(half, str):
             columns[number] = 4.0 * half - columns[number]
-            directions[number] = _direction(candidates[number], columns[number], evidence)
+            directions[number] = _project_change(candidates[number], columns[number], evidence)
     for number, direction in directions.items():
         if not direction.freedom:
             failures[candidates[number].name] = "the other parameters can absorb its change of the forces" \
                 if direction.length > 1e-6 else "it does not change the forces of these tests"
-    proposals = _score([(candidates[number], columns[number], direction) for number, direction in directions.items()],
-                        evidence)
+    proposals = _score_candidates([(candidates[number], columns[number], direction)
+                                   for number, direction in directions.items()], evidence)
     shown = {each.candidate.name for each in proposals}
-    silent |= {name: reason for name, reason in failures.items() if name not in shown}
-    return Proposals(proposals, silent, effects)
+    untestable |= {name: reason for name, reason in failures.items() if name not in shown}
+    return CatalogueScores(proposals, untestable, effects)
 
 
-def rescore_all(proposals: Proposals, evidence: Evidence, known: Sequence[str]) -> Proposals:
+def rescore_all(proposals: CatalogueScores, evidence: Evidence, known: Sequence[str]) -> CatalogueScores:
     """Compute the scores of all candidates in a fit that contains some effects.
 
     The changes of the forces are taken from the fit without these effects, on which they hardly depend.
@@ -177,18 +185,19 @@ def rescore_all(proposals: Proposals, evidence: Evidence, known: Sequence[str]) 
         evidence: fit with the effects.
         known: names of the candidates that the fit contains.
     """
-    return replace(proposals, all=_score([
-        (each.candidate, each.change, _direction(each.candidate, each.change, evidence)) for each in proposals.all
+    return replace(proposals, all=_score_candidates([
+        (each.candidate, each.change, _project_change(each.candidate, each.change, evidence)) for each in proposals.all
         if each.candidate.name not in known], evidence))
 
 
-def rescore(proposal: Proposal, evidence: Evidence) -> Proposal:
+def rescore(proposal: ScoredCandidate, evidence: Evidence) -> ScoredCandidate:
     """Return a candidate with its score in another fit; the p value is unchanged."""
-    direction = _direction(proposal.candidate, proposal.change, evidence)
+    direction = _project_change(proposal.candidate, proposal.change, evidence)
     return replace(proposal, direction=direction, score=direction.score(evidence.residual))
 
 
-def _score(asked: Sequence[tuple[Candidate, np.ndarray, Direction]], evidence: Evidence) -> tuple[Proposal, ...]:
+def _score_candidates(asked: Sequence[tuple[Candidate, np.ndarray, Direction]],
+                      evidence: Evidence) -> tuple[ScoredCandidate, ...]:
     """Return scored candidates, without those whose changes lie in the fitted space.
 
     Args:
@@ -198,13 +207,13 @@ def _score(asked: Sequence[tuple[Candidate, np.ndarray, Direction]], evidence: E
     testable = [(candidate, change, direction) for candidate, change, direction in asked if direction.freedom]
     directions = [direction for *_, direction in testable]
     scores = [direction.score(evidence.residual) for direction in directions]
-    return tuple(Proposal(candidate, change, direction, score, float(p), {
+    return tuple(ScoredCandidate(candidate, change, direction, score, float(p), {
         path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
         for (candidate, change, direction), score, p in zip(
             testable, scores, familywise_p_values(directions, scores), strict=True))
 
 
-def refine_jump(proposal: Proposal, evidence: Evidence) -> Proposal:
+def refine_jump_position(proposal: ScoredCandidate, evidence: Evidence) -> ScoredCandidate:
     """Move the jump of a candidate to the position with the highest score, by steps that are halved down to a sample.
 
     Candidates without a jump are returned unchanged. The p value is unchanged.
@@ -215,14 +224,14 @@ def refine_jump(proposal: Proposal, evidence: Evidence) -> Proposal:
     curves = [curve for curve in evidence.problem.measured
               if candidate.tests is None or curve.test.name in candidate.tests]
     deepest = max(float(curve.displacement.max()) for curve in curves)
-    step = _COARSEST * deepest
-    while step > max(step_of(curves), _FINEST * deepest):
+    step = _JUMP_SEARCH.first_step * deepest
+    while step > max(sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
         step *= 0.5
         for change_of_depth in (-step, step):
             depth = float(np.clip(candidate.shape[candidate.jump] + change_of_depth, *candidate.bounds.get(
                 candidate.jump, (0.0, deepest))))
             other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-            change = change_of(evidence.problem, evidence.evaluation, evidence.campaign, other)
+            change = change_by_effect(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):
                 continue
             found = rescore(replace(proposal, candidate=other, change=change), evidence)
@@ -232,19 +241,19 @@ def refine_jump(proposal: Proposal, evidence: Evidence) -> Proposal:
     return proposal
 
 
-def step_of(curves: Sequence[MeasuredCurve]) -> float:
+def sampling_step(curves: Sequence[MeasuredCurve]) -> float:
     """Return the smallest median displacement between successive samples of some recordings, m."""
     return min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
 
 
-def _direction(candidate: Candidate, change: np.ndarray, evidence: Evidence) -> Direction:
+def _project_change(candidate: Candidate, change: np.ndarray, evidence: Evidence) -> Direction:
     """Return the direction of a change, shape (N, q), with zeros in the rows of nuisances and priors."""
     rows = evidence.residual.size - evidence.problem.samples
     columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
-    return Direction.project(columns, evidence.fitted, positive=_one_sided(candidate, evidence))
+    return Direction.project(columns, evidence.fitted, positive=_is_one_sided(candidate, evidence))
 
 
-def _one_sided(candidate: Candidate, evidence: Evidence) -> bool:
+def _is_one_sided(candidate: Candidate, evidence: Evidence) -> bool:
     """Return whether the only size parameter can lie on one side of its absent value only."""
     if len(candidate.sizes) != 1:
         return False

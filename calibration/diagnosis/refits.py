@@ -9,9 +9,10 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.extended import extend, unknowns
-from calibration.diagnosis.proposals import Proposal, Proposals, refine_jump, step_of
+from calibration.diagnosis.extended import add_effect, free_values
+from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate, refine_jump_position, sampling_step
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
 from calibration.fit.problem import Problem
@@ -21,11 +22,6 @@ from calibration.forward.contract import InfeasibleError
 from calibration.forward.forms import mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
-
-#: Odds against an effect, relative to the best one, above which the effect is excluded.
-ODDS = 20.0
-#: Smallest decrease of BIC for which an effect is accepted: odds of `ODDS` against the fit without effects.
-LEAST_GAIN = 2.0 * float(np.log(ODDS))
 
 
 @dataclass(frozen=True)
@@ -89,7 +85,7 @@ class Refit:
         failure: reason of a failure; empty otherwise.
     """
 
-    proposal: Proposal
+    proposal: ScoredCandidate
     problem: Problem
     campaign: Campaign
     theta: np.ndarray
@@ -103,7 +99,7 @@ class Refit:
         return self.proposal.candidate.name
 
     @property
-    def numbers(self) -> dict[str, float]:
+    def effect_values(self) -> dict[str, float]:
         """Name -> value of the parameters of the effect, SI."""
         candidate, space = self.proposal.candidate, self.problem.space
         mine = {**candidate.sizes, **candidate.shape}
@@ -111,21 +107,22 @@ class Refit:
         return {each.name: values[each.name] for each in space.unknowns if each.path in mine}
 
     @property
-    def bounds_met(self) -> dict[str, float]:
+    def reached_bounds(self) -> dict[str, float]:
         """Name -> bound, SI, for parameters of the effect on a bound other than their absent value."""
-        absent = {name: self.proposal.absent.get(self.problem.space.unknown(name).path) for name in self.numbers}
-        met = {name: bound_met(self.problem.space, self.theta, name, value) for name, value in absent.items()}
+        absent = {name: self.proposal.absent.get(self.problem.space.unknown(name).path) for name in self.effect_values}
+        met = {name: find_bound(self.problem.space, self.theta, name, value) for name, value in absent.items()}
         return {name: bound for name, bound in met.items() if bound is not None}
 
     @property
-    def beyond(self) -> bool:
+    def is_at_bound(self) -> bool:
         """Whether a size of the effect ended on a bound, so that its value is not plausible."""
-        return any(self.problem.space.unknown(name).path in self.proposal.candidate.sizes for name in self.bounds_met)
+        sizes = self.proposal.candidate.sizes
+        return any(self.problem.space.unknown(name).path in sizes for name in self.reached_bounds)
 
     @property
-    def absent(self) -> bool:
+    def is_absent(self) -> bool:
         """Whether all sizes of the effect ended at their absent values."""
-        values = self.numbers
+        values = self.effect_values
         return all(abs(values[name] - self.proposal.absent[path]) <= 1e-6 * abs(size - self.proposal.absent[path])
                    for path, size in self.proposal.candidate.sizes.items()
                    for name in values if self.problem.space.unknown(name).path == path)
@@ -137,7 +134,7 @@ class Refit:
         return Evidence(self.campaign, before.measured, estimate)
 
 
-def bound_met(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
+def find_bound(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
     """Return the bound on which a parameter ended, SI; None if it is on no bound, at its absent value, or fixed.
 
     Args:
@@ -157,8 +154,8 @@ def bound_met(space: ParameterSpace, theta: np.ndarray, name: str, absent: float
     return None
 
 
-def refit(evidence: Evidence, proposals: Proposals, context: RunContext, words: str = "fits with an effect",
-          names: Sequence[str] | None = None) -> list[Refit]:
+def fit_effects(evidence: Evidence, proposals: CatalogueScores, context: RunContext, words: str = "fits with an effect",
+                names: Sequence[str] | None = None) -> list[Refit]:
     """Fit the effects with the highest scores, and sort them by their decrease of BIC.
 
     Args:
@@ -170,7 +167,7 @@ def refit(evidence: Evidence, proposals: Proposals, context: RunContext, words: 
     """
     ranked = [(name, -2.0 * each.improbability) for name, each in proposals.best.items()]
     # Rivals of the best effect are fitted even if all scores are small.
-    promising = min(_SETTINGS.promising * (LEAST_GAIN + float(np.log(evidence.samples))), max(
+    promising = min(_SETTINGS.promising * (LIMITS.min_gain + float(np.log(evidence.samples))), max(
         (squares for _, squares in ranked), default=0.0) - _SETTINGS.rival_margin)
     chosen = [name for number, (name, squares) in enumerate(ranked[:_SETTINGS.max_similar]) if squares > promising
               and (number < _SETTINGS.max_effects or squares > _SETTINGS.similar**2 * ranked[0][1])] \
@@ -182,12 +179,12 @@ def refit(evidence: Evidence, proposals: Proposals, context: RunContext, words: 
         variants = sorted((each for each in proposals.all if each.candidate.name == name),
                           key=lambda each: each.improbability)
         if variants[0].candidate.jump:
-            variants = [refine_jump(variants[0], evidence)]
+            variants = [refine_jump_position(variants[0], evidence)]
         tasks += [(evidence.problem, evidence.campaign, variant, evidence.values, error, evidence.samples)
                   for variant in variants[:2]
                   if variant.improbability < variants[0].improbability + 0.5 * _SETTINGS.shape_margin]
     titles = [variant.candidate.title for *_, variant, _, _, _ in tasks]
-    found = context.run_all(refit_one, tasks, words, names=titles) if tasks else []
+    found = context.run_all(fit_effect, tasks, words, names=titles) if tasks else []
     fits = [each for each in found if each is not None]
     best: dict[str, Refit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
@@ -235,7 +232,8 @@ def with_updated_correction(fitted: Refit, plain: Problem, error: float, samples
     descent = descend(problem, fitted.theta, corrected=True, enough=_SETTINGS.gain, tolerance=_SETTINGS.tolerance)
     if not np.isfinite(descent.error):
         return fitted
-    gain = error - _error_of(problem, descent) - _penalty(problem, plain, fitted.proposal.candidate, samples)
+    penalty = _bic_penalty(problem, plain, fitted.proposal.candidate, samples)
+    gain = error - _error_with_log_determinant(problem, descent) - penalty
     return replace(fitted, problem=problem, theta=descent.theta, error=descent.error, gain=gain)
 
 
@@ -246,8 +244,8 @@ def copy_problem(problem: Problem) -> Problem:
     return Problem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
 
 
-def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: Mapping[str, float], error: float,
-              samples: float) -> Refit | None:
+def fit_effect(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, values: Mapping[str, float],
+               error: float, samples: float) -> Refit | None:
     """Fit a problem with one effect, starting from the size that its score gives.
 
     Args:
@@ -276,17 +274,17 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
         start[path] = float(np.clip(inside, low + margin if np.isfinite(low) else low,
                                     high - margin if np.isfinite(high) else high))
     try:
-        extended, changed = extend(problem, campaign, candidate, start, free=True)
+        extended, changed = add_effect(problem, campaign, candidate, start, free=True)
     except (NotTestableError, InputError):
         return None
-    theta = _choose_start(extended, [unknowns(extended.space, values, {**candidate.shape, **{
+    theta = _choose_start(extended, [free_values(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + fraction * (size - proposal.absent[path]) for path, size in start.items()}})
         for fraction in _SETTINGS.starts], error)
     gain, tolerance, stalled = _SETTINGS.gain, _SETTINGS.tolerance, (_SETTINGS.patience, _SETTINGS.gain)
     descent = descend(extended, theta, corrected=True, enough=gain, tolerance=tolerance, stalled=stalled)
     if not np.isfinite(descent.error):
         return Refit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
-    shortfall = -2.0 * proposal.improbability - (error - _error_of(extended, descent))
+    shortfall = -2.0 * proposal.improbability - (error - _error_with_log_determinant(extended, descent))
     if proposal.direction.freedom == 1 and shortfall > _SETTINGS.shortfall:
         # With nearly dependent parameters a step with a small decrease may precede one with a larger decrease.
         again = descend(extended, descent.theta, corrected=True, enough=0.0, tolerance=tolerance, stalled=stalled)
@@ -296,12 +294,12 @@ def refit_one(problem: Problem, campaign: Campaign, proposal: Proposal, values: 
         if moved is None:
             break
         proposal, extended, changed, descent = moved
-    gain = error - _error_of(extended, descent) - _penalty(extended, problem, candidate, samples)
+    gain = error - _error_with_log_determinant(extended, descent) - _bic_penalty(extended, problem, candidate, samples)
     return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
 
 
-def _with_jump_moved(problem: Problem, campaign: Campaign, proposal: Proposal, extended: Problem, descent: Descent
-                     ) -> tuple[Proposal, Problem, Campaign, Descent] | None:
+def _with_jump_moved(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, extended: Problem,
+                     descent: Descent) -> tuple[ScoredCandidate, Problem, Campaign, Descent] | None:
     """Search a better position of the jump at the contacts of the fit, and repeat the fit there.
 
     Args:
@@ -314,15 +312,15 @@ def _with_jump_moved(problem: Problem, campaign: Campaign, proposal: Proposal, e
     Returns:
         Candidate, problem, campaign and end of the new fit; None if no better position is found.
     """
-    candidate, best = proposal.candidate, _error_of(extended, descent)
+    candidate, best = proposal.candidate, _error_with_log_determinant(extended, descent)
     curves = [curve for curve in problem.measured if candidate.tests is None or curve.test.name in candidate.tests]
     position = candidate.shape[candidate.jump]
     low, high = candidate.bounds.get(candidate.jump, (0.0, max(float(c.displacement.max()) for c in curves)))
     found = None
     for steps in (sign * steps for steps in _SETTINGS.jump_steps for sign in (-1, 1)):
-        depth = float(np.clip(position + steps * step_of(curves), low, high))
+        depth = float(np.clip(position + steps * sampling_step(curves), low, high))
         other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-        moved, changed = extend(problem, campaign, other, free=True)
+        moved, changed = add_effect(problem, campaign, other, free=True)
         try:
             evaluation = moved.evaluate(descent.theta)
         except InfeasibleError:
@@ -336,12 +334,12 @@ def _with_jump_moved(problem: Problem, campaign: Campaign, proposal: Proposal, e
     return (*found, again) if np.isfinite(again.error) else None
 
 
-def _error_of(problem: Problem, descent: Descent) -> float:
+def _error_with_log_determinant(problem: Problem, descent: Descent) -> float:
     """Return the sum of squares at the end of a descent plus the log determinant of the covariance there."""
     return descent.error + problem.evaluate(descent.theta).log_determinant
 
 
-def _penalty(problem: Problem, plain: Problem, candidate: Candidate, samples: float) -> float:
+def _bic_penalty(problem: Problem, plain: Problem, candidate: Candidate, samples: float) -> float:
     """Return the BIC penalty of the additional parameters: their number, including a jump position, times ln n."""
     return (problem.space.low.size - plain.space.low.size + bool(candidate.jump)) * float(np.log(samples))
 

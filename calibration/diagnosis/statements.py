@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, Number
+from calibration.diagnosis.decision_limits import LIMITS
+from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, FoundEffect
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.pairs import acts_in
-from calibration.diagnosis.proposals import SEEN, Proposal, Proposals
-from calibration.diagnosis.refits import Refit, bound_met, odds
-from calibration.diagnosis.verdict import Judgement, share_explained
+from calibration.diagnosis.pairs import regions_of_largest_change
+from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate
+from calibration.diagnosis.refits import Refit, find_bound, odds
+from calibration.diagnosis.verdict import Judgement, explained_misfit_fraction
 from calibration.effects.effect import Candidate
 from calibration.fit.uncertainty import assess_uncertainty
 
@@ -24,7 +25,7 @@ def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> li
     """
     found: dict[str, FoundEffect] = {}
     for each in judgement.added:
-        candidate, numbers = each.proposal.candidate, numbers_of(each.proposal.candidate, after)
+        candidate, numbers = each.proposal.candidate, effect_numbers(each.proposal.candidate, after)
         effect = candidate.effect
         if candidate.name in found:
             # A further instance of the effect, such as a second Prony term.
@@ -32,11 +33,11 @@ def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> li
         found[candidate.name] = FoundEffect(
             name=effect.name, category=effect.category, title=effect.title,
             tests=list(candidate.tests or ()) if candidate.mark else [], parameters=numbers,
-            acts_in=acts_in(each.proposal, before))
+            acts_in=regions_of_largest_change(each.proposal, before))
     return list(found.values())
 
 
-def numbers_of(candidate: Candidate, evidence: Evidence) -> list[Number]:
+def effect_numbers(candidate: Candidate, evidence: Evidence) -> list[EffectParameter]:
     """Return the fitted parameters of a candidate with their standard errors."""
     space = evidence.problem.space
     spread = assess_uncertainty(evidence.problem, evidence.evaluation)
@@ -48,35 +49,36 @@ def numbers_of(candidate: Candidate, evidence: Evidence) -> list[Number]:
             continue
         error = float(errors.get(each.name, 0.0))
         absent = candidate.absent_value(evidence.campaign, each.path) if each.path in candidate.sizes else None
-        numbers.append(Number(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
-                              value=evidence.values[each.name], absent=absent,
-                              bound=bound_met(space, evidence.estimate.theta, each.name, absent),
-                              standard_error=error if np.isfinite(error) else None))
+        numbers.append(EffectParameter(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
+                                       value=evidence.values[each.name], absent=absent,
+                                       bound=find_bound(space, evidence.estimate.theta, each.name, absent),
+                                       standard_error=error if np.isfinite(error) else None))
     return numbers
 
 
-def candidate_statements(proposals: Proposals, judgement: Judgement, before: Evidence) -> list[CandidateStatement]:
+def candidate_statements(proposals: CatalogueScores, judgement: Judgement,
+                         before: Evidence) -> list[CandidateStatement]:
     """Return the records of all effects: fitted ones by BIC, other testable ones by score, then the rest."""
     refits = {each.name: each for each in judgement.refits}
     best = judgement.refits[0] if judgement.refits else None
-    rows = [_testable(name, proposal, proposals, refits.get(name), best, before)
+    rows = [_testable_statement(name, proposal, proposals, refits.get(name), best, before)
             for name, proposal in proposals.best.items()]
     rows.sort(key=lambda row: (row.delta_BIC is None, -(row.delta_BIC or 0.0)))
-    for name, reason in proposals.silent.items():
+    for name, reason in proposals.untestable.items():
         effect = proposals.effects[name.partition("@")[0]]
         rows.append(CandidateStatement(name=name, effect=effect.name, category=effect.category, title=effect.title,
                                        testable=False, reason=reason, separated_by=effect.separated_by))
     return rows
 
 
-def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit | None, best: Refit | None,
-              before: Evidence) -> CandidateStatement:
+def _testable_statement(name: str, proposal: ScoredCandidate, proposals: CatalogueScores, fitted: Refit | None,
+                        best: Refit | None, before: Evidence) -> CandidateStatement:
     """Return the record of a testable candidate."""
     effect, finite = proposal.candidate.effect, fitted is not None and np.isfinite(fitted.gain)
     # The detectable size refers to the shape parameters with the highest expected score.
     mine = [each for each in proposals.all if each.candidate.name == name]
     clearest = max(mine, key=lambda each: each.direction.reach)
-    smallest = clearest.sizes(SEEN / clearest.direction.reach)
+    smallest = clearest.sizes(LIMITS.detectable_score / clearest.direction.reach)
     after = fitted.evidence(before) if fitted is not None and finite else None
     prepared = clearest.candidate.with_prepared_tests(before.campaign)
     symbols = clearest.candidate.symbols(before.campaign)
@@ -87,8 +89,8 @@ def _testable(name: str, proposal: Proposal, proposals: Proposals, fitted: Refit
         twins=proposals.twins(name), separated_by=effect.separated_by,
         score=proposal.strength, p=proposal.p, estimate=proposal.sizes(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,
-        explained_percent=None if after is None else 100.0 * share_explained(before.regions, after.regions),
+        explained_percent=None if after is None else 100.0 * explained_misfit_fraction(before.regions, after.regions),
         evidence_ratio=odds(best, fitted) if fitted is not None and best is not None and finite else None,
-        parameters=[] if after is None else numbers_of(proposal.candidate, after),
-        on_bound=[] if fitted is None else [fitted.problem.space.symbols[held] for held in fitted.bounds_met],
+        parameters=[] if after is None else effect_numbers(proposal.candidate, after),
+        on_bound=[] if fitted is None else [fitted.problem.space.symbols[held] for held in fitted.reached_bounds],
         note="" if fitted is None else fitted.failure)

@@ -7,25 +7,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.diagnosis.confirmation import settle_evidence
+from calibration.diagnosis.confirmation import with_updated_corrections
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.pairs import SECOND, find_pairs
-from calibration.diagnosis.proposals import LEVEL, Proposals, propose, rescore_all
-from calibration.diagnosis.refits import LEAST_GAIN, ODDS, Refit, odds, refit
+from calibration.diagnosis.pairs import find_pairs
+from calibration.diagnosis.proposals import CatalogueScores, rescore_all, score_effects
+from calibration.diagnosis.refits import Refit, fit_effects, odds
 from calibration.fit.fit import Region
 from calibration.fit.run_context import RunContext
-
-#: Fraction of the misfit that an unconfirmed effect must explain.
-NEARLY_ALL = 0.9
-#: The same if all other effects are clearly worse (`RIVALLED`).
-MOSTLY = 0.8
-#: Ratio of the second-best decrease of BIC to the best one above which other effects are not clearly worse.
-RIVALLED = 0.75
-#: Fraction of the total decrease that the effect must achieve if scores show a further effect.
-MOST_SCORED = 0.7
-#: P value of a region below which its remaining misfit is far from chance.
-FAR = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +38,7 @@ class Judgement:
     evidence: Evidence
 
 
-def judge(evidence: Evidence, proposals: Proposals, context: RunContext) -> Judgement:
+def decide_verdict(evidence: Evidence, proposals: CatalogueScores, context: RunContext) -> Judgement:
     """Fit the significant effects and derive the verdict.
 
     Args:
@@ -56,46 +46,47 @@ def judge(evidence: Evidence, proposals: Proposals, context: RunContext) -> Judg
         proposals: scores of all effects.
         context: workers and listeners.
     """
-    if not proposals.seen and evidence.adequate:
+    if not proposals.significant and evidence.adequate:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", [], (), [], evidence)
-    refits = refit(evidence, proposals, context)
-    sound = [each for each in refits if not each.absent and not each.beyond]
-    good = [each for each in sound if each.gain >= LEAST_GAIN
-            and (each.proposal.p <= LEVEL or not evidence.adequate)]
+    refits = fit_effects(evidence, proposals, context)
+    sound = [each for each in refits if not each.is_absent and not each.is_at_bound]
+    good = [each for each in sound if each.gain >= LIMITS.min_gain
+            and (each.proposal.p <= LIMITS.effect_level or not evidence.adequate)]
     if not good:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
     rivals = (each.gain for each in good if each.proposal.candidate.effect.name != best.proposal.candidate.effect.name)
-    needed = MOSTLY if next(rivals, 0.0) < RIVALLED * best.gain else NEARLY_ALL
+    has_rival = next(rivals, 0.0) >= LIMITS.rival_gain_ratio * best.gain
+    needed = LIMITS.explained_fraction if has_rival else LIMITS.explained_without_rival
     added, after = _add_instances(best, evidence, context)
-    rest = rescore_all(proposals, after, [best.name]).seen
+    rest = rescore_all(proposals, after, [best.name]).significant
     if rest or not after.adequate:
         pairs = find_pairs(evidence, good, proposals, context)
-        if pairs and pairs[0].gain > sum(each.gain for each in added) + SECOND:
-            together = settle_evidence(pairs[0].second.evidence(pairs[0].with_first))
+        if pairs and pairs[0].gain > sum(each.gain for each in added) + LIMITS.min_pair_gain:
+            together = with_updated_corrections(pairs[0].second.evidence(pairs[0].with_first))
             # A pair is accepted only if it explains the whole misfit.
             if together.explained:
                 names = list(dict.fromkeys(name for pair in pairs for name in (pair.first.name, pair.second.name)))
                 return Judgement("SET" if len(names) > 2 else "NAMED", refits, (pairs[0].first, pairs[0].second),
                                  names, together)
         # The explained fraction is meaningful only if the remaining misfit is significant.
-        far = min(region.p for region in after.regions) < FAR or after.repeated
-        if far and share_explained(evidence.regions, after.regions) < needed:
+        far = min(region.p for region in after.regions) < LIMITS.clear_misfit_level or after.tests_with_common_signal
+        if far and explained_misfit_fraction(evidence.regions, after.regions) < needed:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     # Decrease of BIC that the remaining scores predict.
     gained = sum(each.gain for each in added)
     left = max((-2.0 * each.improbability - float(np.log(evidence.samples)) for each in rest.values()), default=0.0)
     left = max(left, 0.0)
-    if left > (1.0 - MOST_SCORED) * (gained + left):
+    if left > (1.0 - LIMITS.scored_fraction) * (gained + left):
         return Judgement("UNKNOWN", refits, (), [], evidence)
-    if after.repeated and share_repeated(evidence, after) < needed:
+    if after.tests_with_common_signal and explained_common_signal(evidence, after) < needed:
         return Judgement("UNKNOWN", refits, (), [], evidence)
     # Candidates as likely as the best one belong to the set even if their own decrease of BIC is insignificant.
-    possible = [each for each in sound if odds(best, each) < ODDS]
-    names = list(dict.fromkeys([*(each.name for each in possible), *_twins(best, proposals)]))
+    possible = [each for each in sound if odds(best, each) < LIMITS.odds]
+    names = list(dict.fromkeys([*(each.name for each in possible), *_known_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
-    alone = after.explained and left <= (1.0 - NEARLY_ALL) * (gained + left)
+    alone = after.explained and left <= (1.0 - LIMITS.explained_fraction) * (gained + left)
     return Judgement("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 
@@ -106,46 +97,46 @@ def _add_instances(best: Refit, evidence: Evidence, context: RunContext) -> tupl
         Fits with one, two, ... instances, and the final evidence.
     """
     effect, added = best.proposal.candidate.effect, [best]
-    after = settle_evidence(best.evidence(evidence))
+    after = with_updated_corrections(best.evidence(evidence))
     while not after.adequate and len(added) < effect.max_instances:
-        more = propose(after, context, f"more of {effect.title}", only=effect.name)
-        fits = refit(after, more, context, f"fits with more of {effect.title}", list(more.seen)[:1])
-        if not fits or fits[0].gain < LEAST_GAIN or fits[0].absent:
+        more = score_effects(after, context, f"more of {effect.title}", only=effect.name)
+        fits = fit_effects(after, more, context, f"fits with more of {effect.title}", list(more.significant)[:1])
+        if not fits or fits[0].gain < LIMITS.min_gain or fits[0].is_absent:
             break
         added.append(fits[0])
-        after = settle_evidence(fits[0].evidence(after))
+        after = with_updated_corrections(fits[0].evidence(after))
     return tuple(added), after
 
 
-def share_explained(before: Sequence[Region], after: Sequence[Region]) -> float:
+def explained_misfit_fraction(before: Sequence[Region], after: Sequence[Region]) -> float:
     """Return the explained fraction of the misfit: relative decrease of the excess of chi-square over its expectation.
 
     Args:
         before: regions without effects.
         after: regions with effects.
     """
-    def beyond(regions: Sequence[Region]) -> float:
+    def excess(regions: Sequence[Region]) -> float:
         return sum(max(region.statistic - region.freedom, 0.0) for region in regions)
 
-    first = beyond(before)
-    return 1.0 - beyond(after) / first if first > 0 else 0.0
+    first = excess(before)
+    return 1.0 - excess(after) / first if first > 0 else 0.0
 
 
-def share_repeated(before: Evidence, after: Evidence) -> float:
+def explained_common_signal(before: Evidence, after: Evidence) -> float:
     """Return the explained fraction of the common signal of recordings, from the excess of the variance ratios.
 
     Args:
         before: fit without effects.
         after: fit with effects.
     """
-    def beyond(evidence: Evidence) -> float:
+    def excess(evidence: Evidence) -> float:
         return sum(max(ratio - 1.0, 0.0) * freedom for ratio, freedom, _ in evidence.coherence.values())
 
-    first = beyond(before)
-    return 1.0 - beyond(after) / first if first > 0 else 0.0
+    first = excess(before)
+    return 1.0 - excess(after) / first if first > 0 else 0.0
 
 
-def _twins(best: Refit, proposals: Proposals) -> list[str]:
+def _known_twins(best: Refit, proposals: CatalogueScores) -> list[str]:
     """Return the known twins of the best effect (`Effect.known_twins`) that are indistinguishable in these tests."""
     known = best.proposal.candidate.effect.known_twins
     return [name for name in proposals.twins(best.name) if name.partition("@")[0] in known]

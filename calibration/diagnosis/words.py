@@ -6,23 +6,26 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
-from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, HeldOut, Number, RegionGap, Verdict
+from calibration.diagnosis.decision_limits import LIMITS
+from calibration.diagnosis.diagnosis import (
+    CandidateStatement,
+    EffectParameter,
+    FoundEffect,
+    HeldOutPrediction,
+    RegionMisfit,
+    Verdict,
+)
 
 #: SI unit -> unit in sentences, and the factor of the value.
 _UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m": ("N s/mm", 1e-3), "1": ("", 1.0)}
 
-#: Factor of the squared prediction errors of unseen data above which an added effect is called unreliable.
-_ERROR_GROWTH = 1.1
-#: Smallest explained fraction of a misfit, %, for which an effect that was not added is mentioned.
-_MIN_EXPLAINED = 30.0
 
-
-def joined(words: Sequence[str], last: str = "and") -> str:
+def join_words(words: Sequence[str], last: str = "and") -> str:
     """Join words to an enumeration, such as ``a, b and c``."""
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
 
 
-def number_in_words(number: Number) -> str:
+def number_in_words(number: EffectParameter) -> str:
     """Describe a parameter, such as ``tau1 = 19.7 ± 0.3 s``."""
     unit, factor = _UNITS.get(number.unit, (number.unit, 1.0))
     error = "" if number.standard_error is None else f" ± {factor * number.standard_error:.2g}"
@@ -31,34 +34,35 @@ def number_in_words(number: Number) -> str:
 
 def effect_in_words(effect: FoundEffect) -> str:
     """Describe an effect, such as ``viscoelasticity (g1 = 0.0301 ± 0.0002, tau1 = 19.7 ± 0.3 s)``."""
-    where = f" in {joined(effect.tests)}" if effect.tests else ""
+    where = f" in {join_words(effect.tests)}" if effect.tests else ""
     return f"{effect.title}{where} ({', '.join(map(number_in_words, effect.parameters))})"
 
 
-def bound_in_words(number: Number) -> str:
+def bound_in_words(number: EffectParameter) -> str:
     """Describe a parameter on its bound, such as ``c = 2 mm/N, the largest that a fit may take``."""
     assert number.bound is not None
     end = "smallest" if number.bound < (number.absent or 0.0) else "largest"
     return f"{number_in_words(replace(number, standard_error=None))}, the {end} that a fit may take"
 
 
-def _comes_nearest(nearest: CandidateStatement) -> str:
+def _describe_nearest_effect(nearest: CandidateStatement) -> str:
     """Describe the effect that explains most of the misfit and was not added, with the reason."""
     title, share = f"{nearest.title[:1].upper()}{nearest.title[1:]}", f"{nearest.explained_percent:.0f} %"
-    beyond = [each for each in nearest.parameters if each.beyond]
+    beyond = [each for each in nearest.parameters if each.is_at_bound]
     if not beyond:
         return f"{title} comes nearest and explains {share} of it."
     remedy = f" (here: {nearest.separated_by})" if nearest.separated_by else ""
-    return (f"{title} comes nearest and explains {share} of it, but its size ran to its bound, "
-            f"{joined([bound_in_words(each) for each in beyond])}: that is where the fit was stopped and no estimate, "
-            f"so that it was not named. Either it is larger than is held for possible, which a measurement of it alone "
-            f"would show{remedy}, or something else acts like it.")
+    return (f"{title} comes nearest and explains {share} of it, but its fit ended on a bound, "
+            f"{join_words([bound_in_words(each) for each in beyond])}. A value on a bound is not reliable, so the "
+            "effect was not named. Either its size exceeds the bound, which a separate measurement would show"
+            f"{remedy}, or another effect changes the forces in the same way.")
 
 
-def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str], regions: Sequence[RegionGap],
-            gaps: tuple[float, float | None, float], untestable: int, unseen: Sequence[HeldOut] = (),
-            nearest: CandidateStatement | None = None, repeated: Sequence[str] = (),
-            offsets: Sequence[str] = (), scored: Sequence[str] = (), *, stressed: bool = False) -> str:
+def diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
+                      regions: Sequence[RegionMisfit], gaps: tuple[float, float | None, float], untestable: int,
+                      unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
+                      repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
+                      stressed: bool = False) -> str:
     """Summarise a diagnosis in a few sentences.
 
     Args:
@@ -77,38 +81,38 @@ def message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[s
     """
     before, after, noise = gaps
     where = [region.sentence for region in regions if not region.adequate_before]
-    where += [f"all recordings of {joined(repeated)} leave the same behind, sample by sample"] if repeated else []
+    where += [f"all recordings of {join_words(repeated)} have a common signal in their residuals"] if repeated else []
     unit, factor = ("kPa", 1e-3) if stressed else ("N", 1.0)
-    closed = "" if after is None else (f" The gap falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
+    closed = "" if after is None else (f" The misfit falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
                                        f"({before / noise:.2g} to {after / noise:.2g} of the noise).")
     pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]
-    if pairs and sum(two**2 for _, two in pairs) > _ERROR_GROWTH * sum(one**2 for one, _ in pairs):
-        closed += " Data that the fits have not seen are predicted worse with it: do not rely on it."
-    silent = f" {untestable} effects of the catalogue cannot be seen in these tests." if untestable else ""
+    if pairs and sum(two**2 for _, two in pairs) > LIMITS.error_growth * sum(one**2 for one, _ in pairs):
+        closed += " Data that were not fitted are predicted worse with the added effect. Do not rely on this effect."
+    silent = f" These tests cannot detect {untestable} effects of the catalogue." if untestable else ""
     match verdict:
         case "NONE":
             if offsets:
-                return (f"Nothing is missing but an offset, which the fit takes out: {'; '.join(offsets)}. State "
+                return (f"Nothing is missing except an offset, which the fit removes: {'; '.join(offsets)}. State "
                         f"it as contact in mm in its [[test]], or set offset = \"fit\" with a prior that covers it."
                         f"{silent}")
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
-            worth = nearest is not None and (nearest.explained_percent or 0.0) >= _MIN_EXPLAINED
-            near = f" {_comes_nearest(nearest)}" if nearest is not None and worth else ""
+            worth = nearest is not None and (nearest.explained_percent or 0.0) >= LIMITS.min_mentioned_percent
+            near = f" {_describe_nearest_effect(nearest)}" if nearest is not None and worth else ""
             if not where:
-                several = f" ({joined(scored[:3])})" if scored else ""
-                return ("The residuals are noise in every region by itself. Over all regions together they have a "
-                        f"shape that chance does not explain and no single effect does{several}.{near} Nothing was "
+                several = f" ({join_words(scored[:3])})" if scored else ""
+                return ("The residuals of every region are within the noise. The residuals of all regions together "
+                        f"have a shape that neither chance nor a single effect explains{several}.{near} Nothing was "
                         f"added.{silent}")
             return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
                     + f".{near} Nothing was added.{silent}")
         case "SET":
-            names = joined(titles, "or")
-            return (f"{names[:1].upper()}{names[1:]} is missing, and these tests do not tell which; the likeliest "
-                    f"was added: {effect_in_words(effects[0])}.{closed}")
+            names = join_words(titles, "or")
+            return (f"{names[:1].upper()}{names[1:]} is missing, and these tests cannot distinguish them. The most "
+                    f"likely effect was added: {effect_in_words(effects[0])}.{closed}")
         case "LOOKS_LIKE":
-            return (f"It looks like {joined([effect_in_words(each) for each in effects])}, but its form is not "
-                    f"confirmed: something smooth is left.{closed}")
+            return (f"It looks like {join_words([effect_in_words(each) for each in effects])}, but its form is not "
+                    f"confirmed: a smooth misfit remains.{closed}")
         case _:
-            named = joined([effect_in_words(each) for each in effects])
+            named = join_words([effect_in_words(each) for each in effects])
             return f"{named[:1].upper()}{named[1:]} {'were' if len(effects) > 1 else 'was'} missing.{closed}"

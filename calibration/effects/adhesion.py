@@ -11,16 +11,6 @@ from calibration.effects.effect import Candidate, Effect, Situation, experiment_
 from tissue_sim.experiment.adhesion import Adhesion as Pull
 from tissue_sim.model import Model
 
-#: Trial pull-off force as a fraction of the largest force. The finite elements do not resolve much smaller pulls at
-#: first contact.
-_TRIAL_FRACTION = 0.02
-#: Trial ranges of the adhesive force as fractions of the largest displacement. A shorter range would make the adhesive
-#: force fall about as steeply as the tissue is stiff, which the finite elements do not resolve either.
-_TRIAL_LENGTHS = (0.05, 0.1, 0.2, 0.4)
-#: Displacement below which a plate separates, as a fraction of the largest displacement: above the undeformed surface.
-_PLATE_SEPARATION = -0.002
-#: Displacement below which the rim of a tip separates, as a fraction of the largest displacement.
-_TIP_SEPARATION = 0.05
 #: Path of the pull-off force, N.
 _FORCE = "experiment.adhesion.force"
 #: Path of the range of the adhesive force, m.
@@ -35,21 +25,33 @@ class Adhesion(Effect):
     title = "adhesion"
     signature = "the force is too low in the last millimetre of unloading, and it may become negative before lift-off"
     separated_by = "pulling the tool back past the contact"
+    #: Trial pull-off force as a fraction of the largest force. The finite elements do not resolve much smaller pulls at
+    #: first contact.
+    trial_fraction = 0.02
+    #: Trial ranges of the adhesive force as fractions of the largest displacement. With a shorter range the adhesive
+    #: force falls about as steeply as the tissue is stiff, which the finite elements do not resolve either.
+    trial_ranges = (0.05, 0.1, 0.2, 0.4)
+    #: Displacement below which a plate separates, as a fraction of the largest displacement. The negative value lies
+    #: above the undeformed surface.
+    plate_separation = -0.002
+    #: Displacement below which the rim of a tip separates, as a fraction of the largest displacement.
+    tip_separation = 0.05
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return a candidate per trial range in the tests whose tool lifts off."""
         free = require_tests(situation.simulated_tests(lambda test: experiment_of(test).friction != "bonded"
                                                  and experiment_of(test).adhesion is None),
                              "no face can lift off, because all faces are bonded")
-        tests = require_tests([test for test in free if _lifts_off(situation, test)],
+        tests = require_tests([test for test in free if self._lifts_off(situation, test)],
                               "no tool returns past the first contact, and adhesion shows only there")
-        deepest = max(map(situation.depth, tests))
-        trial_force = _TRIAL_FRACTION * min(map(situation.force, tests))
+        deepest = max(map(situation.largest_displacement, tests))
+        trial_force = self.trial_fraction * min(map(situation.largest_force, tests))
 
         def add_adhesion(length: float):
             return lambda test: replace(test, experiment=replace(test.experiment, adhesion=Pull(0.0, length)))
 
         found = []
-        for length in (fraction * deepest for fraction in _TRIAL_LENGTHS):
+        for length in (fraction * deepest for fraction in self.trial_ranges):
             prepare = add_adhesion(length)
             found += rig_parameter_candidates(self, situation, _FORCE, [prepare(test) for test in tests],
                                               lambda _: trial_force, two_sided=False, prepare=prepare,
@@ -57,21 +59,21 @@ class Adhesion(Effect):
         return found
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model with the adhesion; an experiment without adhesion gets one."""
         if model.experiment.adhesion is None:
             pull = Pull(values[_FORCE], values[_LENGTH])
             return replace(model, experiment=replace(model.experiment, adhesion=pull))
         return super().apply(model, values)
 
+    def _lifts_off(self, situation: Situation, test: Test) -> bool:
+        """Return whether the tool separates from the tissue during unloading in any recording of a test.
 
-def _lifts_off(situation: Situation, test: Test) -> bool:
-    """Return whether the tool separates from the tissue during unloading in any recording of a test.
-
-    A plate separates as a whole, above the undeformed surface. A tip separates from its rim inwards, below the
-    surface.
-    """
-    limit = _PLATE_SEPARATION if experiment_of(test).tool.is_plate else _TIP_SEPARATION
-    for curve in situation.measured[test.name]:
-        deepest = int(np.argmax(curve.displacement))
-        if curve.displacement[deepest:].min() < limit * curve.displacement[deepest]:
-            return True
-    return False
+        A plate separates as a whole, above the undeformed surface. A tip separates from its rim inwards, below the
+        surface.
+        """
+        limit = self.plate_separation if experiment_of(test).tool.is_plate else self.tip_separation
+        for curve in situation.measured[test.name]:
+            deepest = int(np.argmax(curve.displacement))
+            if curve.displacement[deepest:].min() < limit * curve.displacement[deepest]:
+                return True
+        return False

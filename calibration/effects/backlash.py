@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial backlash as a fraction of the largest displacement.
-_TRIAL_FRACTION = 0.01
-
 
 class Backlash(Effect):
     """Lost motion of the drive at a reversal of its direction, m."""
@@ -16,10 +13,13 @@ class Backlash(Effect):
     signature = "after the reversal the force stays constant for a while, and the unloading curve is shifted by a " \
                 "constant displacement"
     separated_by = "unloading; a ramp alone does not show it"
+    #: Trial backlash as a fraction of the largest displacement.
+    trial_fraction = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates in the tests with an unloading."""
         tests = require_tests(situation.simulated_tests(situation.has_unloading),
                               "no recording has an unloading, and backlash shows only after a reversal")
-        return rig_parameter_candidates(self, situation, "rig.backlash", tests,
-                                        lambda group: _TRIAL_FRACTION * min(map(situation.depth, group)),
-                                        two_sided=False)
+        return rig_parameter_candidates(
+            self, situation, "rig.backlash", tests,
+            lambda group: self.trial_fraction * min(map(situation.largest_displacement, group)), two_sided=False)

@@ -3,9 +3,6 @@
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 from tissue_sim.material.material import BULK_RATIOS, Bulk
 
-#: Trial ratio K / mu. It lowers the force of bonded compression of the reference cylinder by 1 %.
-_TRIAL_RATIO = 100.0
-
 
 class Compressibility(Effect):
     """Bulk modulus below the assumed one, expressed by the quantity that the campaign states (K/mu, K or D1)."""
@@ -15,15 +12,18 @@ class Compressibility(Effect):
     title = "compressibility"
     signature = "tests that confine the tissue laterally are softer than the other tests predict, from the start on"
     separated_by = "unloading, which separates compressibility from friction, and a specimen of another height"
+    #: Trial ratio K / mu. It lowers the force of bonded compression of the reference cylinder by 1 %.
+    trial_ratio = 100.0
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        fit, mu = situation.campaign.fit, situation.modulus
+        """Return the candidate with the trial ratio K / mu, or with a tenth of the stated ratio if this is smaller."""
+        fit, mu = situation.campaign.fit, situation.shear_modulus
         for path in (path for path in fit.named if path.startswith("bulk.")):
             situation.require_new(path)
         if not situation.simulated_tests():
             raise NotTestableError("all tests are computed by closed forms of an incompressible tissue")
         bulk = fit.bulk if fit.bulk.value is not None else Bulk("bulk_ratio", BULK_RATIOS[1])
-        trial_ratio = min(_TRIAL_RATIO, 0.1 * bulk.modulus(mu) / mu)
+        trial_ratio = min(self.trial_ratio, 0.1 * bulk.modulus(mu) / mu)
         if trial_ratio < 2.0 * BULK_RATIOS[0]:
             raise NotTestableError("the stated bulk modulus is already close to the smallest that the solver accepts")
         path, absent = f"bulk.{bulk.kind}", float(bulk.value or 0.0)

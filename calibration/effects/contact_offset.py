@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial offset as a fraction of the largest displacement.
-_TRIAL_FRACTION = 0.005
-
 
 class ContactOffset(Effect):
     """Constant shift of the displacement, separate for each test."""
@@ -15,8 +12,12 @@ class ContactOffset(Effect):
     title = "contact offset"
     signature = "the force curve is shifted by a constant displacement, equally in loading and unloading"
     separated_by = "an approach through air, in which a kink of the force shows the first contact"
+    #: Trial offset as a fraction of the largest displacement.
+    trial_fraction = 0.005
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(self, situation, "rig.contact_offset", tests,
-                                        lambda group: _TRIAL_FRACTION * situation.depth(group[0]), each=True)
+        return rig_parameter_candidates(
+            self, situation, "rig.contact_offset", tests,
+            lambda group: self.trial_fraction * situation.largest_displacement(group[0]), each=True)

@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial relative error.
-_TRIAL_ERROR = 0.01
-
 
 class DisplacementGain(Effect):
     """Relative error that all displacements share."""
@@ -15,7 +12,10 @@ class DisplacementGain(Effect):
     title = "error of the displacement's scale"
     signature = "the displacement axis is scaled by the same factor in every test, independently of the stiffness"
     separated_by = "a dial gauge, or a deeper ramp"
+    #: Trial relative error.
+    trial_error = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates with a relative error of the displacement."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(self, situation, "rig.displacement_gain", tests, lambda _: _TRIAL_ERROR)
+        return rig_parameter_candidates(self, situation, "rig.displacement_gain", tests, lambda _: self.trial_error)

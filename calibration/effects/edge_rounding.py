@@ -4,9 +4,6 @@ from calibration.effects.candidates import require_tests, rig_parameter_candidat
 from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.parameters import declared
 
-#: Trial increase of the edge radius as a fraction of the radius of the needle.
-_TRIAL_FRACTION = 0.1
-
 
 class EdgeRounding(Effect):
     """Radius of the edge between face and shaft, larger than stated."""
@@ -16,10 +13,13 @@ class EdgeRounding(Effect):
     title = "rounding of the tip's edge"
     signature = "the needle is too soft at first contact and agrees at larger depth; plates agree at all depths"
     separated_by = "a microscope, or a second tip"
+    #: Trial increase of the edge radius as a fraction of the radius of the needle.
+    trial_fraction = 0.1
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates in the tests whose needle has an edge radius."""
         needles = require_tests(situation.simulated_tests(
             lambda test: "edge_radius" in declared(type(experiment_of(test).tool))), "no test has a tool with an edge")
-        return rig_parameter_candidates(self, situation, "experiment.tool.edge_radius", needles,
-                                        lambda tests: _TRIAL_FRACTION * experiment_of(tests[0]).tool.require_radius(),
-                                        two_sided=False)
+        return rig_parameter_candidates(
+            self, situation, "experiment.tool.edge_radius", needles,
+            lambda tests: self.trial_fraction * experiment_of(tests[0]).tool.require_radius(), two_sided=False)

@@ -3,7 +3,8 @@
 An effect is a class with a name, a category and two sentences for reports. Its method `Effect.candidates` returns the
 parametrisations of the effect in the tests of a campaign. Score, refit and output files follow from the parameter paths
 of a candidate. A new effect needs one module and one line in `calibration.effects.catalogue`; another package registers
-its effects through the entry point group ``tissue_sim.diagnosis_effects``.
+its effects through the entry point group ``tissue_sim.diagnosis_effects``. Trial values and largest values of an effect
+are attributes of its class, so that a subclass can change them.
 """
 
 from __future__ import annotations
@@ -159,9 +160,10 @@ class Candidate:
             return self.tests
         # All tests of the candidate state the same values, so the first represents them.
         first = next(test for test in campaign.tests if test.name == self.tests[0])
-        return (*self.tests, *(test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
-                               and test.experiment is not None and all(
-                                   _stated(test, path) == _stated(first, path) for path in self.sizes)))
+        shared = [test.name for test in campaign.tests if test.hold_out and test.name not in self.tests
+                  and test.experiment is not None and all(
+                      _stated_value_or_none(test, path) == _stated_value_or_none(first, path) for path in self.sizes)]
+        return (*self.tests, *shared)
 
     def add_to(self, campaign: Campaign, values: Mapping[str, float] | None = None, *, free: bool) -> Campaign:
         """Return the campaign with the parameters of the candidate.
@@ -275,7 +277,7 @@ class Effect(ABC):
         return with_values(model, around) if around else model
 
 
-def _stated(test: Test, path: str) -> float | None:
+def _stated_value_or_none(test: Test, path: str) -> float | None:
     """Return the value that a test with a tool states for a parameter, SI; None if the test lacks the parameter."""
     part, _, inside = path.partition(".")
     stated = parameters(getattr(test, part)).get(inside)

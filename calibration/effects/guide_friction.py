@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial friction force as a fraction of the smallest of the tests' largest forces.
-_TRIAL_FRACTION = 0.01
-
 
 class GuideFriction(Effect):
     """Constant force against the direction of motion, N."""
@@ -15,9 +12,12 @@ class GuideFriction(Effect):
     title = "friction of the guide"
     signature = "the force is too high by a constant in loading and too low by it in unloading, also in air"
     separated_by = "unloading, or a run in air"
+    #: Trial friction force as a fraction of the smallest of the tests' largest forces.
+    trial_fraction = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates with a friction force above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         return rig_parameter_candidates(self, situation, "rig.guide_friction", tests,
-                                        lambda group: _TRIAL_FRACTION * min(map(situation.force, group)),
+                                        lambda group: self.trial_fraction * min(map(situation.largest_force, group)),
                                         two_sided=False)

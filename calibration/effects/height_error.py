@@ -4,9 +4,6 @@ from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 from calibration.effects.specimen_size import specimen_size_candidates
 
-#: Trial relative error.
-_TRIAL_ERROR = 0.01
-
 
 class HeightError(Effect):
     """Relative error of the height, separate for each specimen."""
@@ -17,8 +14,11 @@ class HeightError(Effect):
     signature = "the strain under plates is wrong by a constant factor, which changes the slope and the curvature of " \
                 "their curves; the needle agrees"
     separated_by = "a caliper, or a deeper ramp"
+    #: Trial relative error.
+    trial_error = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per specimen with a stated height."""
         tests = require_tests(situation.simulated_tests(lambda test: test.specimen is not None),
                               "no test has a specimen with stated dimensions")
-        return specimen_size_candidates(self, situation, "experiment.specimen.height", tests, _TRIAL_ERROR)
+        return specimen_size_candidates(self, situation, "experiment.specimen.height", tests, self.trial_error)

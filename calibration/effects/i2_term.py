@@ -1,12 +1,7 @@
 """Dependence of the strain energy on the second invariant."""
 
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
-from calibration.effects.wider_law import WIDER, require_contained
-
-#: Trial contribution of the term to the shear modulus, as a fraction of the modulus.
-_TRIAL_FRACTION = 0.05
-#: Largest value of C01 that a refit may find, as a fraction of the shear modulus.
-_MAX_FRACTION = 2.0
+from calibration.effects.wider_law import WIDER, require_special_case
 
 
 class I2Term(Effect):
@@ -18,11 +13,16 @@ class I2Term(Effect):
     signature = "the stiffness changes differently with depth under plates and under the needle, equally at every speed"
     separated_by = "tension, or a compression to 20 mm"
     law = WIDER
+    #: Trial contribution of the term to the shear modulus, as a fraction of the modulus.
+    trial_fraction = 0.05
+    #: Largest value of C01 that a refit may find, as a fraction of the shear modulus.
+    max_fraction = 2.0
 
     def candidates(self, situation: Situation) -> list[Candidate]:
-        if "C01" in require_contained(situation.law):
+        """Return the candidate that extends the fitted law to Biderman's law by C01."""
+        if "C01" in require_special_case(situation.law):
             raise NotTestableError("the fitted law has a term in I2 - 3 already")
         # mu = 2 (C10 + C01).
-        size = 0.5 * _TRIAL_FRACTION * situation.modulus
+        size = 0.5 * self.trial_fraction * situation.shear_modulus
         return [Candidate(self, {"C01": size}, absent={"C01": 0.0},
-                          bounds={"C01": (0.0, _MAX_FRACTION * situation.modulus)}, law=WIDER)]
+                          bounds={"C01": (0.0, self.max_fraction * situation.shear_modulus)}, law=WIDER)]

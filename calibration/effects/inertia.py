@@ -10,10 +10,6 @@ from calibration.effects.effect import Candidate, Effect, NotTestableError, Situ
 from tissue_sim.model import Model
 from tissue_sim.rig.inertia import Inertia as Mass
 
-#: Trial mass of the tool, kg: a typical mass of a small tool.
-_TRIAL_MASS = 0.1
-#: Smallest inertial force that is worth a test, as a fraction of the noise.
-_DETECTABLE_FRACTION = 0.1
 #: Path of the mass, kg.
 _PATH = "rig.faults.inertia.mass"
 
@@ -26,32 +22,38 @@ class Inertia(Effect):
     title = "inertia of the tool"
     signature = "the force is wrong while the tool accelerates, and correct at constant speed"
     separated_by = "motion in air at the speed of a hand"
+    #: Trial mass of the tool, kg: a typical mass of a small tool.
+    trial_mass = 0.1
+    #: Smallest inertial force that is worth a test, as a fraction of the noise.
+    detectable_fraction = 0.1
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates with the trial mass if its inertial force would be detectable."""
         tests = require_tests(situation.simulated_tests(lambda test: "inertia" not in test.rig.faults),
                               "the rig states the mass of its tool already")
         fastest = situation.fastest_speed(tests)
         # Acceleration from rest to the largest speed v within 1 % of the displacement d: a = v^2 / (2 * 0.01 d).
-        acceleration = fastest**2 / (0.02 * min(map(situation.depth, tests)))
+        acceleration = fastest**2 / (0.02 * min(map(situation.largest_displacement, tests)))
         quietest = min(curve.noise.deviation for curve in situation.curves(tests))
-        if _TRIAL_MASS * acceleration < _DETECTABLE_FRACTION * quietest:
+        if self.trial_mass * acceleration < self.detectable_fraction * quietest:
             raise NotTestableError(
-                f"the tests are quasi-static: at {fastest * 1e3:.3g} mm/s a tool of {_TRIAL_MASS:g} kg changes the "
-                f"force by {_TRIAL_MASS * acceleration:.1g} N, and the noise is {quietest:.1g} N")
-        return rig_parameter_candidates(self, situation, _PATH, [_with_mass(test) for test in tests],
-                                        lambda _: _TRIAL_MASS, two_sided=False, prepare=_with_mass)
+                f"the tests are quasi-static: at {fastest * 1e3:.3g} mm/s a tool of {self.trial_mass:g} kg changes the "
+                f"force by {self.trial_mass * acceleration:.1g} N, and the noise is {quietest:.1g} N")
+        return rig_parameter_candidates(self, situation, _PATH, [_with_massless_tool(test) for test in tests],
+                                        lambda _: self.trial_mass, two_sided=False, prepare=_with_massless_tool)
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model with the mass; a rig without this fault gets it."""
         if "inertia" not in model.rig.faults:
-            model = replace(model, rig=_with_inertia(model.rig))
+            model = replace(model, rig=_with_inertia_fault(model.rig))
         return super().apply(model, values)
 
 
-def _with_mass(test: Test) -> Test:
+def _with_massless_tool(test: Test) -> Test:
     """Return a test whose rig has a tool with mass 0."""
-    return replace(test, rig=_with_inertia(test.rig))
+    return replace(test, rig=_with_inertia_fault(test.rig))
 
 
-def _with_inertia(rig: Any) -> Any:
+def _with_inertia_fault(rig: Any) -> Any:
     """Return a rig with the additional fault `tissue_sim.rig.inertia.Inertia` of mass 0."""
     return replace(rig, faults=[*rig.faults.values(), Mass(0.0)])

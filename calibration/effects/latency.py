@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial latency as a fraction of the duration of the fastest loading.
-_TRIAL_FRACTION = 0.01
-
 
 class Latency(Effect):
     """Time by which the force is recorded later than the displacement, s."""
@@ -15,9 +12,12 @@ class Latency(Effect):
     title = "latency of the force"
     signature = "the force lags: it is too low in loading and too high in unloading, in proportion to the speed"
     separated_by = "a second speed"
+    #: Trial latency as a fraction of the duration of the fastest loading.
+    trial_fraction = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates with a latency above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         fastest = situation.fastest_speed(tests)
-        size = _TRIAL_FRACTION * min(map(situation.depth, tests)) / fastest
+        size = self.trial_fraction * min(map(situation.largest_displacement, tests)) / fastest
         return rig_parameter_candidates(self, situation, "rig.latency", tests, lambda _: size, two_sided=False)

@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial deflection of the load train at the largest force, as a fraction of the largest displacement.
-_TRIAL_FRACTION = 0.01
-
 
 class MachineCompliance(Effect):
     """Deflection of the load train per unit force, m/N."""
@@ -15,9 +12,12 @@ class MachineCompliance(Effect):
     title = "machine compliance"
     signature = "the displacement is too large in proportion to the force, so stiff tests appear too soft"
     separated_by = "pressing on steel, or a deeper ramp"
+    #: Trial deflection of the load train at the largest force, as a fraction of the largest displacement.
+    trial_fraction = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates whose trial compliance follows from the stiffest test."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        stiffest = max(tests, key=lambda test: situation.force(test) / situation.depth(test))
-        size = _TRIAL_FRACTION * situation.depth(stiffest) / situation.force(stiffest)
+        stiffest = max(tests, key=lambda test: situation.largest_force(test) / situation.largest_displacement(test))
+        size = self.trial_fraction * situation.largest_displacement(stiffest) / situation.largest_force(stiffest)
         return rig_parameter_candidates(self, situation, "rig.compliance", tests, lambda _: size, two_sided=False)

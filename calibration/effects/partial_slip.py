@@ -5,9 +5,6 @@ from calibration.effects.candidates import require_tests, rig_parameter_candidat
 from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.errors import InputError
 
-#: Trial slip fraction: 0 is a bonded face, 1 a frictionless face.
-_TRIAL_FRACTION = 0.05
-
 
 class PartialSlip(Effect):
     """Fraction of the bonded faces that slips, separate for each test."""
@@ -17,13 +14,16 @@ class PartialSlip(Effect):
     title = "partial slip of a bonded face"
     signature = "all forces of one test with bonded faces are too low by about the same factor"
     separated_by = "the other bonded test, or ink and sandpaper on the faces"
+    #: Trial slip fraction: 0 is a bonded face, 1 a frictionless face.
+    trial_fraction = 0.05
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per test with bonded faces."""
         tests = require_tests(situation.simulated_tests(_can_slip),
                               "no test has bonded faces that can slip; tissue that slides round the sharp edge of a "
                               "needle cannot be simulated")
-        return rig_parameter_candidates(self, situation, "experiment.slip", tests, lambda _: _TRIAL_FRACTION, each=True,
-                                        two_sided=False)
+        return rig_parameter_candidates(self, situation, "experiment.slip", tests, lambda _: self.trial_fraction,
+                                        each=True, two_sided=False)
 
 
 def _can_slip(test: Test) -> bool:

@@ -7,9 +7,6 @@ from calibration.effects.candidates import require_tests, rig_parameter_candidat
 from calibration.effects.effect import Candidate, Effect, Situation, experiment_of
 from tissue_sim.experiment.interfaces import AS_TOOL
 
-#: Trial coefficient of friction.
-_TRIAL_COEFFICIENT = 0.02
-
 
 class PlateFriction(Effect):
     """Coefficient of Coulomb friction, the same at both plates."""
@@ -20,12 +17,15 @@ class PlateFriction(Effect):
     signature = "the force between lubricated plates is too high in loading and too low in unloading, with a jump at " \
                 "the reversal"
     separated_by = "unloading, and tests with bonded faces"
+    #: Trial coefficient of friction.
+    trial_coefficient = 0.02
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates in the tests between frictionless plates."""
         tests = require_tests(situation.simulated_tests(lambda test: experiment_of(test).tool.is_plate
                                                   and experiment_of(test).friction == "frictionless"),
                               "no test is done between frictionless plates")
-        return rig_parameter_candidates(self, situation, "experiment.friction", tests, lambda _: _TRIAL_COEFFICIENT,
+        return rig_parameter_candidates(self, situation, "experiment.friction", tests, lambda _: self.trial_coefficient,
                                         two_sided=False, prepare=_with_equal_friction)
 
 

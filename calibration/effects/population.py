@@ -3,11 +3,6 @@
 from calibration.campaign.parameters import PER_SPECIMEN
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 
-#: Trial relative change of the stiffness.
-_TRIAL_CHANGE = 0.02
-#: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
-_MAX_FACTOR = 5.0
-
 
 class Population(Effect):
     """Stiffness factor of each specimen relative to the first specimen."""
@@ -17,8 +12,13 @@ class Population(Effect):
     title = "scatter between specimens"
     signature = "all forces of one specimen are too high, or too low, by the same factor in all of its tests"
     separated_by = "all tests on every specimen, and more specimens"
+    #: Trial relative change of the stiffness.
+    trial_change = 0.02
+    #: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
+    max_factor = 5.0
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidate with one factor for each specimen except the first."""
         path = "effects.stiffness_scale.ratio"
         situation.require_new(path)
         tests = situation.simulated_tests(lambda test: test.specimen is not None)
@@ -27,5 +27,5 @@ class Population(Effect):
             raise NotTestableError("all tests use one specimen")
         others = tuple(test.name for test in tests
                        if test.specimen is not None and test.specimen.name != specimens[0])
-        return [Candidate(self, {path: 1.0 + _TRIAL_CHANGE}, bounds={path: (1.0 / _MAX_FACTOR, _MAX_FACTOR)},
-                          tests=others, scope=PER_SPECIMEN)]
+        return [Candidate(self, {path: 1.0 + self.trial_change},
+                          bounds={path: (1.0 / self.max_factor, self.max_factor)}, tests=others, scope=PER_SPECIMEN)]

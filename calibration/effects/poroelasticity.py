@@ -5,15 +5,6 @@ import numpy as np
 from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 
-#: Trial fraction of the stiffness that drainage removes.
-_TRIAL_FRACTION = 0.1
-#: Largest fraction of the stiffness that a refit may find.
-_MAX_FRACTION = 0.95
-#: Trial diffusivities per decade.
-_PER_DECADE = 2.0
-#: Largest number of trial diffusivities.
-_MAX_DIFFUSIVITIES = 8
-
 
 class Poroelasticity(Effect):
     """Force relaxation by drainage; one candidate per diffusivity that the recordings can resolve."""
@@ -23,8 +14,17 @@ class Poroelasticity(Effect):
     title = "drainage of pore fluid"
     signature = "the force falls in holds, over a time that grows with the square of the contact size"
     separated_by = "holds with two contact sizes"
+    #: Trial fraction of the stiffness that drainage removes.
+    trial_fraction = 0.1
+    #: Largest fraction of the stiffness that a refit may find.
+    max_fraction = 0.95
+    #: Trial diffusivities per decade.
+    diffusivities_per_decade = 2.0
+    #: Largest number of trial diffusivities.
+    max_diffusivities = 8
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per trial diffusivity."""
         if situation.campaign.fit.material.poroelasticity is not None:
             raise NotTestableError("the fitted material is poroelastic already")
         radii = [situation.contact_radius(test) for test in require_tests(
@@ -32,7 +32,7 @@ class Poroelasticity(Effect):
         times = situation.relaxation_times()
         slow, fast = min(radii) ** 2 / times[-1], max(radii) ** 2 / times[0]
         phi, D = "poroelasticity.phi", "poroelasticity.diffusivity"
-        count = min(_MAX_DIFFUSIVITIES, 1 + int(np.ceil(_PER_DECADE * np.log10(fast / slow))))
-        return [Candidate(self, {phi: _TRIAL_FRACTION}, shape={D: diffusivity},
-                          bounds={phi: (0.0, _MAX_FRACTION), D: (0.1 * slow, 10.0 * fast)})
+        count = min(self.max_diffusivities, 1 + int(np.ceil(self.diffusivities_per_decade * np.log10(fast / slow))))
+        return [Candidate(self, {phi: self.trial_fraction}, shape={D: diffusivity},
+                          bounds={phi: (0.0, self.max_fraction), D: (0.1 * slow, 10.0 * fast)})
                 for diffusivity in np.geomspace(slow, fast, count).tolist()]

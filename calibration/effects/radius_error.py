@@ -4,9 +4,6 @@ from calibration.effects.candidates import require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 from calibration.effects.specimen_size import specimen_size_candidates
 
-#: Trial relative error.
-_TRIAL_ERROR = 0.01
-
 
 class RadiusError(Effect):
     """Relative error of the radius, separate for each specimen."""
@@ -17,8 +14,11 @@ class RadiusError(Effect):
     signature = "forces under plates are wrong by a constant factor, and forces of the needle are correct"
     separated_by = "a caliper; no force separates it from a change of stiffness between sessions"
     known_twins = ("session_scale",)
+    #: Trial relative error.
+    trial_error = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per specimen with a stated radius."""
         tests = require_tests(situation.simulated_tests(lambda test: test.specimen is not None),
                               "no test has a specimen with stated dimensions")
-        return specimen_size_candidates(self, situation, "experiment.specimen.radius", tests, _TRIAL_ERROR)
+        return specimen_size_candidates(self, situation, "experiment.specimen.radius", tests, self.trial_error)

@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial damping force at the largest speed, as a fraction of the smallest of the tests' largest forces.
-_TRIAL_FRACTION = 0.005
-
 
 class RateDamping(Effect):
     """Force of the rig in proportion to the speed, N s/m."""
@@ -15,10 +12,13 @@ class RateDamping(Effect):
     title = "damping of the rig"
     signature = "the force is wrong in proportion to the speed, and correct in holds"
     separated_by = "a second speed"
+    #: Trial damping force at the largest speed, as a fraction of the smallest of the tests' largest forces.
+    trial_fraction = 0.005
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates with a damping above the stated one."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         fastest = situation.fastest_speed(tests)
-        return rig_parameter_candidates(self, situation, "rig.rate_damping", tests,
-                                        lambda group: _TRIAL_FRACTION * min(map(situation.force, group)) / fastest,
-                                        two_sided=False)
+        return rig_parameter_candidates(
+            self, situation, "rig.rate_damping", tests,
+            lambda group: self.trial_fraction * min(map(situation.largest_force, group)) / fastest, two_sided=False)

@@ -29,6 +29,7 @@ class SelfWeight(Effect):
     separated_by = "weighing the specimen and measuring its height before and after placing, or a horizontal test axis"
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidate with standard gravity in the tests without gravity."""
         situation.require_new(_GRAVITY)
         tests = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).specimen.gravity),
                               "the specimens have self-weight already")
@@ -36,6 +37,7 @@ class SelfWeight(Effect):
                           tests=tuple(test.name for test in tests), prepare=_with_density)]
 
     def apply(self, model: Model, values: Mapping[str, float]) -> Model:
+        """Return the model with gravity; a specimen without a density gets that of the material or of water."""
         specimen = model.experiment.specimen
         if specimen.density is None:
             specimen = replace(specimen, density=model.material.density or DEFAULT_DENSITY)

@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial relative error.
-_TRIAL_ERROR = 0.01
-
 
 class SensorGain(Effect):
     """Relative error that all forces share; force and displacement alone cannot separate it from the moduli."""
@@ -17,7 +14,10 @@ class SensorGain(Effect):
     separated_by = "dead weights; no test on tissue separates it from the moduli"
     known_twins = ("session_scale", "radius_error")
     scales_all_forces = True
+    #: Trial relative error.
+    trial_error = 0.01
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return the candidates with a relative error of the force."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
-        return rig_parameter_candidates(self, situation, "rig.sensor_gain", tests, lambda _: _TRIAL_ERROR)
+        return rig_parameter_candidates(self, situation, "rig.sensor_gain", tests, lambda _: self.trial_error)

@@ -3,11 +3,6 @@
 from calibration.effects.candidates import candidates_per_test, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial relative change of the stiffness.
-_TRIAL_CHANGE = 0.02
-#: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
-_MAX_FACTOR = 5.0
-
 
 class SessionScale(Effect):
     """Stiffness factor of one test relative to the first test."""
@@ -18,11 +13,16 @@ class SessionScale(Effect):
     signature = "all forces of one test are too high, or too low, by the same factor"
     separated_by = "a thermometer, or a repetition of the first test after the last test"
     known_twins = ("radius_error",)
+    #: Trial relative change of the stiffness.
+    trial_change = 0.02
+    #: Largest factor of the stiffness, and largest inverse factor, that a refit may find.
+    max_factor = 5.0
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per test except the first."""
         path = "effects.stiffness_scale.ratio"
         situation.require_new(path)
         others = require_tests(situation.simulated_tests()[1:],
                                "only one test has a tool, so its stiffness has no reference")
-        return candidates_per_test(self, others, lambda _: {path: 1.0 + _TRIAL_CHANGE},
-                                   bounds={path: (1.0 / _MAX_FACTOR, _MAX_FACTOR)})
+        return candidates_per_test(self, others, lambda _: {path: 1.0 + self.trial_change},
+                                   bounds={path: (1.0 / self.max_factor, self.max_factor)})

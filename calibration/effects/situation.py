@@ -50,16 +50,20 @@ class Situation:
                      and not self.measured[test.name][0].stressed and condition(test))
 
     simulated = OldName("simulated_tests")
+    depth = OldName("largest_displacement")
+    force = OldName("largest_force")
+    strain = OldName("largest_strain")
+    modulus = OldName("shear_modulus")
 
     def curves(self, tests: Iterable[Test] | None = None) -> list[MeasuredCurve]:
         """Return the recordings of some tests, or of all fitted tests for None."""
         return [curve for test in (self.tests if tests is None else tests) for curve in self.measured[test.name]]
 
-    def depth(self, test: Test) -> float:
+    def largest_displacement(self, test: Test) -> float:
         """Return the largest displacement in a test, m; the largest strain if the test was recorded as strain."""
         return max(float(np.abs(curve.displacement).max()) for curve in self.measured[test.name])
 
-    def force(self, test: Test) -> float:
+    def largest_force(self, test: Test) -> float:
         """Return the largest force in a test, N."""
         return max(float(np.abs(curve.force).max()) for curve in self.measured[test.name])
 
@@ -82,7 +86,7 @@ class Situation:
             max(float(clock[-1] - clock[0]) for clock in clocks)
 
     @cached_property
-    def modulus(self) -> float:
+    def shear_modulus(self) -> float:
         """Estimate of the shear modulus mu for trial values, Pa.
 
         The estimate is the median over the tests of the modulus that linear elasticity assigns to the largest force F
@@ -91,7 +95,7 @@ class Situation:
         """
         found = []
         for test in self.tests:
-            force, depth = self.force(test), self.depth(test)
+            force, depth = self.largest_force(test), self.largest_displacement(test)
             if test.experiment is None or self.measured[test.name][0].stressed:
                 area, height = (1.0, 1.0) if test.specimen is None else (test.specimen.area, test.specimen.height)
                 found.append(force * height / (3.0 * area * depth))
@@ -106,21 +110,21 @@ class Situation:
     def contact_radius(self, test: Test) -> float:
         """Return an estimate of the contact radius of a tool at the largest displacement of a test, m."""
         experiment = experiment_of(test)
-        return experiment.tool.contact_radius(self.depth(test), experiment.specimen.margin())
+        return experiment.tool.contact_radius(self.largest_displacement(test), experiment.specimen.margin())
 
-    def strain(self, test: Test) -> float:
+    def largest_strain(self, test: Test) -> float:
         """Return an estimate of the largest strain in a test with a tool.
 
         The estimate is the displacement divided by the specimen's height (plates) or by the contact diameter (needles).
         """
         experiment = experiment_of(test)
         size = experiment.specimen.height if experiment.tool.is_plate else 2.0 * self.contact_radius(test)
-        return self.depth(test) / size
+        return self.largest_displacement(test) / size
 
     def has_unloading(self, test: Test) -> bool:
         """Return whether any recording of a test has an unloading above `UNLOADING_FRACTION`."""
         return any(float(np.max(np.maximum.accumulate(curve.displacement) - curve.displacement))
-                   > UNLOADING_FRACTION * self.depth(test) for curve in self.measured[test.name])
+                   > UNLOADING_FRACTION * self.largest_displacement(test) for curve in self.measured[test.name])
 
     def fastest_speed(self, tests: Iterable[Test]) -> float:
         """Return the largest loading speed in some tests, m/s.

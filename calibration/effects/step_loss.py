@@ -3,11 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial loss as a fraction of the largest displacement.
-_TRIAL_FRACTION = 0.01
-#: Trial depths of the loss as fractions of the largest displacement.
-_TRIAL_DEPTHS = tuple(0.05 * step for step in range(2, 20))
-
 
 class StepLoss(Effect):
     """Displacement that is lost permanently at one depth; one candidate per test and trial depth."""
@@ -17,13 +12,22 @@ class StepLoss(Effect):
     title = "step loss"
     signature = "the force of one test drops suddenly at one depth, as if the tool had moved back, and stays low"
     separated_by = "counting the steps on the return to zero"
+    #: Trial loss as a fraction of the largest displacement.
+    trial_fraction = 0.01
+    #: Trial depths of the loss as fractions of the largest displacement.
+    trial_depths = tuple(0.05 * step for step in range(2, 20))
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per test and trial depth."""
         tests = require_tests(situation.simulated_tests(), "no test was recorded as force and displacement")
         loss, depth, found = "rig.step_loss", "rig.step_loss_depth", []
-        for fraction in _TRIAL_DEPTHS:
+
+        def trial_loss(group):
+            return self.trial_fraction * situation.largest_displacement(group[0])
+
+        for fraction in self.trial_depths:
             for test in tests:
                 found += rig_parameter_candidates(
-                    self, situation, loss, [test], lambda group: _TRIAL_FRACTION * situation.depth(group[0]), each=True,
-                    two_sided=False, shape={depth: fraction * situation.depth(test)}, jump=depth)
+                    self, situation, loss, [test], trial_loss, each=True, two_sided=False,
+                    shape={depth: fraction * situation.largest_displacement(test)}, jump=depth)
         return found

@@ -3,9 +3,6 @@
 from calibration.effects.candidates import require_tests, rig_parameter_candidates
 from calibration.effects.effect import Candidate, Effect, Situation
 
-#: Trial height difference across the face, as a fraction of the largest displacement.
-_TRIAL_FRACTION = 0.03
-
 
 class Tilt(Effect):
     """Height difference across the face, m, separate for each test; a tilted face touches on one side first."""
@@ -16,9 +13,12 @@ class Tilt(Effect):
     signature = "the force begins with a toe region of some tenths of a millimetre, and the rest of the curve is " \
                 "shifted by a constant displacement"
     separated_by = "denser samples in the first millimetre, or turning the specimen"
+    #: Trial height difference across the face, as a fraction of the largest displacement.
+    trial_fraction = 0.03
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per test."""
         tests = require_tests(situation.simulated_tests(), "no test has a tool")
-        return rig_parameter_candidates(self, situation, "experiment.tilt", tests,
-                                        lambda group: _TRIAL_FRACTION * situation.depth(group[0]), each=True,
-                                        two_sided=False)
+        return rig_parameter_candidates(
+            self, situation, "experiment.tilt", tests,
+            lambda group: self.trial_fraction * situation.largest_displacement(group[0]), each=True, two_sided=False)

@@ -2,11 +2,6 @@
 
 from calibration.effects.effect import Candidate, Effect, NotTestableError, Situation
 
-#: Trial fraction g of the stiffness that relaxes.
-_TRIAL_FRACTION = 0.1
-#: Largest fraction g that a refit may find.
-_MAX_FRACTION = 0.95
-
 
 class Viscoelasticity(Effect):
     """One more Prony term; one candidate per relaxation time that the recordings can resolve.
@@ -20,14 +15,19 @@ class Viscoelasticity(Effect):
     signature = "the force falls in holds, grows with the speed and is lower in unloading than in loading, in all tests"
     separated_by = "a hold, or a second speed"
     max_instances = 3
+    #: Trial fraction g of the stiffness that relaxes.
+    trial_fraction = 0.1
+    #: Largest fraction g that a refit may find.
+    max_fraction = 0.95
 
     def candidates(self, situation: Situation) -> list[Candidate]:
+        """Return one candidate per relaxation time."""
         series = situation.campaign.fit.material.viscoelastic
         number = 0 if series is None else len(series.terms)
         if number >= self.max_instances:
             raise NotTestableError(f"the fitted material has {number} Prony terms already")
         g, tau = (f"viscoelastic.terms[{number}].{name}" for name in ("g", "tau"))
         step, longest = situation.step_and_duration
-        return [Candidate(self, {g: _TRIAL_FRACTION}, shape={tau: time},
-                          bounds={g: (0.0, _MAX_FRACTION), tau: (0.3 * step, 10.0 * longest)})
+        return [Candidate(self, {g: self.trial_fraction}, shape={tau: time},
+                          bounds={g: (0.0, self.max_fraction), tau: (0.3 * step, 10.0 * longest)})
                 for time in situation.relaxation_times()]

@@ -9,7 +9,7 @@ from tissue_sim.laws import InvariantLaw, find_law
 WIDER = "biderman"
 
 
-def require_contained(name: str) -> set[str]:
+def require_special_case(name: str) -> set[str]:
     """Return the parameters of a law that is a special case of Biderman's law.
 
     Args:
@@ -30,7 +30,7 @@ def require_contained(name: str) -> set[str]:
                            "fit a reduced polynomial or Mooney-Rivlin")
 
 
-def absent_order(name: str) -> tuple[str, int]:
+def lowest_missing_power(name: str) -> tuple[str, int]:
     """Return the lowest power of I1 - 3 that a law lacks.
 
     Args:
@@ -42,7 +42,7 @@ def absent_order(name: str) -> tuple[str, int]:
     Raises:
         NotTestableError: the law has all powers of Biderman's law, or it is not a special case of Biderman's law.
     """
-    known = require_contained(name)
+    known = require_special_case(name)
     for order in (2, 3):
         if f"C{order}0" not in known:
             return f"C{order}0", order

@@ -17,7 +17,7 @@ from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.result import CalibrationResult
-from calibration.report.outputs import material_file
+from calibration.report.outputs import build_material_file
 from tissue_sim.atomic_write import write_text
 from tissue_sim.decode import read_toml
 from tissue_sim.experiment.interfaces import AS_TOOL
@@ -30,10 +30,10 @@ from tissue_sim.rig.rig import Rig
 CAMPAIGN_FILE = "diagnosed.toml"
 
 
-def addition_files(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
+def list_addition_files(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
     """Return the paths of all files that `write_additions` may write for a campaign and these laws."""
     return [*(folder / f"{law}.material.json" for law in laws), folder / CAMPAIGN_FILE, folder / "rig.rig.json",
-            *(folder / _rig_file(number) for number in range(len(campaign.tests)))]
+            *(folder / _rig_file_name(number) for number in range(len(campaign.tests)))]
 
 
 def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) -> Diagnosis:
@@ -53,9 +53,10 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
         return diagnosis
     files = {}
     name = f"{after.law}.material.json"
-    write_material_file(_material(diagnosis, after, folder), folder / name)
+    write_material_file(_build_material_file(diagnosis, after, folder), folder / name)
     files["material"] = name
-    rigs = {test.name: _rig(after, test) for test in after.situation.tests if test.experiment is not None}
+    rigs = {test.name: _rig_with_fitted_values(after, test) for test in after.situation.tests
+            if test.experiment is not None}
     if any(effect.category == "rig" for effect in diagnosis.effects):
         if len({json.dumps(to_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
             write_rig(next(iter(rigs.values())), folder / "rig.rig.json")
@@ -63,9 +64,9 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
         else:
             for number, test in enumerate(after.campaign.tests):
                 if test.name in rigs:
-                    write_rig(rigs[test.name], folder / _rig_file(number))
-                    files[f"rig of {test.name}"] = _rig_file(number)
-    write_text(folder / CAMPAIGN_FILE, _campaign_text(diagnosis, after))
+                    write_rig(rigs[test.name], folder / _rig_file_name(number))
+                    files[f"rig of {test.name}"] = _rig_file_name(number)
+    write_text(folder / CAMPAIGN_FILE, _format_campaign_file(diagnosis, after))
     files["campaign"] = CAMPAIGN_FILE
     file_of = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
     effects = [replace(effect, written_to=CAMPAIGN_FILE if _is_limited_to_tests(effect) and effect.category == "tissue"
@@ -77,11 +78,11 @@ def _is_limited_to_tests(effect: FoundEffect) -> bool:
     return bool(effect.tests)
 
 
-def _rig_file(number: int) -> str:
+def _rig_file_name(number: int) -> str:
     return f"test_{number + 1}.rig.json"
 
 
-def _material(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFile:
+def _build_material_file(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFile:
     fit = diagnosis.fit_after
     assert fit is not None
     # An effect of a single test or session is not a property of the tissue: the material file has it switched off.
@@ -89,7 +90,7 @@ def _material(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFi
                     for number in effect.parameters if number.absent is not None}
     fit = replace(fit, parameters={**fit.parameters, **switched_off})
     result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
-    file = material_file(fit, result, after.measured, "inverse FEM with a diagnosed effect")
+    file = build_material_file(fit, result, after.measured, "inverse FEM with a diagnosed effect")
     added = [{"name": effect.name, "room": effect.category, "tests": effect.tests,
               "parameters": {number.path: number.value for number in effect.parameters}}
              for effect in diagnosis.effects]
@@ -100,7 +101,7 @@ def _material(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFi
     return replace(file, provenance=replace(provenance, settings=settings))
 
 
-def _rig(after: Evidence, test: Test) -> Rig:
+def _rig_with_fitted_values(after: Evidence, test: Test) -> Rig:
     """Return the rig of a test with the fitted rig parameters."""
     space = after.problem.space
     values = {each.path.removeprefix("rig."): after.values[each.name] for each in space.unknowns
@@ -108,7 +109,7 @@ def _rig(after: Evidence, test: Test) -> Rig:
     return with_values(test.rig, values) if values else test.rig
 
 
-def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
+def _format_campaign_file(diagnosis: Diagnosis, after: Evidence) -> str:
     """Return the campaign file (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
@@ -151,36 +152,41 @@ def _campaign_text(diagnosis: Diagnosis, after: Evidence) -> str:
 
 def to_toml(content: Mapping[str, Any]) -> str:
     """Write tables, lists of tables and plain values as TOML text."""
-    plain = [f"{_key(name)} = {_value(value)}" for name, value in content.items()
-             if not isinstance(value, Mapping) and not _is_tables(value)]
+    plain = [_format_toml_entry((name, value)) for name, value in content.items()
+             if not isinstance(value, Mapping) and not _is_list_of_tables(value)]
     parts = ["\n".join(plain)] if plain else []
     for name, value in content.items():
         if isinstance(value, Mapping):
             inner = {key: each for key, each in value.items() if not isinstance(each, Mapping)}
-            parts.append(f"[{_key(name)}]\n{to_toml(inner)}".rstrip())
-            parts += [f"[{_key(name)}.{_key(key)}]\n{to_toml(each)}".rstrip() for key, each in value.items()
-                      if isinstance(each, Mapping)]
-        elif _is_tables(value):
-            parts += [f"[[{_key(name)}]]\n" + "\n".join(f"{_key(key)} = {_value(each)}" for key, each in table.items())
+            parts.append(f"[{_format_toml_key(name)}]\n{to_toml(inner)}".rstrip())
+            parts += [f"[{_format_toml_key(name)}.{_format_toml_key(key)}]\n{to_toml(each)}".rstrip()
+                      for key, each in value.items() if isinstance(each, Mapping)]
+        elif _is_list_of_tables(value):
+            parts += [f"[[{_format_toml_key(name)}]]\n" + "\n".join(map(_format_toml_entry, table.items()))
                       for table in value]
     return "\n\n".join(parts) + "\n"
 
 
-def _is_tables(value: Any) -> bool:
+def _is_list_of_tables(value: Any) -> bool:
     return isinstance(value, list) and bool(value) and all(isinstance(each, Mapping) for each in value)
 
 
-def _key(name: str) -> str:
+def _format_toml_key(name: str) -> str:
     return name if name.replace("_", "").replace("-", "").isalnum() and name.isascii() else json.dumps(name)
 
 
-def _value(value: Any) -> str:
+def _format_toml_entry(entry: tuple[str, Any]) -> str:
+    """Return a key and its value as a line of TOML, such as ``kind = "compression"``."""
+    return f"{_format_toml_key(entry[0])} = {_format_toml_value(entry[1])}"
+
+
+def _format_toml_value(value: Any) -> str:
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
         return repr(value) if value == value and abs(value) != float("inf") else f"{value}"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{_key(key)} = {_value(each)}" for key, each in value.items()) + " }"
+        return "{ " + ", ".join(map(_format_toml_entry, value.items())) + " }"
     if isinstance(value, list | tuple):
-        return "[" + ", ".join(map(_value, value)) + "]"
+        return "[" + ", ".join(map(_format_toml_value, value)) + "]"
     return json.dumps(value, ensure_ascii=False) if isinstance(value, str) else str(value)

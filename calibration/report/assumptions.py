@@ -11,15 +11,15 @@ from calibration.report.units import Units
 def list_assumptions(result: CalibrationResult, units: Units) -> list[str]:
     """Return the assumptions of a calibration, one sentence each."""
     campaign = result.campaign
-    lines = _analytical_assumptions(result, units) if campaign.fit.method == "analytical" \
-        else _simulation_assumptions(result, units)
+    lines = _list_analytical_assumptions(result, units) if campaign.fit.method == "analytical" \
+        else _list_simulation_assumptions(result, units)
     if campaign.fit.fixed:
         lines.append(f"Fixed: {', '.join(f'{name} = {value:g}' for name, value in campaign.fit.fixed.items())}.")
     lines += [f"Prior of {name}: {mean:g} ± {deviation:g}." for name, (mean, deviation) in campaign.fit.prior.items()]
     return [*lines, describe_self_weight(campaign, result.best)]
 
 
-def _analytical_assumptions(result: CalibrationResult, units: Units) -> list[str]:
+def _list_analytical_assumptions(result: CalibrationResult, units: Units) -> list[str]:
     fit, noise = result.campaign.fit, result.campaign.noise
     lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
     if not fit.others:
@@ -50,7 +50,7 @@ def _analytical_assumptions(result: CalibrationResult, units: Units) -> list[str
     return lines
 
 
-def _simulation_assumptions(result: CalibrationResult, units: Units) -> list[str]:
+def _list_simulation_assumptions(result: CalibrationResult, units: Units) -> list[str]:
     best, campaign = result.best, result.campaign
     shared = "All tests have the same material" if not best.material_of else "Each specimen has a separate material"
     lines = [f"{shared}. Each recording has a separate contact offset and force zero; both are unknown and "
@@ -60,14 +60,14 @@ def _simulation_assumptions(result: CalibrationResult, units: Units) -> list[str
         source = "stated in the campaign, or the default prior" if freedom is None else \
             f"estimated with {freedom} degrees of freedom" if freedom else \
             "assumed, because no test has two recordings"
-        contact, zero = units.scatter(best.jitter, campaign.tests)
+        contact, zero = units.format_scatter(best.jitter, campaign.tests)
         lines.append(f"Between recordings the contact point scatters by {contact} and the force zero by {zero} "
                      f"(standard deviations), {source}.")
     tests = {test.name: test for test in campaign.tests}
     alike: dict[str, list[str]] = {}
     for noise in result.noise:
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.3g} s"
-        alike.setdefault(f"{units.load(tests[noise.test]).text(noise.deviation_N, 2)} (standard deviation, "
+        alike.setdefault(f"{units.load_unit(tests[noise.test]).text(noise.deviation_N, 2)} (standard deviation, "
                          f"{noise.source}), {colour}", []).append(f"Noise of {noise.test}")
     for mesh in best.mesh:
         if mesh.largest_percent is None:

@@ -21,24 +21,11 @@ from calibration.report.drawing import (
     panels_per_row,
     thinning_slice,
 )
+from calibration.report.layout import LAYOUT
 from calibration.report.units import Unit, Units
-from calibration.report.views import Trace, View, interpolate_law, is_timed, trace_of_law, views
+from calibration.report.views import Trace, View, interpolate_law, is_timed, list_views, trace_of_law
 from tissue_sim.laws import find_law
 
-#: Bins over the duration (or displacement range) of a test in which residuals are averaged.
-_BINS = 60
-#: Height of a row of panels, inches.
-_ROW_HEIGHT = 3.15
-#: Margin between the data and the frame, as a fraction of the range of the data.
-_MARGIN = 0.06
-#: Fraction of rates at either end that is ignored for the scale of the axis.
-_OUTER = 0.02
-#: Number of rates up to which all of them count for the scale of the axis.
-_FEW = 200
-#: Number of points of all recordings above which the markers are smaller.
-_DENSE = 400
-#: Minimum width of a region that gets a label, as a fraction of the panel width.
-_LABEL_WIDTH = 0.11
 #: Colour of a region whose residuals exceed the noise.
 MISFIT = "#D55E00"
 #: Legend entry of the prediction band.
@@ -61,14 +48,15 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     drawn = [(curves[fit.law], fit, style) for fit, style in zip(fits, line_styles(), strict=False)
              if fit.law in curves]
     best, fit, best_style = drawn[0]
-    shown_views = views(best, units)
-    figure, axes = new_panels([*panels_per_row(len(shown_views)), 2], _ROW_HEIGHT)
+    shown_views = list_views(best, units)
+    figure, axes = new_panels([*panels_per_row(len(shown_views)), 2], LAYOUT.test_row_height)
     band, residual = axes[-2:]
     titled = [(each, find_law(law_fit.law).title, style) for each, law_fit, style in drawn]
     for panel, view in zip(axes, shown_views, strict=False):
         draw_view(panel, titled, view)
     timed = is_timed(best.measured)
-    x = Abscissa(units.travel(best.test), units.load(best.test), timed, "time [s]" if timed else shown_views[0].x)
+    x = Abscissa(units.travel_unit(best.test), units.load_unit(best.test), timed,
+                 "time [s]" if timed else shown_views[0].x)
     spans = [(r, span) for r in fit.regions if r.test == best.test.name and not r.adequate
              for span in x.spans(r, best.measured)]
     for _, (start, end) in spans:
@@ -79,7 +67,7 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     _draw_band(band, best, best_style["color"], x)
     _draw_residuals(residual, drawn, x)
     band.sharex(residual)
-    _label(residual, spans, x.load)
+    _write_misfit_labels(residual, spans, x.load)
     for panel in (band, residual):
         panel.set(xlabel=x.label, ylabel=x.load.label("model − data"))
     figure.align_labels()
@@ -102,7 +90,8 @@ def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -
     for m in best.measured:
         for x, y, _ in view.lines(Trace.of(m)):
             thin = thinning_slice(x.size)
-            axes.plot(x[thin], y[thin], "o", ms=4 if points < _DENSE else 3, label=label, **marker_style(points))
+            axes.plot(x[thin], y[thin], "o", ms=4 if points < LAYOUT.dense_points else 3, label=label,
+                      **marker_style(points))
             shown.append(y)
     for rank, (curves, title, style) in enumerate(drawn):
         line = {**style, "lw": 1.8 if rank == 0 else 1.2, "zorder": 4 - rank / len(drawn)}
@@ -114,23 +103,23 @@ def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -
                 if band is not None and np.isfinite(band).any():
                     axes.fill_between(x, y - band, y + band, color=style["color"], alpha=0.25, lw=0, zorder=2,
                                       label=BAND)
-    _set_limits(axes, np.concatenate(shown), view.rates)
+    _set_y_limits(axes, np.concatenate(shown), view.rates)
     axes.set(title=view.title, xlabel=view.x, ylabel=view.y)
     if view.log:
         axes.set_xscale("log")
         axes.xaxis.set_major_formatter("{x:g}")
 
 
-def _set_limits(axes, shown: np.ndarray, rates: bool) -> None:
+def _set_y_limits(axes, shown: np.ndarray, rates: bool) -> None:
     """Set the y limits from the recordings and the best law.
 
     Other laws may leave the frame, so that a poor law does not flatten the curves. Outlying rates may leave it too.
     """
     shown = shown[np.isfinite(shown)]
     if shown.size:
-        outer = _OUTER if rates and shown.size > _FEW else 0.0
+        outer = LAYOUT.ignored_rates if rates and shown.size > LAYOUT.few_rates else 0.0
         low, high = np.quantile(shown, (outer, 1 - outer))
-        margin = (4 if outer else 1) * _MARGIN * ((high - low) or abs(high) or 1.0)
+        margin = (4 if outer else 1) * LAYOUT.margin * ((high - low) or abs(high) or 1.0)
         axes.set_ylim(low - margin, high + margin)
 
 
@@ -150,13 +139,20 @@ class Abscissa:
     timed: bool
     label: str
 
-    def of(self, measured: MeasuredCurve) -> np.ndarray:
+    def positions_of(self, measured: MeasuredCurve) -> np.ndarray:
+        """Return the position of each sample on this axis, in the unit of the axis, shape (n,)."""
         return measured.clock if self.timed else measured.displacement / self.travel.size
+
+    def bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
+        """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
+        positions = [self.positions_of(measured) for measured in recordings]
+        return np.linspace(min(each.min() for each in positions), max(each.max() for each in positions),
+                           LAYOUT.residual_bins + 1)
 
     def spans(self, region: Region, recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
         """Yield the interval of a region on this axis; on a time axis one interval for each cycle."""
         measured = recordings[0]
-        start, end = _ends(region, measured.test)
+        start, end = _region_ends(region, measured.test)
         if not self.timed:
             yield start / self.travel.size, end / self.travel.size
             return
@@ -195,7 +191,8 @@ def _draw_band(axes, best: TestCurves, colour: str, x: Abscissa) -> None:
     for m, values in zip(best.measured, known, strict=True):
         thin = thinning_slice(m.force.size)
         difference = y * (values[:, 0] - m.force)
-        axes.plot(x.of(m)[thin], difference[thin], "o", ms=4 if points < _DENSE else 2.2, **marker_style(points))
+        axes.plot(x.positions_of(m)[thin], difference[thin], "o", ms=4 if points < LAYOUT.dense_points else 2.2,
+                  **marker_style(points))
 
 
 def _draw_residuals(axes, drawn, x: Abscissa) -> None:
@@ -204,7 +201,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     y = 1 / x.load.size
     noise = y * float(np.sqrt(np.mean([m.noise.deviation**2 for m in best.measured])))
     axes.axhspan(-2 * noise, 2 * noise, color="0.6", alpha=0.22, lw=0, label="± 2 noise")
-    edges = np.linspace(min(x.of(m).min() for m in best.measured), max(x.of(m).max() for m in best.measured), _BINS + 1)
+    edges = x.bin_edges(best.measured)
     reach = [2.2 * noise]
     for rank, (curves, _, other) in enumerate(drawn):
         by_run: dict[int, list[np.ndarray]] = {}
@@ -244,7 +241,7 @@ def bin_residuals(measured: MeasuredCurve, residual: np.ndarray, x: Abscissa, ed
     Yields:
         Mean position and mean residual, shape (2, bins), NaN in empty bins; and the standard deviation, shape (bins,).
     """
-    at, noise = x.of(measured), measured.noise
+    at, noise = x.positions_of(measured), measured.noise
     step = 1.0 if measured.time is None else float(np.median(np.diff(measured.time)))
     ends = [0, at.size]
     if not x.timed and measured.segment is not None:
@@ -278,17 +275,17 @@ def deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -
     return np.sqrt(((1 + phi) / (1 - phi) - 2 * phi * (1 - phi**n) / (n * (1 - phi) ** 2)) / n)
 
 
-def _label(axes, spans, load: Unit) -> None:
+def _write_misfit_labels(axes, spans, load: Unit) -> None:
     """Write the misfit above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
-        if end - start > _LABEL_WIDTH * (right - left):
+        if end - start > LAYOUT.min_labelled_width * (right - left):
             axes.text((start + end) / 2, 0.97, load.text(region.misfit_N, 2), transform=axes.get_xaxis_transform(),
                       ha="center", va="top", fontsize=8.5, color="#8a3c00", zorder=6,
                       bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.5})
 
 
-def _ends(region: Region, test: Test) -> tuple[float, float]:
+def _region_ends(region: Region, test: Test) -> tuple[float, float]:
     """Return the displacements (strains for a test without specimen) at both ends of a region, SI."""
     size = 1.0 if test.specimen is None else 1e-3
     return region.start * size, region.end * size
@@ -296,8 +293,8 @@ def _ends(region: Region, test: Test) -> tuple[float, float]:
 
 def describe_region(region: Region, test: Test, units: Units) -> str:
     """Return a region in words, such as ``ramp from 3.3 to 6.7 mm`` or ``hold at 10 mm``."""
-    travel = units.travel(test)
-    start, end = (f"{end / travel.size:.3g}" for end in _ends(region, test))
+    travel = units.travel_unit(test)
+    start, end = (f"{end / travel.size:.3g}" for end in _region_ends(region, test))
     span = f"{f'at {start}' if start == end else f'from {start} to {end}'} {travel.name}".rstrip()
     return f"{region.segment} {span}".strip()
 

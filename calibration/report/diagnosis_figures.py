@@ -7,35 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.diagnosis.diagnosis import CandidateStatement, RegionGap
+from calibration.diagnosis.diagnosis import CandidateStatement, RegionMisfit
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Region
 from calibration.report.curve_figures import MISFIT, Abscissa, bin_residuals, draw_view
 from calibration.report.drawing import COLOURS, add_legend_above, new_figure, new_panels
-from calibration.report.rounding import gain_text, ratio_text
+from calibration.report.layout import LAYOUT
+from calibration.report.rounding import NORMAL_95, gain_text, ratio_text
 from calibration.report.units import Units
-from calibration.report.views import Trace, is_timed, views
+from calibration.report.views import Trace, is_timed, list_views
 
 #: Line style of the model without the added effects.
 BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
 #: Line style of the model with the added effects.
 AFTER: dict = {"color": COLOURS[0], "ls": "-"}
-#: Bins over the duration of a test in which residuals are averaged.
-_BINS = 60
-#: Standard deviations of a normal distribution above which a result is significant (two-sided 5 %).
-_SIGNIFICANT = 1.96
-#: Standard deviations up to which the axis is linear.
-_LINEAR = 4.0
-#: Minimum width of a region that gets a label, as a fraction of the panel width.
-_LABEL_WIDTH = 0.16
-#: Height of a row of bars, inches.
-_BAR_HEIGHT = 0.3
-#: Height of title, axis labels and legend around the bars, inches.
-_FRAME_HEIGHT = 1.25
 
 
-def curves_of(evidence: Evidence, name: str) -> TestCurves:
+def curves_of_test(evidence: Evidence, name: str) -> TestCurves:
     """Return the measured and fitted curves of one test, with the offset and zero of each recording, without bands."""
     problem = evidence.problem
     number = next(i for i, test in enumerate(problem.tests) if test.name == name)
@@ -47,8 +36,8 @@ def curves_of(evidence: Evidence, name: str) -> TestCurves:
                       fitted, test.area)
 
 
-def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Region], gaps: Sequence[RegionGap],
-             label: str, units: Units):
+def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequence[Region],
+                     gaps: Sequence[RegionMisfit], label: str, units: Units):
     """Draw one test: the recordings, the model without and with the added effects, and the residuals.
 
     Args:
@@ -65,11 +54,11 @@ def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Reg
     drawn = [(before, "model, nothing added", BEFORE)]
     if after is not None:
         drawn.insert(0, (after, f"model with {label}", AFTER))
-    all_views = views(before, units)
+    all_views = list_views(before, units)
     timed = is_timed(before.measured)
     # Holds get separate panels: the relaxation in a hold is a small fraction of the whole force range.
     shown = [all_views[0], *(view for view in all_views[1:] if view.log)]
-    figure, axes = new_panels([len(shown) + 1], 3.4)
+    figure, axes = new_panels([len(shown) + 1], LAYOUT.residual_row_height)
     for panel, view in zip(axes, shown, strict=False):
         draw_view(panel, drawn, view)
         # Recordings differ by their offsets and zeros: each has a separate line.
@@ -77,7 +66,8 @@ def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Reg
             for m, fitted in zip(curves.measured[1:], curves.fitted[1:], strict=True):
                 for along, force, _ in view.lines(replace(Trace.of(m), force=fitted)):
                     panel.plot(along, force, **style, lw=1.2, zorder=3)
-    x = Abscissa(units.travel(before.test), units.load(before.test), timed, "time [s]" if timed else all_views[0].x)
+    x = Abscissa(units.travel_unit(before.test), units.load_unit(before.test), timed,
+                 "time [s]" if timed else all_views[0].x)
     spans = [(region, span) for region in regions if not region.adequate
              for span in x.spans(region, before.measured)]
     for panel in axes[-1:] if timed else (axes[0], axes[-1]):
@@ -86,7 +76,7 @@ def draw_gap(before: TestCurves, after: TestCurves | None, regions: Sequence[Reg
             for edge in (start, end):
                 panel.axvline(edge, color=MISFIT, alpha=0.3, lw=0.8, zorder=0)
     _draw_residuals(axes[-1], drawn, x)
-    _write_sizes(axes[-1], spans, {gap.segment: gap for gap in gaps}, x)
+    _write_misfit_labels(axes[-1], spans, {gap.segment: gap for gap in gaps}, x)
     add_legend_above(figure)
     return figure
 
@@ -96,7 +86,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     measured = drawn[0][0].measured
     noise = float(np.sqrt(np.mean([m.noise.deviation**2 for m in measured]))) / x.load.size
     axes.axhspan(-noise, noise, color="0.6", alpha=0.22, lw=0, label="± noise of a sample")
-    edges = np.linspace(min(x.of(m).min() for m in measured), max(x.of(m).max() for m in measured), _BINS + 1)
+    edges = x.bin_edges(measured)
     reach = 1.5 * noise
     for curves, _, style in drawn:
         by_run: dict[int, list[np.ndarray]] = {}
@@ -117,24 +107,24 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     right.spines["right"].set_visible(True)
 
 
-def _write_sizes(axes, spans, gaps: dict[str, RegionGap], x: Abscissa) -> None:
+def _write_misfit_labels(axes, spans, gaps: dict[str, RegionMisfit], x: Abscissa) -> None:
     """Write the misfit before and after above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
         gap = gaps.get(region.segment)
-        if gap is None or end - start < _LABEL_WIDTH * (right - left):
+        if gap is None or end - start < LAYOUT.min_two_line_width * (right - left):
             continue
         sizes = [x.load.text(size, 2) for size in (gap.before_N, gap.after_N) if size is not None]
         axes.text((start + end) / 2, 0.975, f"{region.segment}\n" + "\n→ ".join(sizes),
                   transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8, color="#8a3c00", zorder=6)
 
 
-def draw_evidence(regions: Sequence[RegionGap], units: Units):
+def draw_evidence(regions: Sequence[RegionMisfit], units: Units):
     """Draw the significance of the residuals of each region, before and after, in standard deviations."""
-    figure = new_figure(12.0, _FRAME_HEIGHT + _BAR_HEIGHT * len(regions))
+    figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(regions))
     axes = figure.subplots()
     rows = -np.arange(len(regions), dtype=float)
-    axes.axvspan(0, _SIGNIFICANT, color="0.6", alpha=0.18, lw=0, label="chance")
+    axes.axvspan(0, NORMAL_95, color="0.6", alpha=0.18, lw=0, label="chance")
     for row, region in zip(rows, regions, strict=True):
         if region.after_sigma is not None:
             axes.plot([region.before_sigma, region.after_sigma], [row, row], color="0.75", lw=2, zorder=1)
@@ -143,29 +133,30 @@ def draw_evidence(regions: Sequence[RegionGap], units: Units):
     if any(region.after_sigma is not None for region in regions):
         axes.plot([region.after_sigma for region in regions], rows, "D", color=COLOURS[0], ms=6.5, ls="",
                   label="with the added effects", clip_on=False)
-    axes.set_xscale("symlog", linthresh=_LINEAR, linscale=1.5)
+    axes.set_xscale("symlog", linthresh=LAYOUT.linear_deviations, linscale=1.5)
     largest = max([*(region.before_sigma for region in regions),
                    *(region.after_sigma or 0.0 for region in regions), 6.0])
     ticks = [tick for tick in (0, 1, 2, 3, 4, 10, 20, 50, 100, 200, 500, 1000, 10000) if tick < 1.3 * largest]
     axes.set_xticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.minorticks_off()
     axes.set(xlim=(0, 1.35 * largest), ylim=(rows[-1] - 0.7, 0.7),
-             xlabel="standard deviations of a normal distribution (linear up to 4, then logarithmic)")
-    axes.set_yticks(rows, [f"{region.test}, {_segment_and_speed(region)}" for region in regions])
+             xlabel="standard deviations of a normal distribution "
+                    f"(linear up to {LAYOUT.linear_deviations:g}, then logarithmic)")
+    axes.set_yticks(rows, [f"{region.test}, {_format_segment_and_speed(region)}" for region in regions])
     sizes = axes.secondary_yaxis("right")
-    sizes.set_yticks(rows, [_sizes(region, units) for region in regions])
+    sizes.set_yticks(rows, [_format_misfits(region, units) for region in regions])
     for side in (axes.yaxis, sizes.yaxis):
         side.set_tick_params(length=0, pad=9)
     add_legend_above(figure)
     return figure
 
 
-def _segment_and_speed(region: RegionGap) -> str:
+def _format_segment_and_speed(region: RegionMisfit) -> str:
     """Return the segment of a region with its speed, such as ``ramp at 0.248 mm/s``."""
     return f"{region.segment} at {region.speed_mm_s:g} mm/s" if region.speed_mm_s else region.segment
 
 
-def _sizes(region: RegionGap, units: Units) -> str:
+def _format_misfits(region: RegionMisfit, units: Units) -> str:
     sizes = [units.force.text(size, 2) for size in (region.before_N, region.after_N) if size is not None]
     return " → ".join(sizes)
 
@@ -181,13 +172,13 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
     Returns:
         The matplotlib figure.
     """
-    figure = new_figure(12.0, _FRAME_HEIGHT + _BAR_HEIGHT * len(candidates))
+    figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(candidates))
     score, gain = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1))
     rows = -np.arange(len(candidates), dtype=float)
     colours = [COLOURS[0] if each.name in chosen else "#8fb8d6" if each.refitted else "0.75" for each in candidates]
-    score.axvspan(-_SIGNIFICANT, _SIGNIFICANT, color="0.6", alpha=0.18, lw=0)
+    score.axvspan(-NORMAL_95, NORMAL_95, color="0.6", alpha=0.18, lw=0)
     score.barh(rows, [each.score or 0.0 for each in candidates], 0.62, color=colours)
-    _set_signed_log_scale(score, [each.score or 0.0 for each in candidates], _LINEAR)
+    _set_signed_log_scale(score, [each.score or 0.0 for each in candidates], LAYOUT.linear_deviations)
     score.set(title="Score before a fit with the effect", xlabel="standard deviations (grey: within chance)")
     score.set_yticks(rows, names)
     score.set_ylim(rows[-1] - 0.7, 0.7)
@@ -198,8 +189,8 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
                           color="0.5", bbox={"fc": "white", "ec": "none", "pad": 0.8})
             continue
         gain.barh(row, each.delta_BIC, 0.62, color=colour)
-        gain.text(max(each.delta_BIC, 0.0), row, f"  {gain_text(each.delta_BIC)}{_odds(each)}", va="center",
-                  fontsize=8.5)
+        gain.text(max(each.delta_BIC, 0.0), row, f"  {gain_text(each.delta_BIC)}{_format_odds_against_best(each)}",
+                  va="center", fontsize=8.5)
     _set_signed_log_scale(gain, [*known, 0.0], 10.0, margin=12.0)
     gain.axvline(10.0, color="0.4", lw=0.9, ls=(0, (3, 2)))
     gain.set(title="Gain in BIC of a fit with the effect", xlabel="ΔBIC (dashed: minimum of 10 for an effect)")
@@ -209,7 +200,7 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
     return figure
 
 
-def _odds(each: CandidateStatement) -> str:
+def _format_odds_against_best(each: CandidateStatement) -> str:
     """Return the odds against the best candidate, such as ``, 1 : 45``; empty for the best."""
     ratio = each.evidence_ratio
     return "" if ratio is None or ratio <= 1.0 else f", 1 : {ratio_text(ratio)}"

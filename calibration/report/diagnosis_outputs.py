@@ -16,7 +16,7 @@ from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
 from calibration.effects.effect import Effect
 from calibration.output_folder import DIAGNOSIS_FILE, diagnosis_files
-from calibration.report.additions import addition_files, write_additions
+from calibration.report.additions import list_addition_files, write_additions
 from calibration.report.diagnosis_page import diagnosis_page
 from calibration.report.drawing import Pictures
 from calibration.report.outputs import format_table
@@ -24,12 +24,12 @@ from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import LAWS
 
 
-def files_of_diagnosis(campaign: Campaign, folder: Path) -> list[Path]:
+def list_diagnosis_files(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of all files that the diagnosis of a campaign may write.
 
     Material files of all laws are included, because an effect may require a more general law than the campaign states.
     """
-    return [*diagnosis_files(campaign, folder), *addition_files(campaign, sorted(LAWS), folder)]
+    return [*diagnosis_files(campaign, folder), *list_addition_files(campaign, sorted(LAWS), folder)]
 
 
 def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence | None, effects: Mapping[str, Effect],
@@ -53,7 +53,7 @@ def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence |
     """
     began = time.monotonic()
     diagnosis = write_additions(result.diagnosis, after, result.output)
-    write_text(result.output / "residuals.csv", _residuals(before, after))
+    write_text(result.output / "residuals.csv", _format_residual_table(before, after))
     pictures = Pictures(result.output, figures_format) if figures else None
     write_text(result.output / "report.html",
                diagnosis_page(diagnosis, before, after, effects, measured, pictures))
@@ -64,7 +64,7 @@ def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence |
     return result
 
 
-def _residuals(before: Evidence, after: Evidence | None) -> str:
+def _format_residual_table(before: Evidence, after: Evidence | None) -> str:
     """Return the CSV table of all samples: measured force, and both models with the recording's offset and zero.
 
     Forces are in N; for recordings of stress the values are in Pa and the displacement is a strain.

@@ -7,14 +7,14 @@ from functools import partial
 from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import VERDICTS, CandidateStatement, Diagnosis, Verdict
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import LEVEL
-from calibration.diagnosis.words import joined
+from calibration.diagnosis.words import join_words
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
 from calibration.output_folder import picture_of_test
-from calibration.report.diagnosis_figures import curves_of, draw_candidates, draw_evidence, draw_gap
+from calibration.report.diagnosis_figures import curves_of_test, draw_candidates, draw_evidence, draw_test_misfit
 from calibration.report.diagnosis_tables import (
     candidate_label,
     candidate_labels,
@@ -29,17 +29,22 @@ from calibration.report.diagnosis_tables import (
     testable_table,
 )
 from calibration.report.drawing import Pictures, format_count
-from calibration.report.page import estimate_of, html_list, html_page, recording_list, symbol_of, title_of, with_minus
+from calibration.report.layout import LAYOUT
+from calibration.report.page import (
+    estimate_of,
+    html_list,
+    html_page,
+    recording_list,
+    symbol_of,
+    title_of,
+    use_minus_signs,
+)
 from calibration.report.units import Units
 
 #: Short heading of each verdict.
 HEADINGS: dict[Verdict, str] = {"NAMED": "One effect", "SET": "Several possible effects",
                                 "LOOKS_LIKE": "Probable effect", "UNKNOWN": "Unknown effect",
                                 "NONE": "No effect missing"}
-#: Maximum number of regions in the summary; the figure shows all.
-_MAX_REGIONS = 4
-#: Maximum number of effects in the figure; the table lists all.
-_MAX_DRAWN = 14
 #: Relative change below which a parameter is not mentioned as biased.
 _MIN_CHANGE = 0.005
 _NOTE = ("The models include the offset and the zero of each recording. Shaded: regions whose residuals exceed the "
@@ -64,16 +69,16 @@ def diagnosis_page(diagnosis: Diagnosis, before: Evidence, after: Evidence | Non
     recordings = [curve for several in measured.values() for curve in several]
     parts = [f'<p class="quiet">{format_count(len(recordings), "recording")} of {format_count(len(measured), "test")}, '
              f"{title_of(diagnosis.law)}, {format_count(len(effects), 'effect')} in the catalogue</p>",
-             _summary(diagnosis, effects, units)]
+             _format_summary(diagnosis, effects, units)]
     if pictures is not None:
-        parts += _where(diagnosis, before, after, units, pictures)
+        parts += _misfit_section(diagnosis, before, after, units, pictures)
     parts += ["<h2>Parameters</h2>", parameter_table(diagnosis.fit_before, diagnosis.fit_after, units)]
     if diagnosis.held_out:
         parts += ["<h2>Data that were not fitted</h2>", held_out_table(diagnosis.held_out, units)]
-    parts += _catalogue(diagnosis, units, pictures)
+    parts += _catalogue_section(diagnosis, units, pictures)
     if diagnosis.next_experiment:
-        parts += ["<h2>What to measure next</h2>", _next(diagnosis)]
-    parts += ["<h2>Assumptions</h2>", html_list(_assumed(diagnosis, before, units)),
+        parts += ["<h2>What to measure next</h2>", _format_next_experiments(diagnosis)]
+    parts += ["<h2>Assumptions</h2>", html_list(_assumption_sentences(diagnosis, before, units)),
               "<h2>Time</h2>", stage_table(diagnosis)]
     if diagnosis.files:
         parts += ["<h2>Files</h2>", html_list(f"{escape(what)}: <code>{escape(name)}</code>"
@@ -82,7 +87,7 @@ def diagnosis_page(diagnosis: Diagnosis, before: Evidence, after: Evidence | Non
     return html_page(f"Diagnosis of {diagnosis.campaign}", parts)
 
 
-def _summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: Units) -> str:
+def _format_summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: Units) -> str:
     """Return the summary of a diagnosis as an HTML definition list."""
     verdict = diagnosis.verdict
     # The message may already contain the meaning of the verdict.
@@ -91,9 +96,9 @@ def _summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: Units) 
     rows = [(HEADINGS[verdict], [f"<b>{escape(diagnosis.message)}</b>", *meaning]),
             ("Where", [escape(sentence) for sentence in misfit_sentences(diagnosis)]),
             ("Influence", [f"{escape(capitalise(effects[each.name].title))}: {escape(effects[each.name].signature)}"
-                           + (f"; largest here in {escape(joined(each.acts_in))}." if each.acts_in else ".")
+                           + (f"; largest here in {escape(join_words(each.acts_in))}." if each.acts_in else ".")
                            for each in diagnosis.effects if each.name in effects]),
-            ("Distinguished by", list(_separations(diagnosis, effects))),
+            ("Distinguished by", list(_separation_sentences(diagnosis, effects))),
             ("Biased parameters", list(_bias_sentences(diagnosis.fit_before, diagnosis.fit_after, units))),
             ("Data not fitted", list(_unfitted_sentences(diagnosis, units))),
             ("Next", [f"{escape(capitalise(each.sentence))}." for each in diagnosis.next_experiment[:1]])]
@@ -106,18 +111,18 @@ def misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     # Holds first: a reader understands a change of force at constant displacement without a model.
     bad = sorted((each for each in diagnosis.regions if not each.adequate_before),
                  key=lambda one: (not one.segment.startswith("hold"), -one.before_sigma))
-    for each in bad[:_MAX_REGIONS]:
+    for each in bad[:LAYOUT.summary_regions]:
         yield f"{each.sentence}."
-    if len(bad) > _MAX_REGIONS:
-        yield f"And {format_count(len(bad) - _MAX_REGIONS, 'more region')}."
+    if len(bad) > LAYOUT.summary_regions:
+        yield f"And {format_count(len(bad) - LAYOUT.summary_regions, 'more region')}."
     good = [f"{each.test} {each.segment}" for each in diagnosis.regions if each.adequate_before]
     if good and len(good) == len(diagnosis.regions):
         yield "Every region agrees."
     elif good:
-        yield f"{joined(good)} {'agrees' if len(good) == 1 else 'agree'}."
+        yield f"{join_words(good)} {'agrees' if len(good) == 1 else 'agree'}."
 
 
-def _separations(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
+def _separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
     if diagnosis.verdict != "SET":
         return
     labels = candidate_labels(diagnosis.candidates)
@@ -138,8 +143,8 @@ def _bias_sentences(before: Fit, after: Fit | None, units: Units) -> Iterator[st
         if after is not None and change is not None and abs(change) > _MIN_CHANGE:
             side = "too large" if change > 0 else "too small"
             yield (f"{symbol_of(before, name)} was {abs(100 * change):.2g}\u00a0% {side}: "
-                   f"{with_minus(estimate_of(before, name, units))} without the effect, "
-                   f"{with_minus(estimate_of(after, name, units))} with the effect.")
+                   f"{use_minus_signs(estimate_of(before, name, units))} without the effect, "
+                   f"{use_minus_signs(estimate_of(after, name, units))} with the effect.")
 
 
 def _unfitted_sentences(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
@@ -149,7 +154,7 @@ def _unfitted_sentences(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
         if not predicted:
             continue
         later = [each.after_N for each in predicted if each.after_N is not None]
-        before, after = (" to ".join(units.force.text(size, 2) for size in _ends(sizes))
+        before, after = (" to ".join(units.force.text(size, 2) for size in _smallest_and_largest(sizes))
                          for sizes in ([each.before_N for each in predicted], later))
         judged = [each.adequate_before if each.after_N is None else each.adequate_after for each in predicted]
         held = sum(each is True for each in judged)
@@ -158,16 +163,16 @@ def _unfitted_sentences(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
                "the error is within noise, jitter and parameter uncertainty.")
 
 
-def _ends(sizes: Sequence[float | None]) -> list[float]:
+def _smallest_and_largest(sizes: Sequence[float | None]) -> list[float]:
     known = [size for size in sizes if size is not None]
     return sorted({min(known), max(known)}) if known else []
 
 
-def _where(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units: Units,
-           pictures: Pictures) -> Iterator[str]:
+def _misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units: Units,
+                    pictures: Pictures) -> Iterator[str]:
     yield "<h2>Where model and measurement differ</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
-    label = joined([each.title for each in diagnosis.effects])
+    label = join_words([each.title for each in diagnosis.effects])
     for number, test in enumerate(before.campaign.tests):
         gaps = [each for each in diagnosis.regions if each.test == test.name]
         if not gaps:
@@ -175,9 +180,9 @@ def _where(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units
         count = format_count(len(before.measured[test.name]), "recording")
         yield f"<h3>{escape(test.name)} <small>{escape(test.kind.name.replace('_', ' '))}; {count}</small></h3>"
         regions = [region for region in before.regions if region.test == test.name]
-        later = None if after is None else curves_of(after, test.name)
+        later = None if after is None else curves_of_test(after, test.name)
         yield pictures.show(picture_of_test(before.campaign, number), partial(
-            draw_gap, curves_of(before, test.name), later, regions, gaps, label, units),
+            draw_test_misfit, curves_of_test(before, test.name), later, regions, gaps, label, units),
             f"Recordings, model before and after, and residuals of {test.name}")
     yield "<h2>Evidence by region</h2>"
     yield pictures.show("regions", partial(draw_evidence, diagnosis.regions, units),
@@ -187,13 +192,15 @@ def _where(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units
     yield f"<details><summary>In numbers</summary>{region_table(diagnosis.regions, units)}</details>"
 
 
-def _catalogue(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
+def _catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>Effects of the catalogue in these tests</h2>"
-    drawn = [each for each in seen if each.refitted or (each.p is not None and each.p <= LEVEL)][:_MAX_DRAWN]
+    drawn = [each for each in seen
+             if each.refitted or (each.p is not None and each.p <= LIMITS.effect_level)][:LAYOUT.drawn_effects]
     if drawn and pictures is not None:
-        yield pictures.show("candidates", partial(draw_candidates, drawn, [candidate_label(each) for each in drawn],
-                                                  _chosen(diagnosis, drawn)), "Score and gain of each effect")
+        draw = partial(draw_candidates, drawn, [candidate_label(each) for each in drawn],
+                       _names_of_added_candidates(diagnosis, drawn))
+        yield pictures.show("candidates", draw, "Score and gain of each effect")
     yield fitted_table(diagnosis.candidates, units)
     if seen:
         yield "<h3>Effects that these tests can detect</h3>"
@@ -208,30 +215,30 @@ def _catalogue(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) ->
     yield silent_table(diagnosis.candidates)
 
 
-def _chosen(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
+def _names_of_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
     """Return the names of the candidates that were added; an effect of one test matches the candidate of that test."""
     added = {(each.name, tuple(each.tests)) for each in diagnosis.effects}
     return [each.name for each in seen for test in (each.name.partition("@")[2],)
             if (each.effect, (test,) if test else ()) in added]
 
 
-def _next(diagnosis: Diagnosis) -> str:
+def _format_next_experiments(diagnosis: Diagnosis) -> str:
     labels = candidate_labels(diagnosis.candidates)
     lines = []
     for each in diagnosis.next_experiment:
         by = "" if each.deviations is None else f" by {each.deviations:.2g} standard deviations"
-        names = joined([labels.get(name, name) for name in each.separates], "and")
+        names = join_words([labels.get(name, name) for name in each.separates], "and")
         separation = f' <span class="quiet">Distinguishes {escape(names)}{by}.</span>' if names else ""
         lines.append(f"{escape(capitalise(each.sentence))}.{separation}")
     return f"<ol>{''.join(f'<li>{line}</li>' for line in lines)}</ol>"
 
 
-def _assumed(diagnosis: Diagnosis, before: Evidence, units: Units) -> Iterator[str]:
+def _assumption_sentences(diagnosis: Diagnosis, before: Evidence, units: Units) -> Iterator[str]:
     """Yield the assumptions of a diagnosis, one sentence each."""
     sources = sorted({curve.noise.source for curve in before.problem.measured})
     colour = "white" if not diagnosis.noise_correlation_s else \
         f"correlated over {diagnosis.noise_correlation_s:.2g} s"
-    yield f"Noise: {units.force.text(diagnosis.noise_N, 2)} (standard deviation, {joined(sources)}), {colour}."
+    yield f"Noise: {units.force.text(diagnosis.noise_N, 2)} (standard deviation, {join_words(sources)}), {colour}."
     freedom = before.problem.jitter.freedom
     source = "stated in the campaign, or the default prior" if freedom is None else \
         f"estimated with {format_count(freedom, 'degree')} of freedom" if freedom else \

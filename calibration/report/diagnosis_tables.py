@@ -5,10 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from calibration.diagnosis.diagnosis import CandidateStatement, Diagnosis, HeldOut, Number, RegionGap
+from calibration.diagnosis.diagnosis import (
+    CandidateStatement,
+    Diagnosis,
+    EffectParameter,
+    HeldOutPrediction,
+    RegionMisfit,
+)
 from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
-from calibration.report.page import estimate_of, html_table, interval_of, symbol_of, with_minus
+from calibration.report.page import estimate_of, html_table, interval_of, symbol_of, use_minus_signs
 from calibration.report.rounding import gain_text, ratio_text, value_and_error
 from calibration.report.symbols import html_symbol, plain_symbol
 from calibration.report.units import Unit, Units
@@ -56,11 +62,11 @@ def sizes_in_words(candidate: CandidateStatement, units: Units) -> str:
     return ", ".join(words)
 
 
-def number_in_words(number: Number, units: Units) -> str:
+def number_in_words(number: EffectParameter, units: Units) -> str:
     """Return a fitted parameter as HTML, such as ``g₁ = 3.02 ± 0.05 %``."""
     unit, error = unit_of(number.path, number.unit, units), number.standard_error
     text = value_and_error(number.value / unit.size, error and error / unit.size, unit.name)
-    return f"{html_symbol(number.symbol)} = {with_minus(text)}".replace(" ", "\u00a0")
+    return f"{html_symbol(number.symbol)} = {use_minus_signs(text)}".replace(" ", "\u00a0")
 
 
 def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
@@ -71,7 +77,7 @@ def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
         notes = [f"{', '.join(map(plain_symbol, each.on_bound))} on a bound"] if each.on_bound else []
         notes += [each.note] if each.note else []
         fitted += f'<br><span class="bad">{escape("; ".join(notes))}</span>' if notes else ""
-        rows.append([escape(candidate_label(each)), fitted or "-", "-" if each.score is None else with_minus(
+        rows.append([escape(candidate_label(each)), fitted or "-", "-" if each.score is None else use_minus_signs(
             f"{each.score:.1f}"), "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
             "-" if each.explained_percent is None else f"{each.explained_percent:.3g}\u00a0%",
             escape(format_odds(each.evidence_ratio))])
@@ -94,7 +100,7 @@ def testable_table(candidates: Sequence[CandidateStatement], units: Units) -> st
         rows.append([None if each.category == last.category else escape(each.category),
                      None if each.effect == last.effect else escape(each.title), escape(test),
                      escape(sizes_in_words(each, units)),
-                     "-" if each.score is None else with_minus(f"{each.score:.1f}"), _likelihood(each),
+                     "-" if each.score is None else use_minus_signs(f"{each.score:.1f}"), _format_score_p_value(each),
                      escape(", ".join(labels.get(name, name) for name in each.twins)) or "-"])
         last = each
     labelled = ["Category", "Effect", "Test", "Smallest detectable size", "Score", "p", "Similar effects"]
@@ -103,11 +109,11 @@ def testable_table(candidates: Sequence[CandidateStatement], units: Units) -> st
                       text=[kept.index(j) for j in (1, 2, 3, 6) if j in kept])
 
 
-def _likelihood(each: CandidateStatement) -> str:
+def _format_score_p_value(each: CandidateStatement) -> str:
     """Return the p value of the score, or ``wrong sign`` if no size of the effect gives a score of this sign."""
     if each.score is not None and each.p is not None and each.score < -_MIN_WRONG_SIGN_SCORE and each.p > 0.5:
         return '<span class="bad">wrong sign</span>'
-    return chance(each.p)
+    return format_p_value(each.p)
 
 
 def silent_table(candidates: Sequence[CandidateStatement]) -> str:
@@ -126,7 +132,7 @@ def capitalise(words: str) -> str:
     return words[:1].upper() + words[1:]
 
 
-def chance(p: float | None) -> str:
+def format_p_value(p: float | None) -> str:
     """Return a probability as HTML, such as ``0.031`` or ``< 10⁻⁴``; ``-`` for None."""
     return "-" if p is None else "&lt; 10⁻⁴" if p < _MIN_PROBABILITY else f"{p:.2g}".replace("e-0", "e-")
 
@@ -138,7 +144,7 @@ def format_odds(ratio: float | None) -> str:
     return "best" if ratio <= 1.0 else f"{ratio_text(ratio)} : 1"
 
 
-def region_table(regions: Sequence[RegionGap], units: Units) -> str:
+def region_table(regions: Sequence[RegionMisfit], units: Units) -> str:
     """Return the HTML table of the regions: misfit and significance, before and after."""
     rows: list[list[str | None]] = []
     last = None
@@ -147,15 +153,15 @@ def region_table(regions: Sequence[RegionGap], units: Units) -> str:
         after = "-" if each.after_N is None else units.force.text(each.after_N, 2)
         sigma = "-" if each.after_sigma is None else f"{each.after_sigma:.1f}"
         rows.append([None if each.test == last else escape(each.test), escape(each.segment), speed,
-                     units.force.text(each.before_N, 2), after, _judged(f"{each.before_sigma:.1f}",
+                     units.force.text(each.before_N, 2), after, _mark_inadequate(f"{each.before_sigma:.1f}",
                                                                          each.adequate_before),
-                     sigma if each.adequate_after is None else _judged(sigma, each.adequate_after)])
+                     sigma if each.adequate_after is None else _mark_inadequate(sigma, each.adequate_after)])
         last = each.test
     return html_table(["Test", "Segment", "Speed [mm/s]", "Misfit before", "after", "Deviations before", "after"], rows,
                       text=(1,), narrow=True)
 
 
-def _judged(text: str, adequate: bool) -> str:
+def _mark_inadequate(text: str, adequate: bool) -> str:
     return text if adequate else f'<span class="bad">{text}</span>'
 
 
@@ -166,9 +172,9 @@ def parameter_table(before: Fit, after: Fit | None, units: Units) -> str:
         cells = [symbol_of(before if after is None or name in before.parameters else after, name)]
         for fit in (before, after):
             cells += ["-", "-"] if fit is None or name not in fit.parameters else [
-                with_minus(estimate_of(fit, name, units)), with_minus(interval_of(fit, name, units)) or "-"]
+                use_minus_signs(estimate_of(fit, name, units)), use_minus_signs(interval_of(fit, name, units)) or "-"]
         change = relative_bias(before, after, name)
-        cells.append("-" if change is None else with_minus(f"{100 * change:+.2g}\u00a0%"))
+        cells.append("-" if change is None else use_minus_signs(f"{100 * change:+.2g}\u00a0%"))
         rows.append(cells)
     labels = ["Parameter", "Nothing added", "95 % interval", "With the added effects", "95 % interval", "Bias"]
     kept = slice(None, 3 if after is None else None)
@@ -188,19 +194,19 @@ def relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
     return before.parameters[name] / after.parameters[name] - 1.0
 
 
-def held_out_table(held_out: Sequence[HeldOut], units: Units) -> str:
+def held_out_table(held_out: Sequence[HeldOutPrediction], units: Units) -> str:
     """Return the HTML table of the prediction errors in data that were not fitted."""
-    def size(value: float | None, noise: float | None, adequate: bool | None) -> str:
+    def format_error(value: float | None, noise: float | None, adequate: bool | None) -> str:
         if value is None:
             return "-"
         ratio = f" ({value / noise:.2g} × noise)" if noise else ""
-        return _judged(f"{units.force.text(value, 2)}{ratio}", adequate is not False)
+        return _mark_inadequate(f"{units.force.text(value, 2)}{ratio}", adequate is not False)
 
     kinds = {"replicate": "recording, left out of the fits to the other recordings",
              "test": "test, held out of all fits"}
-    rows = [[escape(each.name), escape(kinds.get(each.kind, each.kind)), size(each.before_N, each.noise_N,
+    rows = [[escape(each.name), escape(kinds.get(each.kind, each.kind)), format_error(each.before_N, each.noise_N,
                                                                                each.adequate_before),
-             size(each.after_N, each.noise_N, each.adequate_after),
+             format_error(each.after_N, each.noise_N, each.adequate_after),
              {None: "not tested", True: "yes", False: '<span class="bad">no</span>'}[
                  each.adequate_before if each.after_N is None else each.adequate_after],
              escape(each.note)] for each in held_out]

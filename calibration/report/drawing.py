@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from calibration.output_folder import picture_file
+from calibration.report.layout import LAYOUT
 from calibration.report.png import render_png
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.laws import find_law
@@ -29,14 +30,6 @@ STYLE: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": Fa
               "figure.constrained_layout.h_pad": 0.08,
               # Text is stored as text, and files are reproducible byte for byte.
               "pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "tissue_sim"}
-#: Width of a figure that fills the page, inches.
-WIDTH = 12.0
-#: Approximate maximum number of drawn points per recording.
-DATA_POINTS = 250
-#: Resolution of separate PNG files, dots per inch.
-_PRINT_DPI = 300
-#: Resolution of formulas, dots per inch: twice the 96 of CSS, for high-resolution screens.
-_FORMULA_DPI = 192
 
 
 def line_styles() -> Iterator[dict]:
@@ -46,13 +39,13 @@ def line_styles() -> Iterator[dict]:
 
 def marker_style(points: int) -> dict:
     """Return the marker style for measured points: open circles in front for few points, dots behind for many."""
-    few = points <= DATA_POINTS
+    few = points <= LAYOUT.data_points
     return {"mfc": "none", "mec": "0.2", "zorder": 4} if few else {"color": "0.35", "mew": 0, "alpha": 0.35}
 
 
 def thinning_slice(size: int) -> slice:
-    """Return a slice that reduces `size` samples to about `DATA_POINTS`, to keep the file small."""
-    return slice(None, None, max(1, size // DATA_POINTS))
+    """Return a slice that reduces `size` samples to about `ReportLayout.data_points`, to keep the file small."""
+    return slice(None, None, max(1, size // LAYOUT.data_points))
 
 
 def format_count(count: int, noun: str) -> str:
@@ -70,7 +63,7 @@ def new_figure(width: float, height: float):
     return figure
 
 
-def new_panels(counts: Sequence[int], height: float, width: float = WIDTH):
+def new_panels(counts: Sequence[int], height: float, width: float = LAYOUT.width):
     """Create a figure with rows of panels.
 
     Args:
@@ -87,13 +80,13 @@ def new_panels(counts: Sequence[int], height: float, width: float = WIDTH):
     return figure, [*figure.subplot_mosaic(mosaic).values()]
 
 
-def panels_per_row(count: int, most: int = 3) -> list[int]:
+def panels_per_row(count: int, most: int = LAYOUT.panels_per_row) -> list[int]:
     """Return the number of panels in each row for `count` panels with at most `most` in a row, evenly distributed."""
     rows = -(-count // most)
     return [count // rows + (row < count % rows) for row in range(rows)]
 
 
-def add_legend_above(figure, columns: int = 4) -> None:
+def add_legend_above(figure, columns: int = LAYOUT.legend_columns) -> None:
     """Add one legend above all panels; entries with the same label appear once."""
     handles: dict[str, Any] = {}
     for axes in figure.axes:
@@ -144,9 +137,10 @@ class Pictures:
                 return ""
             png = render_png(figure)
             if self.kind is not None:
-                write_bytes(self.folder / picture_file(name, self.kind), to_bytes(figure, self.kind, dpi=_PRINT_DPI))
+                write_bytes(self.folder / picture_file(name, self.kind),
+                            to_bytes(figure, self.kind, dpi=LAYOUT.print_dpi))
         below = f"<figcaption>{caption}</figcaption>" if caption else ""
-        width = 100 * figure.get_figwidth() / WIDTH
+        width = 100 * figure.get_figwidth() / LAYOUT.width
         return f'<figure><img src="{as_data_uri(png)}" style="width:{width:.0f}%" alt="{escape(alt)}">{below}</figure>'
 
 
@@ -164,7 +158,8 @@ def draw_formula(law_name: str) -> bytes | None:
         figure = new_figure(0.01, 0.01)
         figure.text(0, 0, f"${law.latex()}$", fontsize=13)
         try:
-            return to_bytes(figure, "png", dpi=_FORMULA_DPI, bbox_inches="tight", pad_inches=0.03, transparent=True)
+            return to_bytes(figure, "png", dpi=LAYOUT.formula_dpi, bbox_inches="tight", pad_inches=0.03,
+                            transparent=True)
         except ValueError:
             return None
 
@@ -172,4 +167,4 @@ def draw_formula(law_name: str) -> bytes | None:
 def natural_width(png: bytes) -> int:
     """Return the width in CSS pixels at which an image of `draw_formula` has its intended font size."""
     # Bytes 16 to 20 of a PNG are its width: https://www.w3.org/TR/png/#11IHDR
-    return round(int.from_bytes(png[16:20], "big") * 96 / _FORMULA_DPI)
+    return round(int.from_bytes(png[16:20], "big") * 96 / LAYOUT.formula_dpi)

@@ -12,23 +12,19 @@ from calibration.fit.fit import Fit
 from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import (
     COLOURS,
-    WIDTH,
     add_legend_above,
     line_styles,
     new_figure,
     new_panels,
     panels_per_row,
 )
-from calibration.report.page import free_parameters, with_minus
+from calibration.report.layout import LAYOUT
+from calibration.report.page import free_parameters, use_minus_signs
 from calibration.report.rounding import error_text, interval_text, value_and_error
 from calibration.report.symbols import math_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
 
-#: Width of one specimen in a panel, inches.
-_SPECIMEN_WIDTH = 0.9
-#: Total number of characters of the tick labels above which the labels are rotated.
-_MAX_LABEL_CHARACTERS = 40
 #: Relative standard error above which a combination of parameters is reported as undetermined.
 UNDETERMINED = 1e3
 
@@ -47,10 +43,10 @@ def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]], units: Un
         The matplotlib figure.
     """
     names = list(fit.profiles)
-    figure, grid = new_panels(panels_per_row(len(names)), 3.1)
+    figure, grid = new_panels(panels_per_row(len(names)), LAYOUT.profile_row_height)
     for axes, name in zip(grid, names, strict=True):
         _draw_profile(axes, fit, name, bounds.get(name), units)
-    add_legend_above(figure, 6)
+    add_legend_above(figure, LAYOUT.profile_legend_columns)
     return figure
 
 
@@ -91,7 +87,8 @@ def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None,
     symbol = math_symbol(fit.symbols[name])
     axes.set(xlim=(left, right), ylim=(-0.02 * ceiling, ceiling), xlabel=unit.label(symbol),
              ylabel="increase of sum of squares")
-    axes.set_title(with_minus(f"{symbol} = {value_and_error(estimate, error, unit.name)}{words}"), fontweight="normal")
+    axes.set_title(use_minus_signs(f"{symbol} = {value_and_error(estimate, error, unit.name)}{words}"),
+                   fontweight="normal")
     axes.locator_params(axis="x", nbins=6)
 
 
@@ -113,15 +110,15 @@ def draw_specimens(fits: Sequence[Fit], units: Units):
     if not owners_of:
         return None
     rows = panels_per_row(len(owners_of))
-    width = max(rows) * (1.5 + _SPECIMEN_WIDTH * max(map(len, owners_of.values())))
-    figure, grid = new_panels(rows, 3.1, float(np.clip(width, WIDTH / 2, WIDTH)))
+    width = max(rows) * (1.5 + LAYOUT.specimen_width * max(map(len, owners_of.values())))
+    figure, grid = new_panels(rows, LAYOUT.profile_row_height, float(np.clip(width, LAYOUT.width / 2, LAYOUT.width)))
     for axes, (root, owners) in zip(grid, owners_of.items(), strict=True):
-        _draw_owners(axes, fits, root, list(owners), units)
+        _draw_parameter_by_specimen(axes, fits, root, list(owners), units)
     add_legend_above(figure)
     return figure
 
 
-def _draw_owners(axes, fits: Sequence[Fit], root: str, owners: Sequence[str], units: Units) -> None:
+def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Sequence[str], units: Units) -> None:
     """Draw one parameter of all specimens (tests, recordings) that own a value of the parameter."""
     having = [(fit, style) for fit, style in zip(fits, line_styles(), strict=False)
               if any(symbol.startswith(f"{root}@") for symbol in fit.symbols.values())]
@@ -138,7 +135,7 @@ def _draw_owners(axes, fits: Sequence[Fit], root: str, owners: Sequence[str], un
             if ends:
                 axes.plot([x, x], ends, color=style["color"], lw=1.2, label="95 % interval")
             axes.errorbar(x, value, error, fmt="o", color=style["color"], lw=4, ms=6, label=find_law(fit.law).title)
-    crowded = sum(map(len, owners)) > _MAX_LABEL_CHARACTERS
+    crowded = sum(map(len, owners)) > LAYOUT.max_label_characters
     axes.set_xticks(range(len(owners)), owners, rotation=35 if crowded else 0, ha="right" if crowded else "center")
     axes.set(xlim=(-0.6, len(owners) - 0.4), ylabel=unit.label(math_symbol(root)))
     axes.grid(visible=False, axis="x")
@@ -154,7 +151,7 @@ def draw_windows(fit: Fit, units: Units):
     if len(fit.windows) < 2 or not names:
         return None
     percentages = 100.0 * np.array([window.share for window in fit.windows])
-    figure, grid = new_panels(panels_per_row(len(names)), 2.6)
+    figure, grid = new_panels(panels_per_row(len(names)), LAYOUT.window_row_height)
     for axes, name in zip(grid, names, strict=True):
         unit = units.of_parameter(fit.units[name])
         value, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
@@ -181,19 +178,19 @@ def draw_correlation(fit: Fit, units: Units):
     indices = [fit.covariance.order.index(name) for name in names]
     matrix = np.array(fit.correlation)[np.ix_(indices, indices)]
     symbols, alone = [math_symbol(fit.symbols[name]) for name in names], len(names) > 2 and not fit.directions
-    figure = new_figure(WIDTH / 2 if alone else WIDTH, 4.2 + 0.35 * max(0, len(names) - 4))
+    figure = new_figure(LAYOUT.width / (2 if alone else 1), LAYOUT.correlation_height + 0.35 * max(0, len(names) - 4))
     left, *right = figure.subplots(1, 1 if alone else 2, squeeze=False, width_ratios=(1,) if alone else (1, 1.45)).flat
-    _draw_matrix(figure, left, symbols, matrix)
+    _draw_correlation_matrix(figure, left, symbols, matrix)
     for axes in right:
         if len(names) == 2:
-            _draw_ellipse(axes, fit, names, units)
+            _draw_confidence_ellipse(axes, fit, names, units)
         else:
-            _draw_directions(axes, fit, names)
+            _draw_poorly_determined_combinations(axes, fit, names)
     add_legend_above(figure)
     return figure
 
 
-def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> None:
+def _draw_correlation_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> None:
     from matplotlib.colors import LinearSegmentedColormap
 
     shades = LinearSegmentedColormap.from_list("signed", [
@@ -208,7 +205,7 @@ def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> No
     for edge in np.arange(len(symbols) - 1) + 0.5:
         axes.axvline(edge, color="white", lw=2)
         axes.axhline(edge, color="white", lw=2)
-    long = sum(map(len, symbols)) > _MAX_LABEL_CHARACTERS + 6 * len(symbols)
+    long = sum(map(len, symbols)) > LAYOUT.max_label_characters + 6 * len(symbols)
     axes.set_xticks(range(len(symbols)), symbols, rotation=35 if long else 0, ha="right" if long else "center")
     axes.set_yticks(range(len(symbols)), symbols)
     axes.grid(visible=False)
@@ -217,7 +214,7 @@ def _draw_matrix(figure, axes, symbols: Sequence[str], matrix: np.ndarray) -> No
     figure.colorbar(image, ax=axes, shrink=0.85, label="correlation").outline.set_visible(False)
 
 
-def _draw_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
+def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
     scales = [units.of_parameter(fit.units[name]) for name in names]
     indices = [fit.covariance.order.index(name) for name in names]
     sizes = np.array([unit.size for unit in scales])
@@ -240,7 +237,7 @@ def _draw_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
     axes.locator_params(nbins=7)
 
 
-def _draw_directions(axes, fit: Fit, names: Sequence[str]) -> None:
+def _draw_poorly_determined_combinations(axes, fit: Fit, names: Sequence[str]) -> None:
     directions = fit.directions[:4]
     height = 0.8 / len(directions)
     for k, (direction, style) in enumerate(zip(directions, line_styles(), strict=False)):

@@ -14,24 +14,17 @@ from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction
 from calibration.report.curve_figures import describe_region, format_probability
 from calibration.report.drawing import COLOURS, add_legend_above, line_styles, new_panels, panels_per_row
+from calibration.report.layout import LAYOUT
 from calibration.report.symbols import math_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
 
-#: Standard errors of a misfit that is drawn with the darkest colour.
-_DARKEST = 6.0
 #: Standard errors above which a misfit is significant (two-sided 5 %).
 _SIGNIFICANT = float(-special.ndtri(0.025))
 #: Tick marks of ratios that are all positive.
 _POSITIVE_TICKS = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3)
 #: Tick marks of ratios of both signs.
 _SIGNED_TICKS = (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
-#: Quotient of the largest and the smallest ratio up to which the scale is linear.
-_MAX_LINEAR = 5.0
-#: Number of regions of a test from which misfit and probability are written in two lines.
-_MANY = 7
-#: Maximum length of a note in a figure, characters.
-_NOTE_WIDTH = 90
 
 
 def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
@@ -48,10 +41,10 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
     from matplotlib.cm import ScalarMappable
     from matplotlib.colors import LinearSegmentedColormap, Normalize
 
-    limit = _SIGNIFICANT / _DARKEST
+    limit = _SIGNIFICANT / LAYOUT.darkest_misfit
     shades = LinearSegmentedColormap.from_list("misfit", [
         (0.0, "#f4f8fb"), (limit - 1e-6, "#bcd7ea"), (limit, "#fbd3ae"), (0.7, "#e07b39"), (1.0, "#9c3a00")])
-    norm = Normalize(0.0, _DARKEST)
+    norm = Normalize(0.0, LAYOUT.darkest_misfit)
     fits = [fit for fit in fits if fit.regions]
     tests = [test for test in tests if any(r.test == test.name for fit in fits for r in fit.regions)]
     blocks = len(tests) * (0.62 + 0.4 * len(fits))
@@ -61,7 +54,7 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
     for test in tests:
         rows = [[r for r in fit.regions if r.test == test.name] for fit in fits]
         named = max(rows, key=len)
-        font, gap = 9.0 * min(1.0, 9 / len(named)), "  " if len(named) < _MANY else "\n"
+        font, gap = 9.0 * min(1.0, 9 / len(named)), "  " if len(named) < LAYOUT.two_line_regions else "\n"
         axes.text(-0.008, top - 0.34, test.name, fontweight="bold", va="center", ha="right")
         for j, region in enumerate(named):
             where = describe_region(region, test, units).replace(" from ", f"{gap[:1]}from ")
@@ -69,12 +62,12 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
                       va="center", ha="center", fontsize=font, color="0.3")
         for fit, row in zip(fits, rows, strict=True):
             for j, region in enumerate(row):
-                deviate = min(float(-special.ndtri(region.p / 2)), _DARKEST)
+                deviate = min(float(-special.ndtri(region.p / 2)), LAYOUT.darkest_misfit)
                 low, high = top - 0.95, top - 0.55
                 axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
                                   ec="white", lw=2)
                 axes.text((j + 0.5) / len(row), (low + high) / 2,
-                          f"{units.load(test).text(region.misfit_N, 2)},{gap}{format_probability(region.p)}",
+                          f"{units.load_unit(test).text(region.misfit_N, 2)},{gap}{format_probability(region.p)}",
                           ha="center", va="center", fontsize=font, color="white" if deviate > 4.2 else "0.1",
                           fontweight="normal" if region.adequate else "bold")
             ticks.append(top - 0.75)
@@ -86,7 +79,7 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
     axes.spines[:].set_visible(False)
     bar = figure.colorbar(ScalarMappable(norm, shades), ax=axes, pad=0.01, fraction=0.022, aspect=18)
     bar.set_label("standard errors")
-    bar.set_ticks([0, _SIGNIFICANT, 4, _DARKEST], labels=["0", "2", "4", "6 +"])
+    bar.set_ticks([0, _SIGNIFICANT, 4, LAYOUT.darkest_misfit], labels=["0", "2", "4", f"{LAYOUT.darkest_misfit:g} +"])
     bar.outline.set_visible(False)
     return figure
 
@@ -118,7 +111,7 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
     for p in predictions:
         y = cases.index((p.test, tuple(p.fitted))) - 0.4 + (laws.index(p.law) + 0.5) * height
         if p.percent is None:
-            axes.text(0.004 * limit, y, shorten(f"{find_law(p.law).title}: none ({p.note})", _NOTE_WIDTH),
+            axes.text(0.004 * limit, y, shorten(f"{find_law(p.law).title}: none ({p.note})", LAYOUT.note_characters),
                       va="center", fontsize=9, color="0.35")
             continue
         length = min(p.percent, 1.02 * limit)
@@ -135,7 +128,8 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
                   va="center", fontsize=9)
     axes.set(xlim=(0, 1.16 * limit), ylim=(-0.5, len(cases) - 0.5), yticks=range(len(cases)),
              xlabel="root mean square error, % of the largest measured force (or stress)",
-             yticklabels=[_case(by_name[test], fitted, several.get(test, 0)) for test, fitted in cases])
+             yticklabels=[_format_prediction_label(by_name[test], fitted, several.get(test, 0))
+                          for test, fitted in cases])
     axes.invert_yaxis()
     axes.set_axisbelow(True)
     axes.grid(visible=False, axis="y")
@@ -145,7 +139,7 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
     if expected is not None:
         expected.set_label(f"expected from noise, jitter{', specimens' if several else ''} and parameter errors")
         handles.append(expected)
-    figure.legend(handles=handles, loc="outside upper left", ncols=4, fontsize=9.5)
+    figure.legend(handles=handles, loc="outside upper left", ncols=LAYOUT.legend_columns, fontsize=9.5)
     return figure
 
 
@@ -154,7 +148,7 @@ def format_percent(value: float) -> str:
     return f"{value:.2g}\u00a0%" if value < 99.5 else f"{value:.0f}\u00a0%"
 
 
-def _case(test: Test, fitted: Sequence[str], of_mean: int) -> str:
+def _format_prediction_label(test: Test, fitted: Sequence[str], of_mean: int) -> str:
     if of_mean:
         return f"{test.name}\n{'held' if test.hold_out else 'left'} out, mean of {of_mean}"
     others = f"{len(fitted)} others" if len(fitted) >= 3 else ", ".join(fitted)
@@ -165,7 +159,7 @@ def draw_history(fits: Sequence[Fit]):
     """Draw the convergence of all starts: error above, parameters relative to the estimate below, a column per law."""
     fits = [fit for fit in fits if fit.history]
     counts = [count for count in panels_per_row(len(fits)) for _ in ("error", "parameters")]
-    figure, axes = new_panels(counts, 2.7)
+    figure, axes = new_panels(counts, LAYOUT.history_row_height)
     remaining = iter(fits)
     for count in counts[::2]:
         for above, below in zip(axes[:count], axes[count:2 * count], strict=True):
@@ -176,7 +170,7 @@ def draw_history(fits: Sequence[Fit]):
     return figure
 
 
-def chosen_start(fit: Fit) -> int:
+def best_start_number(fit: Fit) -> int:
     """Return the number of the start with the lowest final error; starts on the accurate mesh are preferred."""
     last = {step.start: step for step in sorted(fit.history, key=lambda step: step.run)}
     return min(last, key=lambda start: (not last[start].corrected, last[start].error))
@@ -188,7 +182,7 @@ def _draw_convergence(above, below, fit: Fit) -> None:
     starts: dict[int, list] = {}
     for step in sorted(fit.history, key=lambda step: step.run):
         starts.setdefault(step.start, []).append(step)
-    chosen = chosen_start(fit)
+    chosen = best_start_number(fit)
     names = list(starts[chosen][0].parameters)
     scale = {name: fit.parameters[name] or max(abs(step.parameters[name]) for step in fit.history) or 1.0
              for name in names}
@@ -215,7 +209,7 @@ def _draw_convergence(above, below, fit: Fit) -> None:
     above.set_ylabel("sum of squares, whitened")
     ratios = [step.parameters[name] / scale[name] for step in fit.history for name in names]
     if min(ratios) > 0:
-        below.set_yscale("linear" if max(ratios) < _MAX_LINEAR * min(ratios) else "log")
+        below.set_yscale("linear" if max(ratios) < LAYOUT.max_linear_ratio * min(ratios) else "log")
     elif max(map(abs, ratios)) > 3:
         below.set_yscale("symlog", linthresh=1.0)
     if below.get_yscale() != "linear":

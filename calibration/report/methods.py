@@ -15,7 +15,13 @@ from calibration.fit.result import CalibrationResult
 from calibration.forward.meshes import meshes_of
 from calibration.report.drawing import format_count
 from calibration.report.figures import format_percent
-from calibration.report.page import estimate_of, interval_of, ranked_by_prediction, with_minus, young_modulus
+from calibration.report.page import (
+    estimate_of,
+    format_young_modulus,
+    interval_of,
+    ranked_by_prediction,
+    use_minus_signs,
+)
 from calibration.report.population import format_population
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
@@ -71,13 +77,13 @@ def methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[Meas
         cited.update(dict.fromkeys(keys))
         return f"({'; '.join(_REFERENCES[key][0] for key in keys)})"
 
-    paragraphs = [_data(result, measured), _laws(result, cite), _method(result, cite), _noise(result, units),
-                  _numbers(result, units, cite), _software(cite)]
+    paragraphs = [_data_paragraph(result, measured), _laws_paragraph(result, cite), _method_paragraph(result, cite),
+                  _noise_paragraph(result, units), _results_paragraph(result, units, cite), _software_paragraph(cite)]
     references = "\n".join(f"{reference}." for reference in sorted(_REFERENCES[key][1] for key in cited))
     return "\n\n".join([*paragraphs, f"References\n{references}"]) + "\n"
 
 
-def _data(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
+def _data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
     parts = []
     for test in result.campaign.tests:
         curves = measured[test.name]
@@ -110,7 +116,7 @@ def _recordings_from_contact(result: CalibrationResult,
             yield test.name, shifted
 
 
-def _laws(result: CalibrationResult, cite) -> str:
+def _laws_paragraph(result: CalibrationResult, cite) -> str:
     laws = []
     for fit in sorted(result.fits, key=lambda fit: fit.law):
         key = next((key for key in _REFERENCES if fit.law.startswith(key)), None)
@@ -123,14 +129,14 @@ def _laws(result: CalibrationResult, cite) -> str:
     return text
 
 
-def _method(result: CalibrationResult, cite) -> str:
+def _method_paragraph(result: CalibrationResult, cite) -> str:
     if result.campaign.fit.method == "analytical":
         text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
                 "fitted to the nominal stress by non-linear least squares (trust region reflective, several "
                 f"starts; {cite('descent')[1:-1]}).")
         offsets = result.campaign.fit.offset == "fit"
         text += " Contact offset and force zero of each recording were fitted with priors." if offsets else ""
-        return f"{text} {_ranking(result, cite)}"
+        return f"{text} {_ranking_sentence(result, cite)}"
     starts = format_count(result.campaign.fit.starts, "start")
     simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
     elements = " or ".join(dict.fromkeys(meshes_of(solver).elements for solver in simulated or [ROUND_SOLVER]))
@@ -139,24 +145,24 @@ def _method(result: CalibrationResult, cite) -> str:
             f"the force (trust region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and force zero of "
             f"each recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. "
             f"Intervals are profile-likelihood intervals {cite('profiles')}. Residuals were tested for smooth misfit "
-            f"by region, with p adjusted for the number of regions {cite('holm')}. {_ranking(result, cite)}")
+            f"by region, with p adjusted for the number of regions {cite('holm')}. {_ranking_sentence(result, cite)}")
 
 
-def _ranking(result: CalibrationResult, cite) -> str:
+def _ranking_sentence(result: CalibrationResult, cite) -> str:
     by = "the prediction error in tests that they were not fitted to" if ranked_by_prediction(result.fits) else \
         f"the Bayesian information criterion {cite('BIC')}"
     return f"Laws were ranked by {by}."
 
 
-def _noise(result: CalibrationResult, units: Units) -> str:
+def _noise_paragraph(result: CalibrationResult, units: Units) -> str:
     tests = {test.name: test for test in result.campaign.tests}
-    levels = [f"{units.load(tests[n.test]).text(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
+    levels = [f"{units.load_unit(tests[n.test]).text(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
         "white)" if n.correlation_time_s == 0 else f"correlated over {n.correlation_time_s:.2g} s)")
         for n in result.noise]
     if result.noise_Pa is not None:
         levels = [f"{units.pressure.text(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
     jitter = result.best.jitter
-    contact, zero = ("", "") if jitter is None else units.scatter(jitter, result.campaign.tests)
+    contact, zero = ("", "") if jitter is None else units.format_scatter(jitter, result.campaign.tests)
     scatter = f" Between recordings the contact point scatters by {contact} and the force zero by {zero}." \
         if contact else ""
     basis = {"noise": "this noise", "residuals": "the residuals, which exceed this noise",
@@ -166,15 +172,15 @@ def _noise(result: CalibrationResult, units: Units) -> str:
             "the Particle Data Group.")
 
 
-def _numbers(result: CalibrationResult, units: Units, cite) -> str:
+def _results_paragraph(result: CalibrationResult, units: Units, cite) -> str:
     sentences = []
     for fit in result.fits:
         unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
-        sentences.append(f"{find_law(fit.law).title}: {', '.join(_parameters(fit, units))}; E0 = "
-                         f"{with_minus(young_modulus(fit, units))}; R2 = {fit.R2:.4f}, "
+        sentences.append(f"{find_law(fit.law).title}: {', '.join(_format_parameters(fit, units))}; E0 = "
+                         f"{use_minus_signs(format_young_modulus(fit, units))}; R2 = {fit.R2:.4f}, "
                          f"residuals {fit.noise_ratio:.2g} times the noise.{unusable}")
         if fit.population is not None:
-            several = ", ".join(with_minus(
+            several = ", ".join(use_minus_signs(
                 f"{plain_symbol(each.symbol)} = {each.mean} [{each.mean_interval}], standard deviation between "
                 f"specimens {each.spread} [{each.spread_interval}]")
                 for each in format_population(fit, fit.population, units))
@@ -189,14 +195,14 @@ def _numbers(result: CalibrationResult, units: Units, cite) -> str:
     return f"Results. {' '.join(sentences)}"
 
 
-def _parameters(fit: Fit, units: Units) -> Iterator[str]:
+def _format_parameters(fit: Fit, units: Units) -> Iterator[str]:
     for name in fit.parameters:
         interval = interval_of(fit, name, units)
-        yield with_minus(f"{plain_symbol(fit.symbols[name])} = {estimate_of(fit, name, units)}"
-                         f"{f' [{interval}]' if interval else ''}")
+        yield use_minus_signs(f"{plain_symbol(fit.symbols[name])} = {estimate_of(fit, name, units)}"
+                              f"{f' [{interval}]' if interval else ''}")
 
 
-def _software(cite) -> str:
+def _software_paragraph(cite) -> str:
     used = []
     for package in ("taichi", "numpy", "scipy"):
         try:

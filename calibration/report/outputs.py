@@ -50,9 +50,9 @@ def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[
     """
     for fit in result.fits:
         if fit.material_file is not None:
-            write_material_file(material_file(fit, result, measured, method), result.output / fit.material_file)
-    write_text(result.output / "curves.csv", _curves(curves))
-    write_text(result.output / "residuals.csv", _residuals(curves))
+            write_material_file(build_material_file(fit, result, measured, method), result.output / fit.material_file)
+    write_text(result.output / "curves.csv", _format_curve_table(curves))
+    write_text(result.output / "residuals.csv", _format_residual_table(curves))
     methods = methods_text(result, measured, Units.of(result))
     write_text(result.output / "methods.txt", methods)
     pictures = Pictures(result.output, figures_format) if figures else None
@@ -68,8 +68,8 @@ def write_failure(campaign: Campaign, failures: Mapping[str, str], folder: Path)
         "<p>No law has a fit.</p>", html_table(["Law", "Reason"], rows, text=(1,))]))
 
 
-def material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
-                  method: str) -> MaterialFile:
+def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
+                        method: str) -> MaterialFile:
     """Return the material file of a fit: parameters, uncertainty, valid range and provenance.
 
     Args:
@@ -147,7 +147,7 @@ def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
     write_text(path, format_table(header, rows))
 
 
-def _curves(curves: Curves) -> str:
+def _format_curve_table(curves: Curves) -> str:
     """Return the CSV table of the fitted curves with standard errors and prediction bands.
 
     The half widths of the 95 % bands are for single samples of a new recording and for its entire curve.
@@ -156,29 +156,29 @@ def _curves(curves: Curves) -> str:
     for law, tests in curves.items():
         for test in tests:
             time = [None] * test.force.size if test.time is None else test.time.tolist()
-            rows += [[law, test.test.name, t, *_in_units(test, d, (f,), (e, b, w))] for t, d, f, e, b, w in zip(
-                time, test.displacement.tolist(), test.force.tolist(), test.force_error.tolist(), test.band.tolist(),
-                test.whole_band.tolist(), strict=True)]
+            columns = (test.displacement, test.force, test.force_error, test.band, test.whole_band)
+            rows += [[law, test.test.name, t, *_format_row_in_units(test, d, (f,), (e, b, w))]
+                     for t, d, f, e, b, w in zip(time, *(column.tolist() for column in columns), strict=True)]
     return format_table(["law", "test", "time [s]", "abscissa", "value", "displacement [mm]", "force [N]",
                          "standard error [N]", "band95 [N]", "whole band95 [N]", "nominal stress [Pa]",
                          "standard error [Pa]", "band95 [Pa]", "whole band95 [Pa]"], rows)
 
 
-def _residuals(curves: Curves) -> str:
+def _format_residual_table(curves: Curves) -> str:
     """Return the CSV table of all samples: measured, model with the recording's offset and zero, and residual."""
     rows = []
     for law, tests in curves.items():
         for test in tests:
             for curve, model in zip(test.measured, test.fitted, strict=True):
                 time = [None] * model.size if curve.time is None else curve.time.tolist()
-                rows += [[law, curve.name, t, *_in_units(test, d, (f, m, m - f))] for t, d, f, m in zip(
+                rows += [[law, curve.name, t, *_format_row_in_units(test, d, (f, m, m - f))] for t, d, f, m in zip(
                     time, curve.displacement.tolist(), curve.force.tolist(), model.tolist(), strict=True)]
     return format_table(["law", "replicate", "time [s]", "abscissa", "value", "displacement [mm]", "measured [N]",
                          "model [N]", "residual [N]", "measured [Pa]", "model [Pa]", "residual [Pa]"], rows)
 
 
-def _in_units(test: TestCurves, displacement: float, forces: Sequence[float],
-              errors: Sequence[float] = ()) -> list[float | str | None]:
+def _format_row_in_units(test: TestCurves, displacement: float, forces: Sequence[float],
+                         errors: Sequence[float] = ()) -> list[float | str | None]:
     """Return the cells of a row: abscissa (name, value), displacement in mm, forces in N and stresses in Pa.
 
     Cells that the test does not define are None. A nominal stress is negative in compression, its errors are positive.

@@ -104,12 +104,12 @@ def ranked_by_prediction(fits: Iterable[Fit]) -> bool:
     return any(fit.left_out is not None for fit in fits)
 
 
-def number(value: float | None, digits: int) -> str:
+def format_number(value: float | None, digits: int) -> str:
     """Return a number with this many significant digits; ``-`` for None."""
     return "-" if value is None else f"{value:.{digits}g}"
 
 
-def with_minus(text: str) -> str:
+def use_minus_signs(text: str) -> str:
     """Replace the hyphen before each number by a minus sign."""
     return re.sub(r"(?<![\w.-])-(?=\d)", "−", text)
 
@@ -151,12 +151,12 @@ def shear_modulus_error(fit: Fit) -> float | None:
     if any(material.errors.get(name) is None for name in law.parameters):
         return None
 
-    def rate(name: str) -> float:
+    def differentiate_modulus(name: str) -> float:
         step = _STEP * (abs(values[name]) or 1.0)
         ends = (law.mu0({**values, name: values[name] + side * step}) for side in (1, -1))
         return (next(ends) - next(ends)) / (2 * step)
 
-    rates = [rate(name) for name in law.parameters]
+    rates = [differentiate_modulus(name) for name in law.parameters]
     order = list(material.parameters)
     indices = [order.index(name) for name in law.parameters]
     variance = sum(rates[a] * rates[b] * float(material.covariance[i, j])
@@ -164,7 +164,7 @@ def shear_modulus_error(fit: Fit) -> float | None:
     return math.sqrt(variance) if variance > 0 else None
 
 
-def moduli_of(fit: Fit, units: Units) -> tuple[str, str]:
+def format_moduli(fit: Fit, units: Units) -> tuple[str, str]:
     """Return E0 and mu0 as text without unit, rounded to the precision of their standard errors."""
     size, error = units.pressure.size, shear_modulus_error(fit)
     ratio = fit.E0 / fit.mu0 if fit.mu0 else 3.0
@@ -172,7 +172,7 @@ def moduli_of(fit: Fit, units: Units) -> tuple[str, str]:
             value_text(fit.mu0 / size, error and error / size))
 
 
-def young_modulus(fit: Fit, units: Units) -> str:
+def format_young_modulus(fit: Fit, units: Units) -> str:
     """Return Young's modulus with its standard error, such as ``5.93 ± 0.14 kPa``."""
     size, error = units.pressure.size, shear_modulus_error(fit)
     return value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
@@ -184,7 +184,7 @@ def symbol_of(fit: Fit, name: str) -> str:
     return symbol if fit.symbols[name] == name else f'<span title="{escape(name)}">{symbol}</span>'
 
 
-def stable_stretches(fit: Fit) -> str:
+def format_stable_stretches(fit: Fit) -> str:
     """Return the range of stretches with Drucker stability in all three modes, such as ``0.3 to 3``."""
     nowhere = fit.mu0 <= 0 or fit.stable_from >= fit.stable_to
     return "nowhere" if nowhere else f"{fit.stable_from:.3g} to {fit.stable_to:.3g}"
@@ -231,8 +231,8 @@ def parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[s
         rows = []
         for name in fit.parameters:
             doubtful = ' <span class="bad">not determined</span>' if name in fit.not_identifiable else ""
-            rows.append([f"{symbol_of(fit, name)}{doubtful}", with_minus(estimate_of(fit, name, units)),
-                         with_minus(interval_of(fit, name, units)) or "-",
+            rows.append([f"{symbol_of(fit, name)}{doubtful}", use_minus_signs(estimate_of(fit, name, units)),
+                         use_minus_signs(interval_of(fit, name, units)) or "-",
                          escape(fit.interval_notes.get(name, "").replace(f"{name} ", ""))])
         columns = slice(None, None if any(row[3] for row in rows) else 3)
         labels = ["Parameter", "Value ± standard error", "95 % interval", "Limit of the interval"]
@@ -249,7 +249,7 @@ def correlation_tables(fits: Sequence[Fit]) -> list[str]:
         if len(free) < 2:
             continue
         indices, symbols = [fit.covariance.order.index(name) for name in free], [symbol_of(fit, name) for name in free]
-        rows = [[symbol, *(with_minus(f"{fit.correlation[i][j]:.3f}") for j in indices)]
+        rows = [[symbol, *(use_minus_signs(f"{fit.correlation[i][j]:.3f}") for j in indices)]
                 for symbol, i in zip(symbols, indices, strict=True)]
         parts += [f"<h3>{title_of(fit.law)}</h3>", html_table(["", *symbols], rows, narrow=True)]
     return ["<h2>Correlation of the parameters</h2>", *parts] if parts else []
@@ -263,11 +263,11 @@ def free_parameters(fit: Fit) -> list[str]:
 def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
     """Return the HTML table of contact offset and force zero of each recording, in these units."""
 
-    def scaled(value: float, error: float | None, size: float) -> str:
-        return with_minus(value_and_error(value / size, error and error / size))
+    def format_nuisance(value: float, error: float | None, size: float) -> str:
+        return use_minus_signs(value_and_error(value / size, error and error / size))
 
-    rows = [[escape(n.replicate), scaled(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
-             scaled(n.zero_offset_N, n.zero_offset_error_N, load.size),
+    rows = [[escape(n.replicate), format_nuisance(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
+             format_nuisance(n.zero_offset_N, n.zero_offset_error_N, load.size),
              f'<span class="bad">{escape(", ".join(n.on_bound))}</span>'] for n in fit.nuisances]
     bound = slice(None, None if any(n.on_bound for n in fit.nuisances) else 3)
     labels = ["Recording", travel.label("Contact offset"), load.label("Zero"), "On its bound"]

@@ -76,7 +76,7 @@ def _cache_by_position(axes: Any, measure: Callable[..., Any]) -> Callable[..., 
     cache: dict[tuple, Any] = {}
     last_position: list[Any] = []
 
-    def cached(*arguments: Any, **options: Any) -> Any:
+    def measure_or_reuse(*arguments: Any, **options: Any) -> Any:
         if options:
             return measure(*arguments, **options)
         position = [*axes.bbox.extents.round(_POSITION_DECIMALS).tolist(), *axes.viewLim.extents.tolist()]
@@ -90,7 +90,7 @@ def _cache_by_position(axes: Any, measure: Callable[..., Any]) -> Callable[..., 
             cache[key] = measure(*arguments), arguments
         return cache[key][0]
 
-    return cached
+    return measure_or_reuse
 
 
 def _cache_margin(axes: Any) -> Callable[..., Any]:
@@ -103,7 +103,7 @@ def _cache_margin(axes: Any) -> Callable[..., Any]:
     measure = axes.get_tightbbox
     cache: list[tuple[list[list[str]], Any, Any]] = []
 
-    def cached(renderer: Any = None, **options: Any) -> Any:
+    def measure_or_reuse(renderer: Any = None, **options: Any) -> Any:
         # A frame with fixed aspect or with a locator is not placed by the layout.
         if not options.get("for_layout_only") or axes.get_aspect() != "auto" or axes.get_axes_locator():
             return measure(renderer, **options)
@@ -116,4 +116,4 @@ def _cache_margin(axes: Any) -> Callable[..., Any]:
             cache.append((labels, axes.bbox.size, outer.extents - axes.bbox.extents))
         return outer
 
-    return cached
+    return measure_or_reuse

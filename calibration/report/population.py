@@ -13,16 +13,13 @@ from calibration.fit.fit import Fit
 from calibration.fit.population import describe_left_out
 from calibration.fit.population_records import PopulationStatement
 from calibration.report.drawing import COLOURS, Pictures, add_legend_above, new_panels, panels_per_row
-from calibration.report.page import html_table, title_of, with_minus
-from calibration.report.rounding import error_text, interval_text, value_and_error
+from calibration.report.page import html_table, title_of, use_minus_signs
+from calibration.report.rounding import NORMAL_95, error_text, interval_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol
 from calibration.report.units import Unit, Units
 
-#: Half width of a 95 % interval, standard errors.
-_HALF_WIDTH95 = 1.96
 
-
-class Scatter(NamedTuple):
+class PopulationRow(NamedTuple):
     """Formatted statistics of one parameter in a population of specimens.
 
     Attributes:
@@ -44,7 +41,7 @@ class Scatter(NamedTuple):
     next_specimen: str
 
 
-def format_population(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[Scatter]:
+def format_population(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[PopulationRow]:
     """Yield the formatted statistics of each parameter of a population."""
     for k, path in enumerate(population.order):
         name = f"{path}@{population.specimens[0]}"
@@ -55,8 +52,8 @@ def format_population(fit: Fit, population: PopulationStatement, units: Units) -
         intervals = [interval_text(low / unit.size, high / unit.size, precision, mean) for (low, high), precision in (
             (population.mean_intervals[k], error), (population.spread_intervals[k], spread_error),
             (population.next_specimen[k], error))]
-        yield Scatter(fit.symbols[name].partition("@")[0], unit, value_and_error(mean, error, unit.name), intervals[0],
-                      f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
+        yield PopulationRow(fit.symbols[name].partition("@")[0], unit, value_and_error(mean, error, unit.name),
+                            intervals[0], f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
 
 
 def population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
@@ -66,7 +63,7 @@ def population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) ->
         return
     yield "<h2>Specimens as a population</h2>"
     yield html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "Next specimen, 95\u00a0%", "Specimens"], [
-        [title_of(fit.law), html_symbol(each.symbol), *map(with_minus, (
+        [title_of(fit.law), html_symbol(each.symbol), *map(use_minus_signs, (
             each.mean, each.mean_interval, each.spread, each.spread_interval, each.next_specimen)),
          str(len(found.specimens))]
         for fit, found in having for each in format_population(fit, found, units)])
@@ -105,7 +102,7 @@ def _draw_parameter(axes, fit: Fit, population: PopulationStatement, k: int, uni
                  label="mean, 95 %")
     axes.axvline(population.mean[k] / unit.size, color=COLOURS[0], lw=1.4)
     values, errors = (np.array(getattr(population, key))[:, k] / unit.size for key in ("estimates", "errors"))
-    axes.errorbar(values, rows, xerr=_HALF_WIDTH95 * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
+    axes.errorbar(values, rows, xerr=NORMAL_95 * errors, fmt="o", color=COLOURS[1], capsize=2.5, lw=1.2, ms=5,
                   label="specimen alone, 95 %")
     axes.plot(np.array(population.shrunken)[:, k] / unit.size, rows, "D", mfc="white", mec="0.2", ms=4, zorder=5,
               label="using the other specimens")

@@ -18,9 +18,12 @@ from calibration.report.curve_figures import describe_region, draw_test, format_
 from calibration.report.drawing import Pictures, format_count
 from calibration.report.estimate_figures import draw_correlation, draw_profiles, draw_specimens, draw_windows
 from calibration.report.figures import draw_history, draw_predictions, draw_regions, format_percent
+from calibration.report.layout import LAYOUT
 from calibration.report.page import (
     correlation_tables,
     estimate_of,
+    format_stable_stretches,
+    format_young_modulus,
     html_list,
     html_page,
     nuisance_table,
@@ -28,11 +31,9 @@ from calibration.report.page import (
     ranked_by_prediction,
     recording_list,
     remark_list,
-    stable_stretches,
     symbol_of,
     title_of,
-    with_minus,
-    young_modulus,
+    use_minus_signs,
 )
 from calibration.report.population import population_section
 from calibration.report.report_tables import (
@@ -49,8 +50,6 @@ from calibration.report.units import Units
 from calibration.report.usability import usability_section
 from tissue_sim.laws import find_law
 
-#: Maximum number of misfits in the summary; the table lists all.
-_MAX_MISFITS = 3
 #: Explanation above the figures of the tests.
 _NOTE = ("Displacement, strain, force and stress are positive under load. Tangents are slopes of straight lines "
          "fitted in short windows, the same for recordings and laws. Laws are drawn without contact offset and force "
@@ -71,14 +70,14 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     """
     campaign, analytical = result.campaign, result.campaign.fit.method == "analytical"
     tests, units = {test.name: test for test in campaign.tests}, Units.of(result)
-    typical = Units.typical(campaign.tests)
+    typical = Units.choose_typical_test(campaign.tests)
     recordings = {c.test.name: c.measured for c in next(iter(curves.values()))}
     parts = [f'<p class="quiet">{format_count(sum(map(len, recordings.values())), "recording")} of '
              f"{format_count(len(campaign.tests), 'test')}, {format_count(len(result.fits), 'law')}; "
              f"{'least squares on nominal stress' if analytical else 'inverse finite elements, all tests at once'}</p>",
-             _verdict(result, tests, units)]
+             _format_summary(result, tests, units)]
     if pictures is not None:
-        parts += _pictures(result, curves, units, pictures)
+        parts += _figure_sections(result, curves, units, pictures)
     ranked_by = "prediction" if ranked_by_prediction(result.fits) else "BIC"
     parts += [f"<h2>Ranking by {ranked_by}</h2>", ranking_table(result.fits, units),
               remark_list(result.fits), *usability_section(result.fits, result.failures, units), "<h2>Parameters</h2>",
@@ -92,10 +91,11 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     parts += correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>",
-                  nuisance_table(result.best, units.travel(typical), units.load(typical))]
+                  nuisance_table(result.best, units.travel_unit(typical), units.load_unit(typical))]
     if any(fit.history for fit in result.fits):
         parts += ["<h2>Every solve</h2>", *(
-            f"<details><summary>{title_of(fit.law)}: {_effort(fit)}</summary>{history_table(fit, units)}</details>"
+            f"<details><summary>{title_of(fit.law)}: {_format_effort(fit)}</summary>"
+            f"{history_table(fit, units)}</details>"
             for fit in result.fits if fit.history)]
     parts += segment_section(campaign, recordings, pictures)
     parts += ["<h2>Assumptions</h2>", html_list(map(escape, list_assumptions(result, units))),
@@ -105,29 +105,30 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     return html_page(f"Calibration of {campaign.name}", parts)
 
 
-def _verdict(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> str:
+def _format_summary(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> str:
     """Return the summary as an HTML list: best law, its predictions, its misfits and undetermined parameters."""
     best = result.best
-    rows = [("Law", [_law_in_words(best, units), escape(_with_titles(result))])]
-    predictions = [_prediction_in_words(p, tests[p.test], units) for p in result.predictions if p.law == best.law]
+    rows = [("Law", [_format_best_law(best, units), escape(_replace_law_names_by_titles(result))])]
+    predictions = [_format_prediction(p, tests[p.test], units) for p in result.predictions if p.law == best.law]
     rows.append(("Predictions", predictions or ["No prediction: all tests were fitted. Add a second test, left out or "
                                                 "held out, to check the law on data that it was not fitted to."]))
     if best.regions:
-        rows.append(("Misfits", [*_misfits(best, tests, units)]
+        rows.append(("Misfits", [*_misfit_sentences(best, tests, units)]
                      or ["All regions of all tests agree with the law within chance."]))
-    rows.append(("Undetermined", [*_undetermined(result.fits, units)]))
+    rows.append(("Undetermined", [*_undetermined_sentences(result.fits, units)]))
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
 
-def _law_in_words(fit: Fit, units: Units) -> str:
-    parts = [f"{symbol_of(fit, name)} = {with_minus(estimate_of(fit, name, units))}" for name in fit.parameters]
+def _format_best_law(fit: Fit, units: Units) -> str:
+    parts = [f"{symbol_of(fit, name)} = {use_minus_signs(estimate_of(fit, name, units))}" for name in fit.parameters]
     usable = "" if fit.status == "converged" else f' <span class="bad">{escape(fit.unusable or fit.message)}</span>'
     return (f"<b>{title_of(fit.law)}</b>: {', '.join(parts)}; E<sub>0</sub> = "
-            f"{with_minus(young_modulus(fit, units))}, stable stretches {stable_stretches(fit)}.{usable}")
+            f"{use_minus_signs(format_young_modulus(fit, units))}, stable stretches "
+            f"{format_stable_stretches(fit)}.{usable}")
 
 
-def _with_titles(result: CalibrationResult) -> str:
+def _replace_law_names_by_titles(result: CalibrationResult) -> str:
     """Return the message with the title of each law instead of its name in files."""
     message = result.message
     for law in sorted(result.campaign.fit.laws, key=len, reverse=True):
@@ -135,13 +136,13 @@ def _with_titles(result: CalibrationResult) -> str:
     return message
 
 
-def _prediction_in_words(prediction: Prediction, test: Test, units: Units) -> str:
+def _format_prediction(prediction: Prediction, test: Test, units: Units) -> str:
     how = "held out of every fit" if test.hold_out else f"fitted to {', '.join(prediction.fitted)} only"
     how += f", its specimen from the mean of {len(prediction.mean_of)} others" if prediction.mean_of else ""
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
     if prediction.percent is None:
         return name + f'<span class="bad">no prediction: {escape(prediction.note)}</span>'
-    load, error = units.load(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
+    load, error = units.load_unit(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
     size = "" if error is None else f"{load.text(error, 2)}, "
     expected = prediction.expected_N
     chance = "" if expected is None else f" (expected by chance: {load.text(expected, 2)})"
@@ -149,18 +150,18 @@ def _prediction_in_words(prediction: Prediction, test: Test, units: Units) -> st
     return f"{name}{size}{format_percent(prediction.percent)} of the largest {largest}{chance}"
 
 
-def _misfits(fit: Fit, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     bad = sorted((r for r in fit.regions if not r.adequate), key=lambda r: r.p)
-    for r in bad[:_MAX_MISFITS]:
+    for r in bad[:LAYOUT.summary_misfits]:
         test = tests[r.test]
-        size = units.load(test).text(r.misfit_N, 2)
+        size = units.load_unit(test).text(r.misfit_N, 2)
         yield (f"<b>{escape(r.test)}</b>, {escape(describe_region(r, test, units))}: {size} that the law does not "
                f"explain ({escape(format_probability(r.p))})")
-    if len(bad) > _MAX_MISFITS:
-        yield f"and {len(bad) - _MAX_MISFITS} more regions, in the table below."
+    if len(bad) > LAYOUT.summary_misfits:
+        yield f"and {len(bad) - LAYOUT.summary_misfits} more regions, in the table below."
 
 
-def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+def _undetermined_sentences(fits: Sequence[Fit], units: Units) -> Iterator[str]:
     for i, fit in enumerate(fits):
         if fit.not_identifiable:
             names = ", ".join(symbol_of(fit, name) for name in fit.not_identifiable)
@@ -174,8 +175,8 @@ def _undetermined(fits: Sequence[Fit], units: Units) -> Iterator[str]:
             yield f"These tests determine every parameter of {title_of(fit.law)}."
 
 
-def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: Units,
-              pictures: Pictures) -> Iterator[str]:
+def _figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: Units,
+                     pictures: Pictures) -> Iterator[str]:
     campaign, fits = result.campaign, result.fits
     # Without an expected error by chance the figure shows no more than the table.
     if any(p.percent is not None and (p.expected_N is not None or p.fitted) for p in result.predictions):
@@ -194,7 +195,7 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
     for i, test in enumerate(campaign.tests):
         of_test = {law: several[i] for law, several in curves.items()}
         count = len(next(iter(of_test.values())).measured)
-        yield f"<h3>{escape(test.name)} <small>{escape(_test_in_words(test, count))}</small></h3>"
+        yield f"<h3>{escape(test.name)} <small>{escape(_describe_test(test, count))}</small></h3>"
         yield pictures.show(picture_of_test(campaign, i), partial(draw_test, fits, of_test, units),
                             f"Recordings, curves, prediction band and residuals of {test.name}")
     if any(fit.regions for fit in fits):
@@ -211,7 +212,7 @@ def _pictures(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurve
     if differing:
         yield f"<h2>Differences between specimens</h2>{differing}"
     for fit in (fit for fit in fits if _is_drawn(fit, result)):
-        inside = "".join(_estimates(fit, campaign, units, pictures))
+        inside = "".join(_estimate_figures(fit, campaign, units, pictures))
         if inside:
             name = title_of(fit.law)
             yield f"<h2>How well {name} is determined</h2>{inside}" if fit is fits[0] else \
@@ -230,7 +231,7 @@ def _is_drawn(fit: Fit, result: CalibrationResult) -> bool:
     return fit is result.best or bool(fit.profiles)
 
 
-def _estimates(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -> Iterator[str]:
+def _estimate_figures(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -> Iterator[str]:
     if fit.profiles:
         note = ("Increase of the sum of squares when one parameter is fixed and all others are fitted again. If the "
                 "profile differs from the dashed parabola, ± 2 standard errors are not a 95 % interval.")
@@ -243,14 +244,14 @@ def _estimates(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -
                         f"Correlation of the parameters of {fit.law}")
 
 
-def _effort(fit: Fit) -> str:
+def _format_effort(fit: Fit) -> str:
     """Return the effort as text: ``106 solves from 20 starts, 270 simulated tests, 1.8 s of processor time``."""
     starts = len({step.start for step in fit.history})
     return (f"{format_count(len(fit.history), 'solve')} from {format_count(starts, 'start')}, "
             f"{format_count(fit.fem_solves, 'simulated test')}, {fit.cpu_s:.3g} s of processor time")
 
 
-def _test_in_words(test: Test, count: int) -> str:
+def _describe_test(test: Test, count: int) -> str:
     """Describe a test: ``needle indentation of phantom, flat tool of radius 8 mm, face bonded; 3 recordings``."""
     words = test.kind.name.replace("_", " ")
     if test.specimen is not None:

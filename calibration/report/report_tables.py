@@ -10,7 +10,15 @@ from calibration.fit.fit import Direction, Fit, Prediction, Suggestion
 from calibration.report.curve_figures import describe_region, format_probability
 from calibration.report.estimate_figures import UNDETERMINED
 from calibration.report.figures import format_percent
-from calibration.report.page import html_table, moduli_of, number, stable_stretches, symbol_of, title_of, with_minus
+from calibration.report.page import (
+    format_moduli,
+    format_number,
+    format_stable_stretches,
+    html_table,
+    symbol_of,
+    title_of,
+    use_minus_signs,
+)
 from calibration.report.rounding import error_text
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
@@ -24,14 +32,14 @@ def ranking_table(fits: Sequence[Fit], units: Units) -> str:
         # An unusable law gets no difference: a negative value would suggest to use this law.
         difference = f"{fit.BIC - best.BIC:.3g}" if fit.unusable is None else "-"
         rows.append([title_of(fit.law), "-" if fit.left_out is None else format_percent(fit.left_out),
-                     *moduli_of(fit, units), f"{fit.R2:.5f}",
-                     number(fit.RMSE_N and fit.RMSE_N / force.size, 3),
-                     number(fit.RMSE_Pa and fit.RMSE_Pa / pressure.size, 3), f"{fit.noise_ratio:.3g}", difference,
-                     stable_stretches(fit)])
+                     *format_moduli(fit, units), f"{fit.R2:.5f}",
+                     format_number(fit.RMSE_N and fit.RMSE_N / force.size, 3),
+                     format_number(fit.RMSE_Pa and fit.RMSE_Pa / pressure.size, 3), f"{fit.noise_ratio:.3g}",
+                     difference, format_stable_stretches(fit)])
     labels = ["Law", "Left-out error", f"E<sub>0</sub> [{pressure.name}]", f"μ<sub>0</sub> [{pressure.name}]", "R²",
               force.label("RMSE"), pressure.label("RMSE"), "Residual / noise", "ΔBIC", "Stable stretches"]
     kept = [j for j in range(len(labels)) if any(row[j] != "-" for row in rows)]
-    return html_table([labels[j] for j in kept], [[with_minus(row[j]) for j in kept] for row in rows], best=True)
+    return html_table([labels[j] for j in kept], [[use_minus_signs(row[j]) for j in kept] for row in rows], best=True)
 
 
 def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test], units: Units) -> str:
@@ -43,7 +51,7 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
         how = "held out of all fits" if test.hold_out else f"left out; fitted to {', '.join(p.fitted)}"
         how += f"; its specimen from the mean of {len(p.mean_of)} others" if p.mean_of else ""
         how += f"; no prediction: {p.note}" if p.percent is None and p.note else ""
-        load = units.load(test)
+        load = units.load_unit(test)
         error, chance = (None if value is None else load.text(value, 2) for value in (
             p.RMSE_Pa if test.specimen is None else p.RMSE_N, p.expected_N))
         rows.append([None if p.law == last else title_of(p.law), escape(p.test), escape(how), error or "-",
@@ -59,11 +67,11 @@ def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -
         last = None
         for r in fit.regions:
             test = tests[r.test]
-            load, travel = units.load(test), units.travel(test)
+            load, travel = units.load_unit(test), units.travel_unit(test)
             at = travel.text(r.at * (1.0 if test.specimen is None else 1e-3), 3)
             rows.append([None if last else title_of(fit.law), None if r.test == last else escape(r.test),
                          escape(describe_region(r, test, units)), load.text(r.misfit_N, 2),
-                         with_minus(f"{load.text(r.largest_N, 2)} at {at}"), f"{r.statistic:.3g} ({r.freedom})",
+                         use_minus_signs(f"{load.text(r.largest_N, 2)} at {at}"), f"{r.statistic:.3g} ({r.freedom})",
                          format_probability(r.p).replace("<", "&lt;"),
                          "as noise" if r.adequate else '<span class="bad">misfit</span>'])
             last = r.test
@@ -76,14 +84,14 @@ def identifiability_table(fits: Sequence[Fit], units: Units) -> str:
 
     Columns: condition number, poorly determined combinations, parameters that are not identifiable, and remedies.
     """
-    def remedies(fit: Fit) -> str:
+    def format_suggestions(fit: Fit) -> str:
         return "; ".join(escape(suggestion_in_words(each, fit, units, plain_symbol)) for each in fit.suggestions)
 
-    rows = [[title_of(fit.law), number(fit.condition, 3),
+    rows = [[title_of(fit.law), format_number(fit.condition, 3),
              "; ".join(escape(direction_in_words(d, fit, plain_symbol)) for d in fit.directions) or "none",
              f'<span class="bad">{", ".join(symbol_of(fit, name) for name in fit.not_identifiable)}</span>'
              if fit.not_identifiable else "none",
-             remedies(fit) or "-"] for fit in fits]
+             format_suggestions(fit) or "-"] for fit in fits]
     return html_table(["Law", "Condition number", "Poorly determined", "Not identifiable", "Remedy"], rows,
                       text=(2, 3, 4))
 
@@ -128,7 +136,7 @@ def history_table(fit: Fit, units: Units) -> str:
     """Return the HTML table of all solves of all starts of a fit."""
     names = list(fit.history[0].parameters)
     scales = [units.of_parameter(fit.units[name]) for name in names]
-    rows = [[f"{step.start}", f"{step.run}", *(with_minus(f"{step.parameters[name] / unit.size:.5g}")
+    rows = [[f"{step.start}", f"{step.run}", *(use_minus_signs(f"{step.parameters[name] / unit.size:.5g}")
                                                for name, unit in zip(names, scales, strict=True)),
              f"{step.error:.5g}", f"{step.RMSE_N / units.force.size:.3g}", "yes" if step.corrected else "-"]
             for step in fit.history]

@@ -8,20 +8,33 @@ of Particle Physics, Introduction, section 5.3).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TypeGuard
 
-#: Significant digits of a number without a known error.
-DIGITS = 4
-#: Width of a 95 % interval, standard errors.
-_WIDTH95 = 3.92
-#: Smallest number that is written without a power of ten.
-_MIN_PLAIN = 1e-3
-#: Limit from which numbers are written with a power of ten.
-_MAX_PLAIN = 1e6
+#: Standard deviations around the mean of a normal distribution that contain 95 % of its values.
+NORMAL_95 = 1.96
+
+
+@dataclass(frozen=True)
+class NumberFormat:
+    """Format of numbers in reports.
+
+    Attributes:
+        digits: significant digits of a number without a known error.
+        min_plain: smallest number that is written without a power of ten.
+        max_plain: limit from which numbers are written with a power of ten.
+    """
+
+    digits: int = 4
+    min_plain: float = 1e-3
+    max_plain: float = 1e6
+
+
+_FORMAT = NumberFormat()
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def last_place(error: float) -> int:
+def last_kept_place(error: float) -> int:
     """Return the power of ten of the last digit to keep for this error (> 0), such as -2 for 0.12."""
     power = math.floor(math.log10(error))
     three = error / 10.0**(power - 2)
@@ -38,16 +51,18 @@ def value_and_error(value: float, error: float | None, unit: str = "", *, known:
         known: reason for the missing error, such as ``on its bound``.
     """
     end = f" {unit}" if unit else ""
-    if not _usable(error):
-        return f"{value:.{DIGITS}g}{end}{f' ({known})' if known else ''}"
-    place, power = last_place(error), _power(value, error)
-    both = f"{_at(value, place, power)} ± {_at(error, place, power)}"
-    return f"({both}){_times(power)}{end}" if power else f"{both}{end}"
+    if not _is_usable_error(error):
+        return f"{value:.{_FORMAT.digits}g}{end}{f' ({known})' if known else ''}"
+    place, power = last_kept_place(error), _common_power_of_ten(value, error)
+    both = f"{_round_to_place(value, place, power)} ± {_round_to_place(error, place, power)}"
+    return f"({both}){_format_power_of_ten(power)}{end}" if power else f"{both}{end}"
 
 
 def value_text(value: float, error: float | None) -> str:
     """Return a value rounded to the precision of its error; four significant digits without an error."""
-    return _at(value, last_place(error), 0) if _usable(error) and not _power(value, error) else f"{value:.{DIGITS}g}"
+    if _is_usable_error(error) and not _common_power_of_ten(value, error):
+        return _round_to_place(value, last_kept_place(error), 0)
+    return f"{value:.{_FORMAT.digits}g}"
 
 
 def interval_text(low: float, high: float, error: float | None, value: float = 0.0) -> str:
@@ -60,18 +75,18 @@ def interval_text(low: float, high: float, error: float | None, value: float = 0
             sets the precision.
         value: the estimate.
     """
-    width = (high - low) / _WIDTH95
-    if not (_usable(error) and _usable(width)):
-        return f"{low:.{DIGITS}g} to {high:.{DIGITS}g}"
-    place, power = last_place(min(error, width)), _power(value, error)
-    both = f"{_at(low, place, power)} to {_at(high, place, power)}"
-    return f"({both}){_times(power)}" if power else both
+    width = (high - low) / (2.0 * NORMAL_95)
+    if not (_is_usable_error(error) and _is_usable_error(width)):
+        return f"{low:.{_FORMAT.digits}g} to {high:.{_FORMAT.digits}g}"
+    place, power = last_kept_place(min(error, width)), _common_power_of_ten(value, error)
+    both = f"{_round_to_place(low, place, power)} to {_round_to_place(high, place, power)}"
+    return f"({both}){_format_power_of_ten(power)}" if power else both
 
 
 def error_text(error: float) -> str:
     """Return a rounded error as text, such as ``0.0053``."""
-    is_plain = _usable(error) and _MIN_PLAIN / 10 < error < _MAX_PLAIN
-    return _at(error, last_place(error), 0) if is_plain else f"{error:.2g}"
+    is_plain = _is_usable_error(error) and _FORMAT.min_plain / 10 < error < _FORMAT.max_plain
+    return _round_to_place(error, last_kept_place(error), 0) if is_plain else f"{error:.2g}"
 
 
 def gain_text(gain: float) -> str:
@@ -85,23 +100,23 @@ def ratio_text(ratio: float) -> str:
     return "> 10⁶" if ratio > 1e6 else gain_text(float(f"{ratio:.3g}")) if ratio >= 100 else f"{ratio:.2g}"
 
 
-def _usable(error: float | None) -> TypeGuard[float]:
+def _is_usable_error(error: float | None) -> TypeGuard[float]:
     return error is not None and error > 0 and math.isfinite(error)
 
 
-def _power(value: float, error: float) -> int:
+def _common_power_of_ten(value: float, error: float) -> int:
     """Return the power of ten that is factored out of value and error; 0 if none."""
     largest = max(abs(value), error)
-    if _MIN_PLAIN <= largest < _MAX_PLAIN and last_place(error) > -7:
+    if _FORMAT.min_plain <= largest < _FORMAT.max_plain and last_kept_place(error) > -7:
         return 0
     return math.floor(math.log10(largest))
 
 
-def _at(value: float, place: int, power: int) -> str:
+def _round_to_place(value: float, place: int, power: int) -> str:
     """Return value / 10**power rounded to the decimal place 10**place."""
     scaled = round(value, -place) / 10.0**power + 0.0  # a rounded zero has no sign
     return f"{scaled:.{max(power - place, 0)}f}"
 
 
-def _times(power: int) -> str:
+def _format_power_of_ten(power: int) -> str:
     return f" × 10{str(power).translate(_SUPERSCRIPTS)}"

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.output_folder import picture_of_test
-from calibration.report.drawing import WIDTH, Pictures, new_figure
+from calibration.report.drawing import Pictures, new_figure
+from calibration.report.layout import LAYOUT
 from calibration.report.page import html_list
 from tissue_sim.recording.contact import Contact
 
@@ -23,10 +24,6 @@ if TYPE_CHECKING:
 SPANS = {"approach": "#56B4E9", "preload": "#CC79A7", "preconditioning": "#E69F00", "ramp": "#009E73",
          "load": "#009E73", "hold": "#7F3C8D", "unload": "#999999", "retract": "#999999", "reload": "#0072B2",
          "failure": "#D55E00"}
-#: Samples before contact in the detail view of the contact.
-_SAMPLES_BEFORE_CONTACT = 80
-#: Displacement after contact in the detail view, as a fraction of the largest displacement after contact.
-_FRACTION_AFTER_CONTACT = 0.12
 
 
 def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None, segmentation: Segmentation,
@@ -51,9 +48,9 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
     clock = travel if table else np.arange(force.size) if time is None else time
     contact = segmentation.contact
     has_detail = contact is not None and np.isfinite(contact.interval[1])
-    figure = new_figure(WIDTH, 4.2)
+    figure = new_figure(LAYOUT.width, LAYOUT.segment_height)
     over_time, detail = figure.subplots(1, 2, width_ratios=(1.6, 1)) if has_detail else (figure.subplots(), None)
-    _draw_spans(over_time, clock, segmentation)
+    _draw_segment_spans(over_time, clock, segmentation)
     line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
     if used is not None and not used.all():
         over_time.plot(np.where(used, clock, np.nan), load, color="#0072B2", lw=3.2, alpha=0.55,
@@ -77,7 +74,7 @@ def _draw_motion(axes, clock: np.ndarray, travel: np.ndarray, label: str) -> Non
     axes.spines["right"].set_visible(True)
 
 
-def _draw_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
+def _draw_segment_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
     named: set[str] = set()
     for name, first, end in segmentation.runs():
         last = min(end, clock.size - 1)
@@ -98,9 +95,9 @@ def _draw_contact(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray,
     scale, factor = (1.0, 1e-3) if stressed else (1e3, 1.0)
     position = scale * contact.displacement
     low, high = (scale * end for end in contact.interval)
-    beyond = max(_FRACTION_AFTER_CONTACT * (travel.max() - position), 2 * (high - position))
+    beyond = max(LAYOUT.fraction_after_contact * (travel.max() - position), 2 * (high - position))
     end = int(np.argmax(travel >= position + beyond)) or travel.size
-    first = max(contact.index - _SAMPLES_BEFORE_CONTACT, 0)
+    first = max(contact.index - LAYOUT.samples_before_contact, 0)
     shown = slice(first, end)
     axes.plot(travel[shown], load[shown], ".", ms=3.5, color="0.25", zorder=3)
     base = factor * (contact.force_zero + contact.drift * (clock[shown] - clock[0]))
@@ -133,28 +130,28 @@ def segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[Measur
         if not (curves := known.get(test)):
             continue
         yield f"<h3>{escape(test)}</h3>"
-        yield html_list(_in_words(curve) for curve in curves)
+        yield html_list(_describe_recording(curve) for curve in curves)
         if pictures is not None:
             drawn = next((curve for curve in curves if curve.notes), curves[0])
-            yield pictures.show(picture_of_test(campaign, number, "segments"), partial(_draw_whole, drawn),
+            yield pictures.show(picture_of_test(campaign, number, "segments"), partial(_draw_recording_segments, drawn),
                                 f"Segments of {drawn.name}",
                                 f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a part is "
                                 "fitted.")
 
 
-def _draw_whole(curve: MeasuredCurve):
+def _draw_recording_segments(curve: MeasuredCurve):
     whole = curve.whole
     assert whole is not None
     return draw_segments(whole.displacement + whole.shift, whole.recorded_force, whole.time, whole.segmentation,
                          whole.used)
 
 
-def _in_words(curve: MeasuredCurve) -> str:
+def _describe_recording(curve: MeasuredCurve) -> str:
     whole = curve.whole
     assert whole is not None
     found = whole.segmentation
     runs = [name for name, _, _ in found.runs()]
-    parts = [f"{'stated' if found.stated else 'found'}: {_counted_runs(runs)}",
+    parts = [f"{'stated' if found.stated else 'found'}: {_count_segments(runs)}",
              f"{int(whole.used.sum())} of {whole.used.size} samples fitted"]
     if found.contact is not None:
         parts.append(found.contact.in_words(stressed=found.stressed))
@@ -164,7 +161,7 @@ def _in_words(curve: MeasuredCurve) -> str:
     return f"<b>{escape(curve.name)}</b>: {escape('; '.join(parts))}{notes}"
 
 
-def _counted_runs(runs: Sequence[str]) -> str:
+def _count_segments(runs: Sequence[str]) -> str:
     """List the segments and count equal pairs, such as ``approach, ramp, 3 × (unload, reload)``."""
     parts: list[str] = []
     k = 0

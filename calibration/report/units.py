@@ -74,28 +74,29 @@ class Units:
     @classmethod
     def of_sizes(cls, travel: float, force: float, modulus: float) -> Units:
         """Choose the units for typical displacements (m), forces (N) and moduli (Pa); see `of`."""
-        return cls(_unit(_LENGTH_UNITS, 10 * travel), _unit(_FORCE_UNITS, 10 * force), Unit(*pressure_unit(modulus)))
+        return cls(_choose_unit(_LENGTH_UNITS, 10 * travel), _choose_unit(_FORCE_UNITS, 10 * force),
+                   Unit(*pressure_unit(modulus)))
 
-    def load(self, test: Test) -> Unit:
+    def load_unit(self, test: Test) -> Unit:
         """Return the unit of force, or of stress for a test without specimen."""
         return self.pressure if test.specimen is None else self.force
 
-    def travel(self, test: Test) -> Unit:
+    def travel_unit(self, test: Test) -> Unit:
         """Return the unit of displacement, or of strain for a test without specimen."""
         return Unit("", 1.0) if test.specimen is None else self.length
 
-    def scatter(self, jitter: JitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
+    def format_scatter(self, jitter: JitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
         """Return the scatter of contact point and force zero as text.
 
         The scatter is a length and a force, or a strain and a stress if no test has a specimen.
         """
-        test = self.typical(tests)
+        test = self.choose_typical_test(tests)
         contact = jitter.contact_mm * 1e-3
-        return self.travel(test).text(contact, 2) + (" of strain" if test.specimen is None else ""), \
-            self.load(test).text(jitter.zero_N, 2)
+        return self.travel_unit(test).text(contact, 2) + (" of strain" if test.specimen is None else ""), \
+            self.load_unit(test).text(jitter.zero_N, 2)
 
     @staticmethod
-    def typical(tests: Sequence[Test]) -> Test:
+    def choose_typical_test(tests: Sequence[Test]) -> Test:
         """Return the test that decides the units of common quantities: the first with a specimen, else the first."""
         return next((test for test in tests if test.specimen is not None), tests[0])
 
@@ -107,7 +108,7 @@ class Units:
         return known.get(unit, Unit(unit, 1.0))
 
 
-def _unit(units: Mapping[str, float], size: float) -> Unit:
+def _choose_unit(units: Mapping[str, float], size: float) -> Unit:
     """Return the largest unit that is not larger than `size`; the smallest unit if all are larger."""
     return Unit(*next((pair for pair in units.items() if size >= pair[1]), [*units.items()][-1]))
 
@@ -116,7 +117,7 @@ def pressure_unit(pressure: float) -> tuple[str, float]:
     """Return the unit for a pressure in Pa and its size in Pa; Pa for zero and for values that are not finite."""
     # Round first: 999.999 Pa is written as 1 kPa.
     size = float(f"{abs(pressure):.4g}") if math.isfinite(pressure) else 0.0
-    unit = _unit(PRESSURE_UNITS, size)
+    unit = _choose_unit(PRESSURE_UNITS, size)
     return unit.name, unit.size
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from calibration.fit.fit import Fit
-from calibration.report.page import html_table, title_of, with_minus
+from calibration.report.page import html_table, title_of, use_minus_signs
 from calibration.report.units import Units
 
 #: Criterion -> the condition in words.
@@ -41,22 +41,23 @@ def usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: U
         rows.append([title_of(fit.law), "usable" if not failed else escape(fit.status), reasons or "-", escape(held)])
     rows += [[title_of(law), "no fit", escape(reason), "-"] for law, reason in failures.items()]
     parts = ["<h2>Which laws are usable</h2>", html_table(["Law", "Status", "Fails", "Holds"], rows, text=(1, 2, 3))]
-    return [*parts, *(_alternatives(fit, units) for fit in fits if fit.alternatives)]
+    return [*parts, *(_alternatives_table(fit, units) for fit in fits if fit.alternatives)]
 
 
-def _alternatives(fit: Fit, units: Units) -> str:
+def _alternatives_table(fit: Fit, units: Units) -> str:
     """Return the HTML table of the alternative optima of a law and the tests that distinguish them."""
-    def values(parameters: Mapping[str, float]) -> list[str]:
+    def format_values(parameters: Mapping[str, float]) -> list[str]:
         scales = [units.of_parameter(fit.units[name]) for name in parameters]
-        return [with_minus(f"{value / unit.size:.5g} {unit.name}".strip())
+        return [use_minus_signs(f"{value / unit.size:.5g} {unit.name}".strip())
                 for value, unit in zip(parameters.values(), scales, strict=True)]
 
     pressure = units.pressure
-    rows: list[list[str | None]] = [[*values(fit.parameters), f"{fit.R2:.5f}", "reported", "-"]]
+    rows: list[list[str | None]] = [[*format_values(fit.parameters), f"{fit.R2:.5f}", "reported", "-"]]
     for each in fit.alternatives:
         stress = (f"{each.alternative_stress_Pa / pressure.size:.4g} {pressure.name} instead of "
                   f"{each.stress_Pa / pressure.size:.4g} {pressure.name}{each.times}")
-        rows.append([*values(each.parameters), f"{each.R2:.5f}", escape(each.separated_by), with_minus(stress)])
+        rows.append([*format_values(each.parameters), f"{each.R2:.5f}", escape(each.separated_by),
+                     use_minus_signs(stress)])
     labels = [*(escape(fit.symbols[name]) for name in fit.parameters), "R²", "Distinguished by",
               "Nominal stress there"]
     return (f"<h3>{title_of(fit.law)}: parameters that fit equally well</h3>"

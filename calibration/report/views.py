@@ -99,7 +99,7 @@ class View:
     rates: bool = False
 
 
-def views(best: TestCurves, units: Units) -> list[View]:
+def list_views(best: TestCurves, units: Units) -> list[View]:
     """Return the views of a test.
 
     - Force against displacement, for tests with a specimen.
@@ -108,16 +108,16 @@ def views(best: TestCurves, units: Units) -> list[View]:
     - Load against time, and load in holds against the logarithm of time, for timed tests.
     """
     test, found = best.test, []
-    x, load, area = units.travel(test), units.load(test), _area(best)
-    curve, x_label, history = _Curve(x, load), x.label("displacement"), _TimeCurve(load)
+    x, load, area = units.travel_unit(test), units.load_unit(test), _loaded_area(best)
+    curve, x_label, history = _LoadCurve(x, load), x.label("displacement"), _LoadHistory(load)
     if test.specimen is not None:
         found.append(View("Force and displacement", x_label, load.label("force"), curve.lines))
     if area is not None:
         height = 1.0 if test.specimen is None else test.specimen.height
-        curve = _Curve(Unit("", height), Unit(units.pressure.name, units.pressure.size * area))
+        curve = _LoadCurve(Unit("", height), Unit(units.pressure.name, units.pressure.size * area))
         x_label = test.kind.strain_name
         found.append(View("Stress and strain", x_label, units.pressure.label("nominal stress"), curve.lines))
-    tangent = replace(curve, window=_window(best.measured, curve))
+    tangent = replace(curve, window=_tangent_half_width(best.measured, curve))
     words, rate = ("tangent modulus", curve.y.name) if area is not None else \
         ("stiffness", f"{curve.y.name}/{curve.x.name}")
     found.append(View(words.capitalize(), x_label, f"{words} [{rate}]", tangent.tangents, own=True, rates=True))
@@ -130,7 +130,7 @@ def views(best: TestCurves, units: Units) -> list[View]:
     return found
 
 
-def _area(curves: TestCurves) -> float | None:
+def _loaded_area(curves: TestCurves) -> float | None:
     """Return the loaded cross-section, m2; 1 for recordings of stress.
 
     Returns:
@@ -189,7 +189,7 @@ def interpolate_law(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray |
 
 
 @dataclass(frozen=True)
-class _Curve:
+class _LoadCurve:
     """Load against displacement, or stress against strain.
 
     Attributes:
@@ -215,7 +215,7 @@ class _Curve:
 
 
 @dataclass(frozen=True)
-class _TimeCurve:
+class _LoadHistory:
     """Load against time.
 
     Attributes:
@@ -240,7 +240,7 @@ class _TimeCurve:
                 yield since[resolved], trace.force[start:after][resolved] / self.y.size, None
 
 
-def _window(recordings: Sequence[MeasuredCurve], curve: _Curve) -> float:
+def _tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _LoadCurve) -> float:
     """Return the half width h of the tangent window for the allowed noise of a slope.
 
     The slope of a line through n samples over a width of 2 h has the standard deviation s sqrt(3 / n) / h, where s is

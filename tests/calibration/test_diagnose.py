@@ -10,8 +10,8 @@ from msgspec.structs import replace
 import calibration
 import tissue_sim as ts
 from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
-from calibration.diagnosis.diagnosis import CandidateStatement, NextExperiment, Number
-from calibration.diagnosis.words import message
+from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, NextExperiment
+from calibration.diagnosis.words import diagnosis_message
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
@@ -127,8 +127,8 @@ bulk_ratio = 1000.0
 
 def test_a_gap_in_no_region_is_described_by_the_scores():
     gaps = 0.01, None, 0.01
-    words = message("UNKNOWN", [], [], [], gaps, 0, scored=["zero offset (8.1 standard deviations)"])
-    assert ": ." not in words and "in every region by itself" in words and "zero offset (8.1" in words
+    words = diagnosis_message("UNKNOWN", [], [], [], gaps, 0, scored=["zero offset (8.1 standard deviations)"])
+    assert ": ." not in words and "of every region are within the noise" in words and "zero offset (8.1" in words
 
 
 @pytest.mark.slow
@@ -247,5 +247,5 @@ def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
 
 
 def test_numbers_do_not_break():
-    number = Number(path="rig.compliance", symbol="c", unit="m/N", value=2.04e-5, standard_error=3.1e-7)
+    number = EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2.04e-5, standard_error=3.1e-7)
     assert number_in_words(number, UNITS) == "c\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"

@@ -12,11 +12,17 @@ from virtual_campaign import PLATES, diagnosed_plates
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.planned import read_planned
-from calibration.diagnosis.design import design
-from calibration.diagnosis.diagnosis import CandidateStatement, FoundEffect, HeldOut, Number, RegionGap
+from calibration.diagnosis.design import compute_design
+from calibration.diagnosis.diagnosis import (
+    CandidateStatement,
+    EffectParameter,
+    FoundEffect,
+    HeldOutPrediction,
+    RegionMisfit,
+)
 from calibration.diagnosis.evidence import upper_jitter, whole_campaign
-from calibration.diagnosis.next_experiment import plans
-from calibration.diagnosis.words import message
+from calibration.diagnosis.next_experiment import vary_existing_tests
+from calibration.diagnosis.words import diagnosis_message
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
@@ -126,7 +132,8 @@ def test_friction_of_both_plates_is_in_the_campaign(tmp_path):
 @pytest.mark.slow
 def test_what_is_rough_and_the_same_in_all_recordings_is_not_called_nothing(tmp_path):
     diagnosis, found, _ = diagnose(tmp_path / "stick_slip", ripple=0.03)
-    assert diagnosis.verdict == "UNKNOWN" and found.before.repeated == ["plates"] and not diagnosis.effects
+    assert diagnosis.verdict == "UNKNOWN" and not diagnosis.effects
+    assert found.before.tests_with_common_signal == ["plates"]
     assert "all recordings of plates (a wave of" in diagnosis.message, diagnosis.message
     assert diagnose(tmp_path / "smooth")[0].verdict == "NONE"
 
@@ -145,7 +152,7 @@ def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
 
 
 def test_plans_change_one_thing(drifting):
-    words = [plan.sentence for plan in plans(drifting[1].before)]
+    words = [plan.sentence for plan in vary_existing_tests(drifting[1].before)]
     assert any("10 times as fast" in sentence for sentence in words) and any("half the height" in one for one in words)
     assert not any("with a hold" in sentence for sentence in words), "it has one"
 
@@ -154,14 +161,14 @@ def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
     campaign = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     with open_tasks(Workers()) as tasks:
-        found = design(campaign, read_planned(campaign, replicates=3, samples=121), RunContext("plan", tasks))
+        found = compute_design(campaign, read_planned(campaign, replicates=3, samples=121), RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
     assert 0 < found.standard_errors["C10"] < 20 and [test.recordings for test in found.tests] == [3]
     shorter = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_tasks(Workers()) as tasks:
-        ramp = design(shorter, read_planned(shorter, replicates=3, samples=121), RunContext("plan", tasks))
+        ramp = compute_design(shorter, read_planned(shorter, replicates=3, samples=121), RunContext("plan", tasks))
     row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
     assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[
         "viscoelastic.terms[0].g"], "a ramp alone says little of relaxation"
@@ -187,28 +194,29 @@ def test_toml_is_read_back():
 
 
 def test_sentences():
-    region = RegionGap(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
-                       adequate_before=False, sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
+    region = RegionMisfit(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
+                          adequate_before=False,
+                          sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
     compliance = FoundEffect(name="machine_compliance", category="rig", title="machine compliance", parameters=[
-        Number(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
-    named = message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
-    assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The gap falls from 0.1 to 0.01 N "
+        EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
+    named = diagnosis_message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
+    assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The misfit falls from 0.1 to 0.01 N "
                      "(5 to 0.5 of the noise).")
-    several = message("SET", [compliance], ["machine compliance", "height"], [region], (0.1, 0.01, 0.02), 3)
-    assert several.startswith("Machine compliance or height is missing, and these tests do not tell which")
+    several = diagnosis_message("SET", [compliance], ["machine compliance", "height"], [region], (0.1, 0.01, 0.02), 3)
+    assert several.startswith("Machine compliance or height is missing, and these tests cannot distinguish them")
     softening = CandidateStatement(name="softening", effect="softening", category="tissue", title="softening",
                                    testable=True, explained_percent=49.0)
-    unknown = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
+    unknown = diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
     assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 % of it." in unknown
     train = CandidateStatement(
         name="machine_compliance", effect="machine_compliance", category="rig", title="machine compliance",
-        testable=True, explained_percent=100.0, separated_by="pressing on steel", parameters=[Number(
+        testable=True, explained_percent=100.0, separated_by="pressing on steel", parameters=[EffectParameter(
             path="rig.compliance", symbol="c", unit="m/N", value=2e-3, standard_error=1e-6, absent=0.0, bound=2e-3)])
-    bounded = message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
-    assert ("Machine compliance comes nearest and explains 100 % of it, but its size ran to its bound, c = 2 mm/N, the "
-            "largest that a fit may take: that is where the fit was stopped and no estimate, so that it was not named. "
-            "Either it is larger than is held for possible, which a measurement of it alone would show (here: pressing "
-            "on steel), or something else acts like it.") in bounded
-    worse = [HeldOut(name="later", kind="test", before_N=0.1, after_N=0.2)]
-    assert "predicted worse" in message("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3, worse)
-    assert message("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")
+    bounded = diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
+    assert ("Machine compliance comes nearest and explains 100 % of it, but its fit ended on a bound, c = 2 mm/N, the "
+            "largest that a fit may take. A value on a bound is not reliable, so the effect was not named. Either its "
+            "size exceeds the bound, which a separate measurement would show (here: pressing on steel), or another "
+            "effect changes the forces in the same way.") in bounded
+    worse = [HeldOutPrediction(name="later", kind="test", before_N=0.1, after_N=0.2)]
+    assert "predicted worse" in diagnosis_message("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3, worse)
+    assert diagnosis_message("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")

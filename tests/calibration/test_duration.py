@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.diagnosis import duration
-from calibration.diagnosis.duration import in_words, simulation_seconds
+from calibration.diagnosis.duration import describe_duration, simulation_seconds
 from calibration.diagnosis.evidence import whole_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
@@ -71,7 +71,7 @@ def glued(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypatch):
-    monkeypatch.setattr(duration, "_MIN_ANNOUNCED", 0.0)
+    monkeypatch.setattr(duration, "SETTINGS", replace(duration.SETTINGS, min_announced=0.0))
     said, announced = [], []
     result, = calibration.diagnose([glued], tmp_path / "out", figures=False, announce=announced.append,
                                    progress=lambda sentence, *counts: said.append((sentence, counts)))
@@ -99,7 +99,7 @@ def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     ({}, ""), ({"plates": 0.1}, ""), ({"plates": 0.2, "glued": 1.0}, "expect up to 6 minutes on one processor"),
     ({"plates": 3.0}, "expect 2 to 15 minutes on one processor")])
 def test_what_to_expect_in_words(seconds, words):
-    said = in_words(seconds)
+    said = describe_duration(seconds)
     assert said.startswith(words) and bool(said) == bool(words)
 
 

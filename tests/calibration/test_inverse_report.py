@@ -443,10 +443,10 @@ def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(camp
 
 def test_history_has_every_start_and_the_chosen_one_is_bold(campaign):
     result, _ = campaign
-    assert figures.chosen_start(result.best) == 1
+    assert figures.best_start_number(result.best) == 1
     lower = msgspec.structs.replace(result.best.history[-1], start=21, run=1, error=1.0)
     uncorrected = msgspec.structs.replace(result.best, history=[*result.best.history, lower])
-    assert figures.chosen_start(uncorrected) == 1
+    assert figures.best_start_number(uncorrected) == 1
     shown = figures.draw_history(result.fits)
     above = next(ax for ax in shown.axes if ax.get_title() == "Reduced polynomial N = 2")
     assert above.get_yscale() == "log"

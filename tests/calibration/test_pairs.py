@@ -7,7 +7,7 @@ import pytest
 from virtual_campaign import diagnosed_plates
 
 import tissue_sim as ts
-from calibration.diagnosis.pairs import _both_needed
+from calibration.diagnosis.pairs import _are_both_required
 from calibration.effects.displacement_gain import DisplacementGain
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.step_loss import StepLoss
@@ -74,4 +74,4 @@ def test_two_need_each_other(axis, alone, second_alone, rival, needed, monkeypat
     plain = fitted("second", axis, alone).proposal
     monkeypatch.setattr("calibration.diagnosis.pairs.rescore", lambda proposal, evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
-    assert _both_needed(first, second, good, None) is needed
+    assert _are_both_required(first, second, good, None) is needed

@@ -4,7 +4,13 @@ from types import SimpleNamespace
 
 import pytest
 
-from calibration.report.page import moduli_of, remarks_by_law, shear_modulus_error, with_minus, young_modulus
+from calibration.report.page import (
+    format_moduli,
+    format_young_modulus,
+    remarks_by_law,
+    shear_modulus_error,
+    use_minus_signs,
+)
 from calibration.report.rounding import error_text, interval_text, ratio_text, value_and_error
 from calibration.report.symbols import html_symbol, math_symbol, plain_symbol
 from calibration.report.units import Units
@@ -44,10 +50,10 @@ def test_the_error_of_a_modulus_follows_from_the_covariance():
             matrix=[[100.0, 3.0, -90.0, 0.0], [3.0, 1.0, 0.0, 0.0], [-90.0, 0.0, 144.0, 0.0], [0.0, 0.0, 0.0, 1.0]]))
     assert shear_modulus_error(ogden) == pytest.approx((100 + 144 - 180)**0.5)
     units = Units.of(SimpleNamespace(best=SimpleNamespace(mu0=800.0, RMSE_N=None, regions=[])))
-    assert young_modulus(ogden, units) == "2400 ± 24 Pa"
-    assert moduli_of(ogden, units) == ("2400", "800")
+    assert format_young_modulus(ogden, units) == "2400 ± 24 Pa"
+    assert format_moduli(ogden, units) == ("2400", "800")
     ogden.standard_errors["mu2"] = None
-    assert shear_modulus_error(ogden) is None and moduli_of(ogden, units) == ("2400", "800")
+    assert shear_modulus_error(ogden) is None and format_moduli(ogden, units) == ("2400", "800")
 
 
 def test_symbols():
@@ -57,7 +63,7 @@ def test_symbols():
 
 
 def test_minus_signs_are_those_of_numbers():
-    assert with_minus("-0.07 to -1, Mooney-Rivlin, cast-1, 1e-06") == "−0.07 to −1, Mooney-Rivlin, cast-1, 1e-06"
+    assert use_minus_signs("-0.07 to -1, Mooney-Rivlin, cast-1, 1e-06") == "−0.07 to −1, Mooney-Rivlin, cast-1, 1e-06"
 
 
 @pytest.mark.parametrize(("mu0", "RMSE", "end", "names"), [

@@ -71,3 +71,9 @@ def test_former_names_work_and_warn(cable, tmp_path):
     assert found.bounds[path][0] == 0.0 and OldCable.category == "rig"
     with pytest.warns(DeprecationWarning, match=r"Effect\.room is renamed to category"):
         assert OldCable().room == "rig"
+    test = situation.tests[0]
+    for old, new in (("depth", "largest_displacement"), ("force", "largest_force"), ("strain", "largest_strain")):
+        with pytest.warns(DeprecationWarning, match=rf"Situation\.{old} is renamed to {new}"):
+            assert getattr(situation, old)(test) == getattr(situation, new)(test) > 0
+    with pytest.warns(DeprecationWarning, match=r"Situation\.modulus is renamed to shear_modulus"):
+        assert situation.modulus == situation.shear_modulus

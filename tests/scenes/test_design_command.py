@@ -6,7 +6,7 @@ import pytest
 
 from calibration import Design, design_experiments
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
-from calibration.diagnosis.proposals import SEEN
+from calibration.diagnosis.decision_limits import LIMITS
 from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.population import Population
@@ -61,10 +61,10 @@ def test_json_contains_detectable_sizes(tmp_path, capsys):
     # Lower bound of the detectable size: the effect changes every sample and the fit absorbs none of it.
     share, play = (rows[name]["seen_from"][path] for name, path in (
         ("viscoelasticity", "viscoelastic.terms[0].g"), ("backlash", "rig.backlash")))
-    least = SEEN * 0.01 / (test["force_N"] * (3 * 60) ** 0.5)
+    least = LIMITS.detectable_score * 0.01 / (test["force_N"] * (3 * 60) ** 0.5)
     assert least < share < 20 * least
     steepest = 2 * test["force_N"] / 3e-3
-    least = SEEN * 0.01 / (steepest * (3 * 15) ** 0.5)
+    least = LIMITS.detectable_score * 0.01 / (steepest * (3 * 15) ** 0.5)
     assert least < play < 20 * least
     assert [path.name for path in tmp_path.iterdir()] == ["plan.toml"], "nothing is written"
 

@@ -92,7 +92,7 @@ def joint(write):
 @pytest.fixture(autouse=True)
 def without_pictures(monkeypatch):
     """Skip the figures of the reports, which take longer than the fits."""
-    monkeypatch.setattr("calibration.report.report._pictures", lambda *content: [])
+    monkeypatch.setattr("calibration.report.report._figure_sections", lambda *content: [])
 
 
 def run(*words):

@@ -13,7 +13,14 @@ from calibration.fit.ranking import ranked_by_held_out
 from calibration.fit.self_weight import describe_self_weight
 from calibration.report.curve_figures import describe_region, format_probability
 from calibration.report.drawing import format_count
-from calibration.report.page import estimate_of, interval_of, moduli_of, number, remarks_by_law, stable_stretches
+from calibration.report.page import (
+    estimate_of,
+    format_moduli,
+    format_number,
+    format_stable_stretches,
+    interval_of,
+    remarks_by_law,
+)
 from calibration.report.report_tables import direction_in_words, suggestion_in_words
 from calibration.report.units import Units
 from scenes.commands.calibrate.population import population_table
@@ -104,9 +111,9 @@ def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
     for fit in fits:
         error = fit.RMSE_N if forces else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(_ranked_name(fit, best), number(above if heading == "dBIC" else fit.left_out, 3),
+        table.add_row(_ranked_name(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
                       _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
-                      *moduli_of(fit, units), stable_stretches(fit),
+                      *format_moduli(fit, units), format_stable_stretches(fit),
                       style=_ranked_style(fit, best))
     return table
 
@@ -162,11 +169,11 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
     for p in predictions:
         test = tests[p.test]
         error = p.RMSE_Pa if test.specimen is None else p.RMSE_N
-        load = units.load(test)
+        load = units.load_unit(test)
         chance = "-" if p.expected_N is None else load.text(p.expected_N, 2)
         how = f"{'left out' if p.fitted else 'held out'}{f', by the mean of {len(p.mean_of)}' if p.mean_of else ''}"
         table.add_row(p.law if p.law != last else "", Text(p.test), how,
-                      "none" if error is None else load.text(error, 3), number(p.percent, 2), chance)
+                      "none" if error is None else load.text(error, 3), format_number(p.percent, 2), chance)
         last = p.law
     return table
 
@@ -213,7 +220,7 @@ def _misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units
 
 def _describe_misfit(region: Region, test: Test, units: Units) -> str:
     """Return test, range, size and significance of a misfit."""
-    size = units.load(test).text(region.misfit_N, 2)
+    size = units.load_unit(test).text(region.misfit_N, 2)
     return f"{region.test} ({describe_region(region, test, units)}): {size}, {format_probability(region.p)}"
 
 
@@ -222,7 +229,7 @@ def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], unit
     tests_by_noise: dict[str, list[str]] = {}
     for noise in result.noise:
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.2g} s"
-        words = f"{units.load(tests[noise.test]).text(noise.deviation_N, 2)} {noise.source}, {colour}"
+        words = f"{units.load_unit(tests[noise.test]).text(noise.deviation_N, 2)} {noise.source}, {colour}"
         tests_by_noise.setdefault(words, []).append(noise.test)
     parts = [words if len(tests_by_noise) == 1 else f"{words} ({', '.join(names)})"
              for words, names in tests_by_noise.items()]
@@ -231,7 +238,7 @@ def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], unit
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else "assumed" if not jitter.freedom else \
             f"from {format_count(jitter.freedom, 'degree')} of freedom"
-        contact, zero = units.scatter(jitter, result.campaign.tests)
+        contact, zero = units.format_scatter(jitter, result.campaign.tests)
         scatter = f"; scatter between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
         yield f"noise: {', '.join(parts)}{scatter}"

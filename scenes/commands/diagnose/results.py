@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from calibration.diagnosis.words import joined
+from calibration.diagnosis.words import join_words
 from calibration.report.diagnosis_page import misfit_sentences
 from calibration.report.diagnosis_tables import (
     candidate_label,
@@ -104,10 +104,10 @@ def _remarks(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"{format_count(detectable - _MAX_EFFECTS, 'more detectable effect')}: see the report"
     undetectable = [candidate_label(each) for each in diagnosis.candidates if not each.testable]
     if undetectable:
-        yield f"not detectable with these tests: {joined(undetectable)}"
+        yield f"not detectable with these tests: {join_words(undetectable)}"
     labels = candidate_labels(diagnosis.candidates)
     for each in diagnosis.next_experiment[:2]:
-        names = joined([labels.get(name, name) for name in each.separates])
+        names = join_words([labels.get(name, name) for name in each.separates])
         yield f"next experiment: {each.sentence}{f' (distinguishes {names})' if names else ''}"
     yield (f"{sum(each.wall_s for each in diagnosis.stages):.0f} s: "
            + ", ".join(f"{each.name} {each.wall_s:.1f} s" for each in diagnosis.stages))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from virtual_campaign import TESTS, TRUTH, fitted, measured_campaign
 
-from calibration.diagnosis.extended import extend
+from calibration.diagnosis.extended import add_effect
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import NotTestableError
 
@@ -88,7 +88,7 @@ def test_puncture_is_a_jump_at_a_sample(plain):
     """The force drops by a fraction from the first sample beyond the depth on, without smearing between knots."""
     candidate = CATALOGUE["puncture"]().candidates(plain.situation)[4]
     (drop,), (depth,) = candidate.sizes.values(), candidate.shape.values()
-    problem, _ = extend(plain.problem, plain.campaign, candidate, free=True)
+    problem, _ = add_effect(plain.problem, plain.campaign, candidate, free=True)
     theta = np.array([TRUTH.get(each.name, {**candidate.sizes, **candidate.shape}.get(each.path))
                       for each in problem.space.varied])
     base = np.array([TRUTH[name] for name in plain.problem.space.free])

@@ -32,7 +32,7 @@ class CablePull(Effect):
         tests = [with_cable(test) for test in require_tests(situation.simulated_tests(), "no test has a tool")]
 
         def size(group):
-            return 0.01 * min(situation.force(test) / situation.depth(test) for test in group)
+            return 0.01 * min(situation.largest_force(test) / situation.largest_displacement(test) for test in group)
 
         return rig_parameter_candidates(self, situation, "rig.faults.cable_spring.stiffness", tests, size,
                                         two_sided=False, prepare=with_cable)

@@ -166,7 +166,7 @@ class CondensedContact:
         tangent, nodes, stiffness, tool_coupling, compliance = np.split(
             rest[6 + 3 * n :], np.cumsum([_TANGENT_HEAD, n, 36, 18 * n]))
         tangent_time, *tangent_pose = tangent.tolist()
-        return cls(tangent_time=tangent_time, tangent_pose=_pose(tangent_pose), nodes=nodes.astype(np.intp),
+        return cls(tangent_time=tangent_time, tangent_pose=_make_pose(tangent_pose), nodes=nodes.astype(np.intp),
                    stiffness=stiffness.reshape(6, 6),
                    tool_coupling=tool_coupling.reshape(3 * n, 6),
                    compliance=compliance.reshape(3 * n, 3 * n), **own)
