@@ -16,7 +16,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from haptics.loop.shared_slots import SlotReader, SlotWriter, remove_file, unused_path
+from haptics.loop.multirate_settings import BULK_PROCESS
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file, unused_path
 from haptics.loop.slow_bulk import KIND_CORRECTION, KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
@@ -32,17 +33,6 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import pack
 from tissue_sim.snapshot import Snapshot
-
-#: Bytes of a model that are read in one tick; reading a whole model would take a large part of a tick.
-_PIECE = 1 << 16
-#: Time that the process of the bulk has to end before it is killed, s.
-_END_TIMEOUT = 5.0
-#: Longest wall time that `BulkLink.exchange` blocks, s.
-LONGEST_EXCHANGE = 60.0
-#: Polling interval of `BulkLink.exchange`, s.
-_POLL = 0.2e-3
-#: Time after which `BulkLink.exchange` sends the state again, s, so that a bulk without linearisation tries again.
-_SEND_AGAIN = 0.05
 
 
 class BulkLink(Protocol):
@@ -74,7 +64,7 @@ class BulkLink(Protocol):
         """Send a state and block until the next model arrives, which may belong to an earlier state.
 
         Returns:
-            The model; None if none arrives within `LONGEST_EXCHANGE` or the bulk has ended.
+            The model; None if none arrives within `BulkProcessSettings.longest_exchange` or the bulk has ended.
         """
 
     def set_material(self, material: Material, number: int) -> None:
@@ -191,7 +181,7 @@ class BulkProcess:
             raise started
         self._surface = started.surface
         size = 8 * packed_state_size(self.surface)
-        self._states = SlotWriter(self._paths[0], KIND_STATE, 4, size)
+        self._states = SlotWriter(self._paths[0], KIND_STATE, SLOTS.count, size)
         self._models = SlotReader(self._paths[1], KIND_MODEL)
         self._corrections, self._corrected = SlotReader(self._paths[2], KIND_CORRECTION), 0
         self._board = None if started.pattern is None else SnapshotReader(self._paths[3], started.pattern)
@@ -225,14 +215,14 @@ class BulkProcess:
 
     def exchange(self, state: ContactState) -> CondensedContact | None:
         now = time.monotonic()
-        deadline, sends = now + LONGEST_EXCHANGE, now
+        deadline, sends = now + BULK_PROCESS.longest_exchange, now
         while now < deadline and self.alive:
             if now >= sends:
                 self.send(state)
-                sends = now + _SEND_AGAIN
+                sends = now + BULK_PROCESS.resend_interval
             if (model := self.receive(state.time)) is not None:
                 return model
-            time.sleep(_POLL)
+            time.sleep(BULK_PROCESS.polling_interval)
             now = time.monotonic()
         return None
 
@@ -248,7 +238,7 @@ class BulkProcess:
             self._reading, self._piece = models.written, 0
             self._check = self._reading & 0xFFFFFFFF
         length, checksum = models.head(self._reading)
-        end = min(self._piece + _PIECE, length)
+        end = min(self._piece + BULK_PROCESS.piece, length)
         piece = models.part(self._reading, self._piece, end)
         self._buffers[0][self._piece:end] = piece
         self._check, self._piece = zlib.crc32(piece, self._check), end
@@ -294,7 +284,7 @@ class BulkProcess:
             with suppress(OSError):  # the process was killed before it read all of its input
                 process.stdin.close()  # the process ends at the end of its input
         try:
-            process.wait(_END_TIMEOUT)
+            process.wait(BULK_PROCESS.end_timeout)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

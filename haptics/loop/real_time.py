@@ -9,17 +9,23 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from enum import IntFlag
 
 #: SCHED_FIFO priority (1 to 99): above all ordinary processes, below the threads of the kernel.
 PRIORITY = 10
-#: Lock present pages in memory (Linux, mman.h).
-_MCL_CURRENT = 1
-#: Lock future pages in memory (Linux, mman.h).
-_MCL_FUTURE = 2
-#: Lock pages at their first use (Linux, mman.h), because Taichi reserves much more memory than it uses.
-_MCL_ONFAULT = 4
 #: Set the timer slack of a thread (Linux, prctl.h).
 _PR_SET_TIMERSLACK = 29
+
+
+class MemoryLock(IntFlag):
+    """Flags of ``mlockall`` (Linux, mman.h)."""
+
+    #: Lock present pages in memory.
+    CURRENT = 1
+    #: Lock future pages in memory.
+    FUTURE = 2
+    #: Lock pages at their first use, because Taichi reserves much more memory than it uses.
+    ON_FAULT = 4
 
 
 @dataclass(frozen=True)
@@ -81,7 +87,7 @@ def _locked_memory(undo: ExitStack, _: int) -> str:
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; swapping of memory may delay the loop"
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
+    if libc.mlockall(MemoryLock.CURRENT | MemoryLock.FUTURE | MemoryLock.ON_FAULT) != 0:
         return (f"{os.strerror(ctypes.get_errno())}; 'ulimit -l' shows how many kB may be locked: add 'USER - memlock "
                 "unlimited' to /etc/security/limits.d/memlock.conf and log in again (in a container: --ulimit "
                 "memlock=-1)")
