@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 from haptics.devices.ati_serial_records import AsciiStream, BinaryRequests, is_text, quote, read_until_quiet
-from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
+from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import read_choices, read_settings, split_target
 from haptics.protocols.ati_serial import (
@@ -28,8 +28,6 @@ from tissue_sim.errors import InputError
 
 #: Forms of the records.
 MODES = ("ascii", "binary")
-#: Samples kept until they are read; older ones are lost.
-BUFFER = 4096
 #: Name of the controller in messages.
 _OWNER = "the ATI controller"
 
@@ -112,6 +110,7 @@ class AtiSerialSensor(ForceSensor):
         self._receiver: _Receiver | None = None
 
     def start(self) -> None:
+        """Open the port, configure the controller, observe its records and start the thread that receives them."""
         if self._receiver is not None:
             return
         line = SerialLine(self._port, self._baud, _OWNER)
@@ -126,6 +125,7 @@ class AtiSerialSensor(ForceSensor):
         self._receiver = _Receiver(line, source, self._port, max(TIMING.silence, TIMING.silent_periods / self.rate))
 
     def read(self) -> tuple[ForceSample, ...]:
+        """Return the samples received since the last call, forces in N and torques in N m."""
         return tuple(self._sample(*each) for each in self._require_start().take())
 
     def _sample(self, received: _ReceivedRecord, gap: bool) -> ForceSample:
@@ -147,11 +147,13 @@ class AtiSerialSensor(ForceSensor):
         self._zero = tuple(sum(counts) / len(recent) for counts in zip(*recent, strict=True))
 
     def stop(self) -> None:
+        """End the thread and close the port."""
         if self._receiver is not None:
             receiver, self._receiver = self._receiver, None
             receiver.end()
 
     def describe(self) -> dict[str, Any]:
+        """Return port, mode, rate, resolution, range and number of garbled records; keys carry units."""
         force, torque = self._scale[0], self._scale[-1]
         return {"sensor": "ATI stand-alone controller", "port": self._port, "baud": self._baud, "mode": self._mode,
                 "channels": list(self.channels), "rate_Hz": self.rate, "averaged_samples": self._average,
@@ -225,8 +227,8 @@ class _Receiver:
 
     def __init__(self, line: SerialLine, source: AsciiStream | BinaryRequests, port: str, silence: float):
         self._line, self._source, self._port, self._silence = line, source, port, silence
-        self._waiting: deque[_ReceivedRecord] = deque(maxlen=BUFFER)
-        self._recent: deque[_ReceivedRecord] = deque(maxlen=BUFFER)
+        self._waiting: deque[_ReceivedRecord] = deque(maxlen=SAMPLE_BUFFER)
+        self._recent: deque[_ReceivedRecord] = deque(maxlen=SAMPLE_BUFFER)
         #: Number of the next record to receive, and of the next one to be read.
         self._number, self._next = 0, 0
         self.garbled = 0

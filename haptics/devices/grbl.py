@@ -42,7 +42,6 @@ class JogSettings:
 
 #: Settings of all stages of this process.
 JOGS = JogSettings()
-
 #: States that forbid a motion, with the remedy.
 _BLOCKED = {"Hold": "is on hold; send ~ or reset it", "Door": "has its safety door open; close it and reset it",
             "Check": "is in check mode, which moves nothing; send $C", "Sleep": "sleeps; reset it and home it"}
@@ -115,6 +114,7 @@ class GrblStage(Stage):
         return self.__dict__
 
     def start(self) -> None:
+        """Open the port, check the settings of Grbl and start the thread that sends jogs and reads reports."""
         if self._connection is not None:
             return
         self._reset()
@@ -163,6 +163,7 @@ class GrblStage(Stage):
                                                + 10.0 * read(Setting.PULL_OFF) / max(read(Setting.HOMING_FEED), 1.0))
 
     def home(self) -> None:
+        """Request Grbl's homing cycle and return at once."""
         connection = self._require_start()
         with connection.lock:
             self._raise_trouble(connection)
@@ -180,6 +181,7 @@ class GrblStage(Stage):
             connection.wake()
 
     def move(self, position: float, speed: float) -> None:
+        """Set the goal of the jogs, m, and their speed, m/s, and return at once."""
         halts, connection = self._halts, self._require_start()
         self.limits.require(position, speed, slowest=grbl.LEAST_FEED / 60e3)
         with connection.lock:
@@ -195,6 +197,7 @@ class GrblStage(Stage):
                 connection.wake()
 
     def position(self) -> StageSample:
+        """Return the commanded position, m, from a new status report, or from the latest one during homing."""
         connection = self._require_start()
         with connection.lock:
             self._last_call = time.monotonic()
@@ -215,6 +218,7 @@ class GrblStage(Stage):
                                self._sequence - 1, int(bits), report.received, report.requested or None)
 
     def halt(self) -> None:
+        """Discard the goal and cancel the jogs; during homing, reset Grbl."""
         self._halts += 1
         self._goal = None
         connection = self._connection
@@ -239,6 +243,7 @@ class GrblStage(Stage):
                 connection.lock.release()
 
     def stop(self) -> None:
+        """Halt the axis and close the port."""
         connection = self._connection
         if connection is None:
             return
@@ -247,9 +252,10 @@ class GrblStage(Stage):
         connection.close()
 
     def describe(self) -> dict[str, Any]:
-        steps = {} if math.isnan(self._steps_per_mm) else {"steps_per_mm": self._steps_per_mm,
-                                                           "resolution_mm": max(1.0 / self._steps_per_mm, 1e-3)}
-        return {"stage": "Grbl 1.1", "port": self._port, "axis": self._axis, **steps,
+        """Return port, axis, steps, travel range and top speed; keys carry units."""
+        steps = self._steps_per_mm
+        scale = {} if math.isnan(steps) else {"steps_per_mm": steps, "resolution_mm": max(1.0 / steps, 1e-3)}
+        return {"stage": "Grbl 1.1", "port": self._port, "axis": self._axis, **scale,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "position": "commanded", "stalled_motor": "not detectable",
                 "runs_on_s": self.runs_on, "homing_runs_on": "to its end",

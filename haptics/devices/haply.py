@@ -99,6 +99,7 @@ class HaplyDevice(HapticDevice):
         return self._trouble if self._thread is None else self._thread.trouble
 
     def start(self) -> None:
+        """Connect to the service, set the origin of the motion and start the thread that exchanges messages."""
         if self._thread is not None:
             return
         line = self._connect()
@@ -157,6 +158,7 @@ class HaplyDevice(HapticDevice):
         return first
 
     def pose(self, time: float) -> Pose | None:
+        """Return the newest pose of the cursor in the scene, scaled, m; None without a recent state."""
         thread = self._thread
         state = None if thread is None else thread.newest()
         if state is None:
@@ -170,6 +172,7 @@ class HaplyDevice(HapticDevice):
         return Pose(position, self._rotation_since_start(state.orientation, self._first_orientation))
 
     def render(self, wrench: Screw) -> None:
+        """Send the force, N, scaled and limited to the largest force of the device; the torque is ignored."""
         if self._thread is None:
             return
         x, y, z = (self._force_scale * part for part in wrench[:3])
@@ -181,12 +184,14 @@ class HaplyDevice(HapticDevice):
         self._thread.set_force(self._to_device((x, y, z)))
 
     def stop(self) -> None:
+        """End the exchange of messages with the service."""
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.end()
             self._trouble = thread.trouble
 
     def describe(self) -> dict[str, Any]:
+        """Return address, axes, scales, largest force and state of the device; keys carry units."""
         described: dict[str, Any] = {
             "device": "Haply Inverse3", "address": self.address, "scale": self._scale, "axes": self._axes,
             "force_scale": self._force_scale, "largest_force_N": self._largest_hand_force,

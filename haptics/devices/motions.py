@@ -64,6 +64,7 @@ class ProtocolMotion(AxialMotion):
         return self._times[-1]
 
     def depth(self, time: float) -> float:
+        """Return the depth at a time, s, by linear interpolation between the samples, m."""
         times, depths = self._times, self._depths
         if self._repeat:
             time %= times[-1]
@@ -96,6 +97,7 @@ class SineMotion(AxialMotion):
         self._rate = 2 * math.pi * frequency
 
     def depth(self, time: float) -> float:
+        """Return the depth at a time, s, m."""
         return self._middle - self._amplitude * math.cos(self._rate * time)
 
 
@@ -134,6 +136,7 @@ class HandMotion(Motion):
         self.aim(target)
 
     def set_approach(self, approach: Approach | None) -> None:
+        """Begin at the start of an approach, unless the motion has one or begins at the present pose of the tool."""
         if self.approach is None and approach is not None and not self._starts_at_tool:
             self._begin(approach, self._position[2], self._target[2])
 
@@ -144,6 +147,7 @@ class HandMotion(Motion):
         self._axis = -a, -b, max(c, _DEFAULTS.least_cosine)
 
     def take_over(self, pose: Pose) -> None:
+        """Begin at the present pose of the tool if the motion was made without a start."""
         if not self._starts_at_tool:
             return
         self._set_orientation(pose)
@@ -166,6 +170,7 @@ class HandMotion(Motion):
         self._target = [x, y, depth]
 
     def pose(self, time: float) -> Pose:
+        """Return the pose at the depth of the motion at a time, s, with the constant orientation."""
         depth = self.depth(time)
         (x, y, _), (u, v, cosine) = self._position, self._axis
         return Pose((x + u * depth, y + v * depth, -cosine * depth), self._orientation)
@@ -232,6 +237,7 @@ class RandomWalk(AxialMotion):
         self._points = [start] * 4
 
     def depth(self, time: float) -> float:
+        """Return the depth at a time, s, from a uniform cubic B-spline through random points, m."""
         knot = max(time, 0.0) / self.SPACING
         first = int(knot)
         points = self._points
@@ -299,6 +305,7 @@ class SpatialWalk(Motion):
                            for axis in "xyz"] if turn > _DEFAULTS.negligible_range else []
 
     def pose(self, time: float) -> Pose:
+        """Return the pose at a time, s: depth on the approach, sideways displacement and rotation."""
         depth = self._depth.depth(time)
         straight = Pose.at_depth(depth) if self.approach is None else self.approach.pose(depth)
         x, y, z = straight.position

@@ -90,6 +90,7 @@ class PhidgetStage(Stage):
         self._halts = 0
 
     def start(self) -> None:
+        """Attach the controller and set current, acceleration and failsafe."""
         if self._motor is not None:
             return
         motor = self._attach()
@@ -173,6 +174,7 @@ class PhidgetStage(Stage):
         return abs(length / self._length_per_count)
 
     def home(self) -> None:
+        """Take the present position as zero, without a motion, and switch the current on."""
         motor = self._require_start()
         try:
             motor.setVelocityLimit(0.0)
@@ -184,6 +186,7 @@ class PhidgetStage(Stage):
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
+        """Begin a motion to a position, m, at a speed, m/s, and return at once."""
         motor = self._require_start()
         self.limits.require(position, speed)
         if not self._homed:
@@ -207,6 +210,7 @@ class PhidgetStage(Stage):
         self._goal = position
 
     def position(self) -> StageSample:
+        """Return the commanded position, m, and restart the failsafe timer."""
         motor = self._require_start()
         try:
             if self.runs_on < math.inf:
@@ -223,6 +227,7 @@ class PhidgetStage(Stage):
                            now)
 
     def halt(self) -> None:
+        """Set the velocity limit to zero; if the controller refuses, switch the current off."""
         self._halts += 1
         motor, self._goal = self._motor, None
         if motor is not None:
@@ -234,6 +239,7 @@ class PhidgetStage(Stage):
                     motor.setEngaged(False)
 
     def stop(self) -> None:
+        """Halt the motor, switch its current off and close the controller."""
         self.halt()
         motor, self._motor, self._homed = self._motor, None, False
         if motor is not None:
@@ -243,6 +249,7 @@ class PhidgetStage(Stage):
                 motor.close()
 
     def describe(self) -> dict[str, Any]:
+        """Return serial number, steps, travel range, top speed and failsafe time; keys carry units."""
         return {"stage": "Phidget stepper", "serial": self._serial, "steps_per_mm": self._steps_per_mm,
                 "microsteps": self._microsteps, "resolution_mm": abs(self._length_per_count) * 1e3,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,

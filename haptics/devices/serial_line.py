@@ -151,7 +151,6 @@ def _group(port: str) -> str:
 
 def serial_ports() -> list[str]:
     """Return the names of this computer's serial ports, sorted."""
-
     from serial.tools.list_ports import comports
 
     return sorted(port.device for port in comports())

@@ -19,9 +19,6 @@ from haptics.protocols import tic
 from haptics.protocols.tic import Command, Errors, Flags, Planning, Setting, State, Variable
 from tissue_sim.errors import InputError
 
-#: Longest command timeout accepted, s; also assumed until the Tic's own timeout has been read.
-LONGEST_TIMEOUT = 1.0
-
 
 @dataclass(frozen=True)
 class TicTiming:
@@ -33,6 +30,8 @@ class TicTiming:
     wake: float = 0.5
     #: Time allowed for homing, in addition to twice the time for the whole travel.
     homing_margin: float = 20.0
+    #: Longest command timeout accepted; also assumed until the Tic's own timeout has been read.
+    longest_timeout: float = 1.0
 
 
 #: Settings of all stages of this process.
@@ -99,7 +98,7 @@ class TicStage(Stage):
         self.limits, self._port, self._steps, self._baud = limits, port, steps_per_m, baud
         self._device, self._crc, self._response_crc, self._ramp = device, crc, response_crc, ramp
         #: Timeout of the Tic plus the ramp.
-        self.runs_on = LONGEST_TIMEOUT + ramp
+        self.runs_on = TIMING.longest_timeout + ramp
         self._line: SerialLine | None = None
         #: Number of positions read, and number of calls of `halt`, which reveals a halt during a `move`.
         self._sequence, self._halts = 0, 0
@@ -119,6 +118,7 @@ class TicStage(Stage):
     _writing: threading.Lock | None = None
 
     def start(self) -> None:
+        """Open the port and check the settings of the Tic."""
         if self._line is not None:
             return
         line = SerialLine(self._port, self._baud, "the Tic")
@@ -152,11 +152,11 @@ class TicStage(Stage):
             raise DeviceError(f"the Tic at {self._port} is in control mode {mode}, which ignores serial commands; set "
                               "it to Serial / I2C / USB in the Tic Control Center")
         timeout = 1e-3 * self._setting(Setting.COMMAND_TIMEOUT, 2)
-        if not 0 < timeout <= LONGEST_TIMEOUT:
+        if not 0 < timeout <= TIMING.longest_timeout:
             state = f"{timeout:g} s" if timeout else "switched off"
             raise DeviceError(f"the command timeout of the Tic at {self._port} is {state}, so the motor would not stop "
-                              f"if this program died; set it to {LONGEST_TIMEOUT:g} s or less in the Tic Control "
-                              "Center")
+                              f"if this program died; set it to {TIMING.longest_timeout:g} s or less in the Tic "
+                              "Control Center")
         if self._setting(Setting.SOFT_ERROR_RESPONSE, 1) == tic.SoftErrorResponse.GO_TO_POSITION:
             raise DeviceError(f"the Tic at {self._port} would move to a position if this program died; set its soft "
                               "error response to Decelerate to hold in the Tic Control Center")
@@ -168,6 +168,7 @@ class TicStage(Stage):
             self._set(command, acceleration, variable)
 
     def home(self) -> None:
+        """Send the command to home, and return when the Tic has begun to home."""
         halts = self._halts
         self._wake()
         steps = (self.limits.highest - self.limits.lowest) * self._steps
@@ -184,6 +185,7 @@ class TicStage(Stage):
             status = self._status()
 
     def move(self, position: float, speed: float) -> None:
+        """Set maximum speed, m/s, and target, m, and return when the Tic has accepted them."""
         halts = self._halts
         self._require_start()
         self.limits.require(position, speed)
@@ -201,6 +203,7 @@ class TicStage(Stage):
             raise DeviceError(f"the Tic at {self._port} did not accept its target; check the cable, and crc")
 
     def position(self) -> StageSample:
+        """Return the commanded position, m, and restart the command timeout."""
         self._require_start()
         status = self._status()
         requested = time.monotonic()
@@ -237,6 +240,7 @@ class TicStage(Stage):
                            int(bits), now, requested)
 
     def halt(self) -> None:
+        """Set the target velocity to zero."""
         self._halts += 1
         self._goal, self._is_homing = None, False
         line, writing = self._line, self._writing
@@ -253,6 +257,7 @@ class TicStage(Stage):
                 writing.release()
 
     def stop(self) -> None:
+        """Halt the motor and close the port."""
         line = self._line
         if line is None:
             return
@@ -261,6 +266,7 @@ class TicStage(Stage):
         line.close()
 
     def describe(self) -> dict[str, Any]:
+        """Return port, steps, travel range, top speed and ramp; keys carry units."""
         return {"stage": "Pololu Tic", "port": self._port, "steps_per_mm": self._steps * 1e-3,
                 "resolution_mm": 1e3 / self._steps, "lowest_mm": self.limits.lowest * 1e3,
                 "highest_mm": self.limits.highest * 1e3, "top_speed_mm_s": self.limits.speed * 1e3,
@@ -355,7 +361,6 @@ def open_tic(text: str) -> TicStage:
     Defaults: ``tic:/dev/ttyUSB0,steps_per_mm=800,lowest_mm=0,highest_mm=50,top_speed_mm_s=5,baud=9600,crc=0,
     response_crc=0,ramp_ms=100``; ``device=14`` selects the Pololu protocol, otherwise the compact one is used.
     """
-
     port, _, settings = text.partition(",")
     given = read_settings(settings, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0, baud=9600,
                           device=-1, crc=0, response_crc=0, ramp_ms=100.0)

@@ -73,19 +73,23 @@ class AtiSerialEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
+        """Name of the sensor with terminal, counts per unit, baud rate and mode."""
         return (f"ati-serial:{self.path},counts_per_N={self._scale[0]:g},counts_per_Nm={self._scale[-1]:g},"
                 f"baud={self._baud},mode={self._mode_at_start}")
 
     def describe(self) -> dict[str, Any]:
+        """Return terminal, baud rate, mode, counts per unit and number of records sent."""
         return {"emulator": self.name, "terminal": self.path, "baud": self._baud, "mode": self._mode,
                 "padded_fields": self._padded, "counts_per_N": self._scale[0], "counts_per_Nm": self._scale[-1],
                 "records": self.records}
 
     def begin(self) -> None:
+        """Start the sensor and set the state of the controller after power-on."""
         self._sensor.start()
         self._power_on()
 
     def end(self) -> None:
+        """Stop the sensor."""
         self._sensor.stop()
 
     def _power_on(self) -> None:
@@ -101,6 +105,7 @@ class AtiSerialEmulator(TerminalEmulator):
         self._free_at = 0.0
 
     def received(self, data: bytes) -> list[bytes]:
+        """Execute the received commands; the answers are queued for `due` at the speed of the serial line."""
         if not self._has_matching_baud():
             self._send(PROMPT + _END)
             return []
@@ -120,6 +125,7 @@ class AtiSerialEmulator(TerminalEmulator):
         return []
 
     def due(self) -> list[bytes]:
+        """Queue the streamed records that are due, and return the bytes whose transmission is complete."""
         now = time.monotonic()
         while self._streams and self._free_at <= now:
             # The next record follows the last one without a pause, unless the thread is 0.1 s behind.
@@ -202,7 +208,6 @@ class AtiSerialEmulator(TerminalEmulator):
 
 def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
     """Make an emulator from ``ati-serial:counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
-
     words, rest = read_choices(text, mode=MODES)
     given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),

@@ -77,6 +77,7 @@ class GrblEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
+        """Name of the stage with terminal, axis, travel and top speed."""
         limits = self._stage.limits
         return (f"grbl:{self.path},axis={self._axis},highest_mm={limits.highest * 1e3:g},"
                 f"top_speed_mm_s={limits.speed * 1e3:g}")
@@ -86,14 +87,17 @@ class GrblEmulator(TerminalEmulator):
         self._pending_alarm = number
 
     def begin(self) -> None:
+        """Set the state after power-on, start the stage and home it."""
         self._power_up()
         self._stage.start()
         self._stage.home()
 
     def end(self) -> None:
+        """Stop the stage."""
         self._stage.stop()
 
     def describe(self) -> dict[str, Any]:
+        """Return terminal, axis, number of answers and longest queue of jogs, s."""
         return {"emulator": "grbl", "port": self.path, "axis": self._axis, "answered": self.answered,
                 "most_queued_s": self.most_queued}
 
@@ -107,6 +111,7 @@ class GrblEmulator(TerminalEmulator):
         return seconds
 
     def received(self, data: bytes) -> list[bytes]:
+        """Execute real-time characters at once and lines in their order, and return the answers."""
         lines: list[str] = []
         for byte in data:
             character = bytes([byte])
@@ -121,6 +126,7 @@ class GrblEmulator(TerminalEmulator):
         return self._encode_lines(lines)
 
     def due(self) -> list[bytes]:
+        """Advance the axis, and return alarms and the answer to a homing cycle that has ended."""
         lines: list[str] = []
         number, self._pending_alarm = self._pending_alarm, None
         if number is not None:

@@ -82,9 +82,15 @@ class HaplyEmulator(Emulator):
 
     @property
     def address(self) -> str:
+        """Name of the device with the address of the emulator; known after `start`."""
         return f"haply:ws://127.0.0.1:{self._port}"
 
     def start(self) -> None:
+        """Serve clients of the port in a thread; has no effect on a started emulator.
+
+        Raises:
+            DeviceError: the port cannot be opened.
+        """
         if self._server is not None:
             return
         from websockets.sync.server import serve
@@ -102,6 +108,7 @@ class HaplyEmulator(Emulator):
         self._thread.start()
 
     def stop(self) -> None:
+        """End the server, stop the hand and set the force to zero."""
         if self._server is None or self._thread is None:
             return
         self._ending.set()
@@ -112,6 +119,7 @@ class HaplyEmulator(Emulator):
         self.force = (0.0, 0.0, 0.0)
 
     def describe(self) -> dict[str, Any]:
+        """Return address, counts of messages, force and the description of the hand; keys carry units."""
         return {"emulator": "Haply Inverse service", "address": self.address, "messages": self.messages,
                 "refused": self.refused, "force_N": list(self.force), "largest_force_N": self.largest_force,
                 "unverified": f"that the real service removes the force after {TIMES.release_time:g} s of silence",

@@ -64,9 +64,15 @@ class RdtEmulator(Emulator):
 
     @property
     def address(self) -> str:
+        """Name of the sensor with host and ports of the emulator."""
         return f"rdt://{self._host}:{self._ports[0]},http_port={self._ports[1]}"
 
     def start(self) -> None:
+        """Start the sensor, the stream of datagrams and the settings page; has no effect on a started emulator.
+
+        Raises:
+            DeviceError: a port cannot be opened.
+        """
         if self._threads:
             return
         self._sensor.start()
@@ -146,6 +152,7 @@ class RdtEmulator(Emulator):
                 for name in rdt.CHANNELS]
 
     def stop(self) -> None:
+        """End the stream and the settings page, and stop the sensor."""
         if not self._threads:
             return
         self._ending.set()
@@ -158,6 +165,7 @@ class RdtEmulator(Emulator):
         self._sensor.stop()
 
     def describe(self) -> dict[str, Any]:
+        """Return address, description of the sensor and counts of requests and datagrams."""
         return {"emulator": "ATI RDT", "address": self.address, "sensor": self._sensor.describe(),
                 "requests": self.requests, "datagrams": self.sent}
 

@@ -52,6 +52,11 @@ class TerminalEmulator(Emulator):
         return []
 
     def start(self) -> None:
+        """Open the pseudo-terminal and answer in a thread; has no effect on a started emulator.
+
+        Raises:
+            DeviceError: the platform has no pseudo-terminals.
+        """
         if self._thread is not None:
             return
         if sys.platform == "win32":
@@ -88,6 +93,7 @@ class TerminalEmulator(Emulator):
                     os.write(self._master, message)
 
     def stop(self) -> None:
+        """End the thread, close the pseudo-terminal and stop the device that backs the emulator."""
         if self._thread is None:
             return
         self._ending.set()

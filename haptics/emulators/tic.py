@@ -102,6 +102,7 @@ class TicEmulator(TerminalEmulator):
         self.answered = 0
     @property
     def address(self) -> str:
+        """Name of the stage with terminal, steps, travel, top speed and use of checksums."""
         limits, extra = self._stage.limits, ""
         if self._crc or self._response_crc:
             extra = f",crc={self._crc:d},response_crc={self._response_crc:d}"
@@ -109,18 +110,22 @@ class TicEmulator(TerminalEmulator):
                 f"highest_mm={limits.highest * 1e3:g},top_speed_mm_s={limits.speed * 1e3:g}{extra}")
 
     def begin(self) -> None:
+        """Set the state after power-on, start the stage and home it."""
         self._power_up()
         self._stage.start()
         self._stage.home()
 
     def end(self) -> None:
+        """Stop the stage."""
         self._stage.stop()
 
     def describe(self) -> dict[str, Any]:
+        """Return terminal, steps, command timeout and counts of answers and of bad bytes."""
         return {"emulator": "tic", "port": self.path, "steps_per_mm": self._steps * 1e-3,
                 "command_timeout_s": self._timeout, "answered": self.answered, "bad_bytes": self._commands.bad_bytes}
 
     def received(self, data: bytes) -> list[bytes]:
+        """Execute the received commands and return the answers."""
         answers = []
         self._evaluate()
         for received in self._commands.feed(data):
@@ -132,6 +137,7 @@ class TicEmulator(TerminalEmulator):
         return answers
 
     def due(self) -> list[bytes]:
+        """Update the state, such as the command timeout; a Tic sends nothing without a request."""
         self._evaluate()
         return []
 

@@ -112,12 +112,18 @@ class DelayedBulk:
         return lambda: self._epoch != epoch or self._now >= due - 1e-9
 
     def start(self) -> CondensedContact:
+        """Return the model of the undeformed tissue.
+
+        Raises:
+            RuntimeError: the undeformed tissue has no linearisation.
+        """
         model = self._predictive.linearise(first_state(self.surface), 0.0, 0.0)
         if model is None:
             raise RuntimeError("the untouched tissue has no linearisation")
         return model
 
     def send(self, state: ContactState) -> None:
+        """Linearise the bulk at a state, unless a model is in transit; the model arrives after the delay."""
         if state.epoch != self._epoch:
             # A model in transit belongs to the specimen before the reset.
             self._epoch, self._coming = state.epoch, None
@@ -129,6 +135,7 @@ class DelayedBulk:
             self.linearising += time.process_time() - began
 
     def receive(self, now: float) -> CondensedContact | None:
+        """Return the model in transit if it has arrived at the time `now`, s, otherwise None."""
         if self._coming is None or now < self._coming[0] - 1e-9:
             return None
         model, self._coming = self._coming[1], None
@@ -140,12 +147,15 @@ class DelayedBulk:
         return self.receive(math.inf)
 
     def set_material(self, material: Material, number: int) -> None:
+        """Change the material of the bulk; later models contain this number."""
         self._predictive.set_material(material, number)
 
     def snapshot(self) -> Snapshot | None:
+        """Return None: this link has no snapshots."""
         return None
 
     def close(self) -> None:
+        """Do nothing: the bulk is part of this process."""
         return
 
 
@@ -166,6 +176,7 @@ class BulkProcess:
         self._surface: ContactSurface | None = None
 
     def start(self) -> CondensedContact:
+        """Start the process and return its model of the undeformed tissue; raises the errors of `BulkLink.start`."""
         one = {"MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = process = subprocess.Popen(
             [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
@@ -196,6 +207,7 @@ class BulkProcess:
 
     @property
     def surface(self) -> ContactSurface:
+        """Contact nodes and tool of the bulk; available after `start`."""
         assert self._surface is not None
         return self._surface
 
@@ -205,15 +217,18 @@ class BulkProcess:
         return self._process is not None and self._process.poll() is None
 
     def send(self, state: ContactState) -> None:
+        """Write a state to the shared file of states, without waiting."""
         self._states.write(state.pack().tobytes())
 
     def receive(self, now: float) -> CondensedContact | None:
+        """Read the next piece of a model; return the model when it is complete, a newer correction, or None."""
         found = self._receive_whole() or self._receive_correction()
         if found is not None:
             self._model = found
         return found
 
     def exchange(self, state: ContactState) -> CondensedContact | None:
+        """Send a state, and poll for the next model for at most `BulkProcessSettings.longest_exchange`."""
         now = time.monotonic()
         deadline, sends = now + BULK_PROCESS.longest_exchange, now
         while now < deadline and self.alive:
@@ -262,15 +277,18 @@ class BulkProcess:
         return CondensedContact.unpack(np.frombuffer(content), self._model)
 
     def set_material(self, material: Material, number: int) -> None:
+        """Send a material and its number to the process."""
         self._write_orders(pickle.dumps((number, material)))
 
     def snapshot(self) -> Snapshot | None:
+        """Return the newest published snapshot, at first of the undeformed tissue; None if the bulk publishes none."""
         if self._board is not None:
             newest = self._board.latest()
             self._shown = self._shown if newest is None else newest.snapshot
         return self._shown
 
     def close(self) -> None:
+        """End the process, if necessary by killing it, and remove the shared files."""
         process = self._process
         if process is None:
             return

@@ -6,6 +6,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,8 +26,24 @@ from tissue_sim.tool_force import Tissue
 
 #: Errors with a message for the user; other errors are faults of the program.
 _EXPECTED = (InputError, ConvergenceError, MissingBackendError, DeviceError)
-#: Time that the loop has to end after its parent has ended, s.
-_GRACE = 0.5
+
+
+@dataclass(frozen=True)
+class LoopProcessTimes:
+    """Waiting times of the process of a loop and of its parent, s.
+
+    Attributes:
+        patience: time that the loop has to answer a command, or to end. A longer time tolerates a slower computer, and
+            reports a blocked loop later.
+        grace: time that the loop has to end after its parent has ended.
+    """
+
+    patience: float = 5.0
+    grace: float = 0.5
+
+
+#: Times of every process of a loop.
+PROCESS_TIMES = LoopProcessTimes()
 
 
 class LoopFiles(NamedTuple):
@@ -75,7 +92,8 @@ def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things
         for path in files:
             remove_file(path)
 
-    follow_parent(_GRACE, remove_files)  # needed during the creation of the tissue, when the connection is not read
+    # The creation of the tissue does not read the connection, so it cannot notice the end of the parent.
+    follow_parent(PROCESS_TIMES.grace, remove_files)
     try:
         register_all(things)
         report = _loop(connection, parts, files)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.child import LoopFiles, LoopParts, run_child
+from haptics.loop.child import PROCESS_TIMES, LoopFiles, LoopParts, run_child
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
@@ -28,7 +28,7 @@ from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
 
 #: Time that the loop has to answer a command, or to end, s.
-PATIENCE = 5.0
+PATIENCE = PROCESS_TIMES.patience
 
 
 class LoopError(RuntimeError):

@@ -253,6 +253,7 @@ class SlotReader:
         return contents, max(number, newest), lost
 
     def close(self) -> None:
+        """Close the file; the writer removes it."""
         self._numbers.release()
         self._map.close()
 

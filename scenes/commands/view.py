@@ -26,12 +26,11 @@ from scenes.commands.shared.tissue_flags import (
     read_material,
     read_reduced,
 )
+from scenes.doctor.platform_services import VIEWER_PORT
 from tissue_sim.errors import InputError
 
 SUMMARY = "simulate a test interactively on a page in the browser, and compare it with measurements"
 EXAMPLE = "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv"
-#: Default port of the page.
-PORT = 8080
 
 
 def add_arguments(parser: Parser) -> None:
@@ -74,8 +73,8 @@ def add_arguments(parser: Parser) -> None:
 def add_page_flags(parser: Parser) -> None:
     """Add the flags of the page: address, access and graphics."""
     page = parser.add_argument_group("page")
-    page.add_argument("--port", type=at_least(0, 65535), metavar="N", default=PORT,
-                      help=f"port of the page; 0 selects a free port (default: {PORT})")
+    page.add_argument("--port", type=at_least(0, 65535), metavar="N", default=VIEWER_PORT,
+                      help=f"port of the page; 0 selects a free port (default: {VIEWER_PORT})")
     page.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
                       help="network address of the page (default: 127.0.0.1, this computer only)")
     page.add_argument("--expose", action="store_true",

@@ -17,7 +17,7 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
-from haptics.loop.tissue_factory import real_time_tissue
+from haptics.loop.tissue_factory import STEP_BUDGET, real_time_tissue
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
@@ -27,8 +27,8 @@ from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
-#: Wall-time budget of a step in a tick of 1 ms, s; the rest of the tick is left for the ring and the snapshots.
-BUDGET = 0.8e-3
+#: Wall-time budget of a step, s.
+BUDGET = STEP_BUDGET
 
 
 @dataclass(frozen=True)

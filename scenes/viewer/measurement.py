@@ -98,8 +98,7 @@ class Measurement:
 
     @property
     def noise(self) -> float | None:
-        """Root mean square over depths and branches of the replicates' standard deviation, N; None for one replicate.
-        """
+        """Root mean square over depths and branches of the standard deviation of replicates, N; None for one."""
         spreads = [each.standard_deviation for each in (self.load, self.unload)
                    if each is not None and each.standard_deviation is not None]
         known = np.concatenate([each[np.isfinite(each)] for each in spreads]) if spreads else np.empty(0)

@@ -324,7 +324,7 @@ class Session:
 
     @property
     def _entry_point(self) -> tuple[float, float]:
-        """x and y at which the tool first touches the undeformed surface, m."""
+        """Position (x, y) at which the tool first touches the undeformed surface, m."""
         x, y, _ = self.scene.experiment.tool_pose(0.0).position
         return x, y
 

@@ -7,12 +7,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
+from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.settings import read_settings
 from tissue_sim.errors import InputError
-
-#: Samples that the sensor keeps until they are read; older ones are lost.
-BUFFER = 4096
 
 
 class VirtualForceSensor(ForceSensor):
@@ -48,13 +45,15 @@ class VirtualForceSensor(ForceSensor):
         self._passed = 0
 
     def start(self) -> None:
+        """Set the time of the first sample to one period from now."""
         if self._began is None:
             self._began, self._passed = self._clock(), 0
 
     def read(self) -> tuple[ForceSample, ...]:
+        """Return the samples that have become due since the last call; a gap is marked if the buffer was full."""
         now, began = self._times()
         due = math.floor(min(now - began, self._silent_after) * self.rate)
-        first = max(self._passed, due - BUFFER)
+        first = max(self._passed, due - SAMPLE_BUFFER)
         lost, self._passed = first > self._passed, due
         samples = []
         for number in range(first, due):
@@ -66,13 +65,16 @@ class VirtualForceSensor(ForceSensor):
         return tuple(samples)
 
     def tare(self) -> None:
+        """Take the present counts as zero."""
         now, _ = self._times()
         self._zero, _ = self._measure(now)
 
     def stop(self) -> None:
+        """End sampling."""
         self._began = None
 
     def describe(self) -> dict[str, Any]:
+        """Return channels, rate, resolution and range; keys carry units."""
         return {"sensor": "virtual", "channels": list(self.channels), "rate_Hz": self.rate,
                 "resolution_N": self._resolution, "range_N": self._largest_count * self._resolution}
 

@@ -100,6 +100,7 @@ class ElasticSpecimen:
         self._forces = curve.force_behind(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
 
     def force(self, time: float, depth: float) -> float:
+        """Return the force at a depth, m, by linear interpolation in the table of forces, N."""
         if depth <= 0.0:
             return 0.0
         index = depth / self._step
@@ -128,6 +129,11 @@ class HistoryDependentSpecimen:
         self._time: float | None = None
 
     def force(self, time: float, depth: float) -> float:
+        """Step the simulation to a time, s, and a depth, m, and return the force, N.
+
+        Raises:
+            DeviceError: the simulation refuses the step.
+        """
         dt = 1e-3 if self._time is None else time - self._time
         self._time = time
         answer = self._simulator.step(depth, max(dt, 1e-6))

@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from haptics.recorder.live import UPDATE_INTERVAL
 from scenes.stop_signals import stopped_by_signals
 from scenes.viewer.bench.sources import BenchSource, BenchView
 from scenes.viewer.plots import curve_options, settled_range
 from scenes.viewer.web_server import ViewerServer, exposure, open_server
-
-#: Time between two updates, s.
-_INTERVAL = 0.2
 
 
 class BenchPage:
@@ -72,10 +70,11 @@ class BenchPage:
         waited = 0.0
         while not stop.is_set() and (seconds is None or waited < seconds):
             self.show(self.source.read())
-            stop.wait(_INTERVAL)
-            waited += _INTERVAL
+            stop.wait(UPDATE_INTERVAL)
+            waited += UPDATE_INTERVAL
 
     def close(self) -> None:
+        """Stop the web server and close the source."""
         self.server.stop()
         self.source.close()
 

@@ -85,6 +85,7 @@ class RunSource(BenchSource):
         self._read = 0
 
     def read(self) -> BenchView:
+        """Return the state of the run, its newest recording and the live readings of the recorder."""
         state, live = self._read_json(RUN_FILE), self._read_json(LIVE_FILE)
         if state is None:
             return BenchView(f"No run in {self._folder} yet", "Start the run with: tissue-sim record PROTOCOL.toml -o "
@@ -159,6 +160,7 @@ class DevicesSource(BenchSource):
         self._axis = sensor.channels.index(axis) if axis in sensor.channels else 0
 
     def read(self) -> BenchView:
+        """Read the new samples of the sensor and the position of the stage, and return their view."""
         message, position = "", np.nan
         try:
             samples = self._sensor.read()
@@ -184,6 +186,7 @@ class DevicesSource(BenchSource):
             rows[:, 0] - (last[0] if last else 0.0), rows[:, 1], rows[:, 2])
 
     def close(self) -> None:
+        """Stop stage and sensor."""
         if self._stage is not None:
             self._stage.stop()
         self._sensor.stop()
