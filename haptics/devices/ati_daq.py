@@ -108,7 +108,7 @@ class AtiDaqSensor(ForceSensor):
         found = []
         while self._waiting:
             received = self._waiting.popleft()
-            found.append(self._sample(received, gap=received.sequence != self._next))
+            found.append(self._convert_sample(received, gap=received.sequence != self._next))
             self._next = received.sequence + 1
         return tuple(found)
 
@@ -144,7 +144,7 @@ class AtiDaqSensor(ForceSensor):
             raise DeviceError(f"{name} has returned no sample for {now - self._last_received:.1f} s; check that the "
                               "board is sampling, and start it again")
 
-    def _sample(self, received: _ReceivedSample, gap: bool) -> ForceSample:
+    def _convert_sample(self, received: _ReceivedSample, gap: bool) -> ForceSample:
         """Return the sample of six voltages; `gap` marks lost samples before it."""
         steps = np.rint(received.volts * (_CONVERTER_STEPS / (self._highest - self._lowest)))
         least, most = (math.ceil(self._lowest / (self._highest - self._lowest) * _CONVERTER_STEPS),

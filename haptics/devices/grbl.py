@@ -83,9 +83,9 @@ class GrblStage(Stage):
         self.limits, self._port, self._axis, self._baud = limits, port, axis, baud
         self._name = f"the Grbl at {port}"
         self._connection: GrblConnection | None = None
-        self._reset()
+        self._reset_state()
 
-    def _reset(self) -> None:
+    def _reset_state(self) -> None:
         """Set the state of a stage that has not been started."""
         self._sequence = 0
         #: Machine coordinate of the zero, mm; None: not homed.
@@ -117,11 +117,11 @@ class GrblStage(Stage):
         """Open the port, check the settings of Grbl and start the thread that sends jogs and reads reports."""
         if self._connection is not None:
             return
-        self._reset()
+        self._reset_state()
         connection = GrblConnection(self._port, self._baud, grbl.AXES.index(self._axis))
         try:
             self._check_settings(connection.read_settings())
-            connection.start_thread(self._act)
+            connection.start_thread(self._send_next_commands)
         except BaseException:
             connection.close()
             raise
@@ -169,7 +169,7 @@ class GrblStage(Stage):
             self._raise_trouble(connection)
             if self._homing_until is not None:
                 return
-            report = self._new_report(connection)
+            report = self._wait_for_new_report(connection)
             if report.state in _BLOCKED:
                 raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
             if report.critical:
@@ -186,7 +186,7 @@ class GrblStage(Stage):
         self.limits.require(position, speed, slowest=grbl.LEAST_FEED / 60e3)
         with connection.lock:
             self._raise_trouble(connection)
-            report = connection.latest if self._homing_until is not None else self._new_report(connection)
+            report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
             self._require_movable(report, connection)
             zero = self._zero
             if zero is None:
@@ -202,7 +202,7 @@ class GrblStage(Stage):
         with connection.lock:
             self._last_call = time.monotonic()
             self._raise_trouble(connection)
-            report = connection.latest if self._homing_until is not None else self._new_report(connection)
+            report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
             homing = self._homing_until is not None
             moving = (homing or self._goal is not None or connection.unanswered > 0
                       or report.state in ("Jog", "Run", "Home"))
@@ -261,7 +261,7 @@ class GrblStage(Stage):
                 "runs_on_s": self.runs_on, "homing_runs_on": "to its end",
                 "checked_with": "emulator; unverified on hardware"}
 
-    def _act(self, connection: GrblConnection) -> bool:
+    def _send_next_commands(self, connection: GrblConnection) -> bool:
         """Send the next commands; return True while a motion is in progress.
 
         The connection's thread calls this method every few milliseconds and holds the lock.
@@ -358,7 +358,7 @@ class GrblStage(Stage):
         elif connection.is_settled and report.state == "Idle":
             self._zero, self._homing_until, connection.was_reset = report.position, None, False
 
-    def _new_report(self, connection: GrblConnection) -> AxisReport:
+    def _wait_for_new_report(self, connection: GrblConnection) -> AxisReport:
         """Return a report requested after this call. Requires the lock, which is released during the wait."""
         report = connection.wait_for_report(JOGS.report)
         if report is None:

@@ -104,7 +104,7 @@ class HaplyDevice(HapticDevice):
             return
         line = self._connect()
         try:
-            first = self._register(line)
+            first = self._register_program(line)
         except BaseException:
             line.close()
             raise
@@ -131,7 +131,7 @@ class HaplyDevice(HapticDevice):
                               "the service (Linux: systemctl start haply-inverse-service), or give its address as "
                               "haply:ws://HOST:PORT") from None
 
-    def _register(self, line: WebSocketLine) -> HapticState:
+    def _register_program(self, line: WebSocketLine) -> HapticState:
         """Receive the first state and register this program with zero force; return the state."""
         service = f"the Haply Inverse service at {self.address}"
         try:
@@ -273,17 +273,17 @@ class _ExchangeThread:
                 self._has_force.wait(0.5 * TIMING.stale)
                 self._has_force.clear()
                 requested, force = self._request
-                self._exchange(force if time.monotonic() - requested <= TIMING.silence else (0.0, 0.0, 0.0))
+                self._exchange_messages(force if time.monotonic() - requested <= TIMING.silence else (0.0, 0.0, 0.0))
             # The answer confirms that the service has received the zero force.
             self._unanswered = 0
-            self._exchange((0.0, 0.0, 0.0), within=0.2)
+            self._exchange_messages((0.0, 0.0, 0.0), within=0.2)
         except OSError as error:
             self.trouble = (f"the Haply Inverse service at {self._address} is gone ({error}); start it again, then "
                             "this program")
         finally:
             self._line.close()
 
-    def _exchange(self, force: Vector, within: float = TIMING.answer) -> None:
+    def _exchange_messages(self, force: Vector, within: float = TIMING.answer) -> None:
         """Send a force, N, unless too many messages are in flight, and receive answers for up to `within` seconds."""
         if self._unanswered < TIMING.max_unanswered:
             self._line.send(force_message(self._device_id, force), within + 1.0)

@@ -123,9 +123,9 @@ class HandMotion(Motion):
         self._starts_at_tool = start is None
         self._time = 0.0
         self._velocity = [0.0, 0.0, 0.0]
-        self._begin(approach, start or 0.0, start or 0.0)
+        self._set_start(approach, start or 0.0, start or 0.0)
 
-    def _begin(self, approach: Approach | None, start: float, target: float) -> None:
+    def _set_start(self, approach: Approach | None, start: float, target: float) -> None:
         """Set approach, depth, m, and target depth, m, at the start of the motion."""
         self.approach = approach
         # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
@@ -138,7 +138,7 @@ class HandMotion(Motion):
     def set_approach(self, approach: Approach | None) -> None:
         """Begin at the start of an approach, unless the motion has one or begins at the present pose of the tool."""
         if self.approach is None and approach is not None and not self._starts_at_tool:
-            self._begin(approach, self._position[2], self._target[2])
+            self._set_start(approach, self._position[2], self._target[2])
 
     def _set_orientation(self, pose: Pose) -> None:
         """Store a pose's orientation and the tool's axis, scaled: x, y and height per unit of depth along the axis."""
@@ -242,13 +242,13 @@ class RandomWalk(AxialMotion):
         first = int(knot)
         points = self._points
         while len(points) < first + 4:
-            points.append(self._next_point())
+            points.append(self._draw_control_point())
         u = knot - first
         v = 1.0 - u
         return (v * v * v * points[first] + (3 * u * u * u - 6 * u * u + 4) * points[first + 1]
                 + (3 * v * v * v - 6 * v * v + 4) * points[first + 2] + u * u * u * points[first + 3]) / 6
 
-    def _next_point(self) -> float:
+    def _draw_control_point(self) -> float:
         """Draw the next control point of the spline, m."""
         gauss = self._random.gauss
         self._log_amplitude = (self._AMPLITUDE_CORRELATION * self._log_amplitude

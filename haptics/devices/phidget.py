@@ -141,7 +141,7 @@ class PhidgetStage(Stage):
             motor.setRescaleFactor(1.0)
             motor.setVelocityLimit(0.0)
             self._require_speed(motor)
-            motor.setAcceleration(min(max(self._counts(self._acceleration), motor.getMinAcceleration()),
+            motor.setAcceleration(min(max(self._to_counts(self._acceleration), motor.getMinAcceleration()),
                                       motor.getMaxAcceleration()))
             if self._current is not None:
                 motor.setCurrentLimit(self._current)
@@ -169,7 +169,7 @@ class PhidgetStage(Stage):
             raise DeviceError(f"the top speed of the Phidget stepper is {most * 1e3:g} mm/s at {self._steps_per_mm:g} "
                               f"steps per mm; give top_speed_mm_s={most * 1e3:.4g} or less")
 
-    def _counts(self, length: float) -> float:
+    def _to_counts(self, length: float) -> float:
         """Convert a length, m, a speed, m/s, or an acceleration, m/s^2, to counts, without sign."""
         return abs(length / self._length_per_count)
 
@@ -192,7 +192,7 @@ class PhidgetStage(Stage):
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
         # The controller rounds down to whole counts per second, so a speed below 1 would become 0.
-        if self._counts(speed) < 1.0:
+        if self._to_counts(speed) < 1.0:
             raise InputError(f"must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
                              field="speed")
         halts = self._halts
@@ -201,7 +201,7 @@ class PhidgetStage(Stage):
             motor.setVelocityLimit(0.0)
             motor.setTargetPosition(float(round(position / self._length_per_count)))
             if self._halts == halts:
-                motor.setVelocityLimit(float(round(self._counts(speed))))
+                motor.setVelocityLimit(float(round(self._to_counts(speed))))
             if self._halts != halts:  # another thread halted in between
                 motor.setVelocityLimit(0.0)
                 return

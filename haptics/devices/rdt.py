@@ -105,8 +105,8 @@ class RdtSensor(ForceSensor):
             raise DeviceError(f"{address} answers with HTTP status {error.code}, so it is no ATI box; check the address"
                               ) from None
         except (OSError, ValueError) as error:
-            raise DeviceError(f"no ATI box answers at {address} ({_reason(error)}); check its power, the cable, and "
-                              "that this computer has an address in its network (a new box is at 192.168.1.1)"
+            raise DeviceError(f"no ATI box answers at {address} ({_describe_error(error)}); check its power, the cable"
+                              ", and that this computer has an address in its network (a new box is at 192.168.1.1)"
                               ) from None
         try:
             return rdt.read_settings_page(page)
@@ -175,7 +175,7 @@ class _Stream:
             family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind)
         except OSError as error:
-            raise DeviceError(f"{host} cannot be reached ({_reason(error)}); check the address") from None
+            raise DeviceError(f"{host} cannot be reached ({_describe_error(error)}); check the address") from None
         with contextlib.suppress(OSError):  # a smaller buffer works, too
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, STREAM.receive_buffer)
         self._address = address
@@ -202,7 +202,7 @@ class _Stream:
             self._socket.settimeout(0.1)
             self._socket.send(rdt.pack_request(Request(rdt.Command.REAL_TIME)))
         except OSError as error:
-            raise DeviceError(f"{self._host} cannot be reached ({_reason(error)}); check the network") from None
+            raise DeviceError(f"{self._host} cannot be reached ({_describe_error(error)}); check the network") from None
         self._thread.start()
         with self._arrived:
             if not self._arrived.wait_for(lambda: self._waiting, STREAM.first_record):
@@ -223,7 +223,7 @@ class _Stream:
                 continue
             except OSError as error:
                 # The system reports each datagram sent to a closed port; the box may return later.
-                self._failure = _reason(error)
+                self._failure = _describe_error(error)
                 if self._ending.wait(0.05):
                     return
                 continue
@@ -319,7 +319,7 @@ class RecordCounter:
             return []
         new = []
         for record in records:
-            if (number := self._number_of(record, now)) is None:
+            if (number := self._count_since_start(record, now)) is None:
                 continue
             status = SampleStatus.GOOD
             if self._has_restarted or number > self._number + 1:
@@ -335,7 +335,7 @@ class RecordCounter:
             new.append((record, number, int(status)))
         return new
 
-    def _number_of(self, record: Record, now: float) -> int | None:
+    def _count_since_start(self, record: Record, now: float) -> int | None:
         """Return the number of a record since the start; None: the record is late or a duplicate."""
         last = self._last
         if last is None:
@@ -363,7 +363,7 @@ class RecordCounter:
         return None
 
 
-def _reason(error: BaseException) -> str:
+def _describe_error(error: BaseException) -> str:
     """Return the cause in an error of a connection."""
     inner = getattr(error, "reason", error)
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__

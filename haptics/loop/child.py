@@ -96,38 +96,39 @@ def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things
     follow_parent(PROCESS_TIMES.grace, remove_files)
     try:
         register_all(things)
-        report = _loop(connection, parts, files)
+        report = _run_loop(connection, parts, files)
     except Exception as error:
         expected = isinstance(error, _EXPECTED)
         sentence = " ".join(str(error).split())
         if not expected:
             traceback.print_exc()
             sentence = f"{type(error).__name__}: {sentence}"
-        _send(connection, "error", (sentence, isinstance(error, InputError)))
+        _send_message(connection, "error", (sentence, isinstance(error, InputError)))
         sys.exit(1)
-    _send(connection, "report", report)
+    _send_message(connection, "report", report)
 
 
-def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopReport:
+def _run_loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopReport:
     settings = parts.settings
     with ExitStack() as stack:
         ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
-        _send(connection, "doing", "making the tissue")
+        _send_message(connection, "doing", "making the tissue")
         tissue = parts.make_tissue()
         if hasattr(tissue, "warm_up"):
-            _send(connection, "doing", "loading the solver (the first run on a computer compiles it, about 10 s)")
+            _send_message(connection, "doing",
+                          "loading the solver (the first run on a computer compiles it, about 10 s)")
             tissue.warm_up()
         snapshots = shown = None
         if settings.snapshot_rate and isinstance(tissue, ShownTissue):
             pattern = tissue.snapshot()
             if pattern.arrays():
                 shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
-                _send(connection, "pattern", pattern)
+                _send_message(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
                     listen=lambda loop: _run_commands(loop, connection, shown))
         # Started last: a user must not hold a device during compilation.
         parts.device.start()
-        _send(connection, "ready", mesh_of(tissue))
+        _send_message(connection, "ready", mesh_of(tissue))
         return loop.run()
 
 
@@ -154,6 +155,6 @@ def _run_commands(loop: Loop, connection: Connection, shown: ShownTissue | None)
         loop.stop("parent")
 
 
-def _send(connection: Connection, kind: str, content: Any = None) -> None:
+def _send_message(connection: Connection, kind: str, content: Any = None) -> None:
     with suppress(OSError):  # the parent has ended
         connection.send((kind, content))

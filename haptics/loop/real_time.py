@@ -82,7 +82,7 @@ def claim_fifo(undo: ExitStack, priority: int) -> str:
     return ""
 
 
-def _locked_memory(undo: ExitStack, _: int) -> str:
+def _lock_memory(undo: ExitStack, _: int) -> str:
     """Lock used pages in memory; return the reason of a refusal, or an empty string."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; swapping of memory may delay the loop"
@@ -95,7 +95,7 @@ def _locked_memory(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _timer_slack(undo: ExitStack, _: int) -> str:
+def _reduce_timer_slack(undo: ExitStack, _: int) -> str:
     """Reduce the timer slack of this thread from 50 us to 1 ns, as SCHED_FIFO does; return the reason of a refusal."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; sleeps may end late"
@@ -106,7 +106,7 @@ def _timer_slack(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _no_collection(undo: ExitStack, _: int) -> str:
+def _disable_collection(undo: ExitStack, _: int) -> str:
     """Collect garbage once, then disable the collection of reference cycles; never refused."""
     gc.collect()
     gc.freeze()
@@ -119,8 +119,8 @@ def _no_collection(undo: ExitStack, _: int) -> str:
 
 #: Features in the order of their requests; memory is locked after the garbage collection has freed it.
 _FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
-    "no garbage collection": _no_collection,
-    "locked memory": _locked_memory,
-    "timer slack": _timer_slack,
+    "no garbage collection": _disable_collection,
+    "locked memory": _lock_memory,
+    "timer slack": _reduce_timer_slack,
     "SCHED_FIFO": claim_fifo,
 }

@@ -285,7 +285,7 @@ def _create_atomically(path: Path, content: bytes) -> None:
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with open(temporary, "xb", opener=_private) as stream:
+        with open(temporary, "xb", opener=_open_private_file) as stream:
             stream.write(content)
         # Neither call replaces an existing file.
         if os.name == "nt":
@@ -296,5 +296,5 @@ def _create_atomically(path: Path, content: bytes) -> None:
         remove_file(temporary)
 
 
-def _private(path: str, flags: int) -> int:
+def _open_private_file(path: str, flags: int) -> int:
     return os.open(path, flags, 0o600)

@@ -105,7 +105,7 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         pickle.dump(error, answers)
         answers.flush()
         return
-    pattern = _snapshot(bulk, first)
+    pattern = _take_snapshot(bulk, first)
     whole, part = (8 * max_packed_size(bulk.surface, is_whole) for is_whole in (True, False))
     with (SlotWriter(models_path, KIND_MODEL, SLOTS.count, whole) as models,
           SlotWriter(corrections_path, KIND_CORRECTION, SLOTS.count, part) as corrections,
@@ -114,7 +114,7 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         orders.readline()  # wait until the parent has opened the files
         materials: deque[tuple[int, Material]] = deque()
-        threading.Thread(target=_listen, args=(orders, materials, paths), daemon=True).start()
+        threading.Thread(target=_receive_materials, args=(orders, materials, paths), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
             _run_linearisation(bulk, predictive, states, (models, corrections), board, materials)
 
@@ -150,15 +150,15 @@ def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisat
             # A tangent is used until the next one is finished, whose computation begins when this one is published.
             changed, serves = now, 2.0 * (now - changed)
         if now - shown > BULK_PROCESS.surface_interval:
-            board.publish(model.time, _snapshot(bulk, model))
+            board.publish(model.time, _take_snapshot(bulk, model))
             shown = now
 
 
-def _snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
+def _take_snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 
-def _listen(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
+def _receive_materials(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
     """Receive materials until the parent ends, then end this process."""
     try:
         while True:

@@ -74,7 +74,7 @@ class TimeHistogram:
 
     def __init__(self):
         self.count, self._maximum = 0, 0
-        self._bins = array("Q", bytes(8 * (_bin(1 << BINS.largest) + 1)))
+        self._bins = array("Q", bytes(8 * (_bin_index(1 << BINS.largest) + 1)))
 
     def add(self, nanoseconds: int) -> None:
         """Add a time, ns; a negative time counts as zero."""
@@ -82,7 +82,7 @@ class TimeHistogram:
         self.count += 1
         if nanoseconds > self._maximum:
             self._maximum = nanoseconds
-        self._bins[_bin(min(nanoseconds, 1 << BINS.largest))] += 1
+        self._bins[_bin_index(min(nanoseconds, 1 << BINS.largest))] += 1
 
     def quantile(self, share: float) -> float:
         """Return the time, s, that a fraction `share` (0 to 1) of all times does not exceed; 0 without times."""
@@ -90,7 +90,7 @@ class TimeHistogram:
             return 0.0
         rank = max(math.ceil(share * self.count), 1)
         index = next(index for index, below in enumerate(accumulate(self._bins)) if below >= rank)
-        return min(_middle(index), self._maximum) / 1e9
+        return min(_bin_middle(index), self._maximum) / 1e9
 
     @property
     def maximum(self) -> float:
@@ -103,13 +103,13 @@ class TimeHistogram:
         return Quantiles(self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), self.maximum)
 
 
-def _bin(nanoseconds: int) -> int:
+def _bin_index(nanoseconds: int) -> int:
     """Return the bin of a time: bins of 1 ns up to `_LINEAR` ns, then as many bins per doubling."""
     doublings = max(nanoseconds.bit_length() - BINS.fineness - 1, 0)
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
-def _middle(index: int) -> float:
+def _bin_middle(index: int) -> float:
     """Return the middle of a bin, ns."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)

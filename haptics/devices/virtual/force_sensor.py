@@ -51,13 +51,13 @@ class VirtualForceSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples that have become due since the last call; a gap is marked if the buffer was full."""
-        now, began = self._times()
+        now, began = self._present_and_start_time()
         due = math.floor(min(now - began, self._silent_after) * self.rate)
         first = max(self._passed, due - SAMPLE_BUFFER)
         lost, self._passed = first > self._passed, due
         samples = []
         for number in range(first, due):
-            counts, status = self._measure(began + (number + 1) / self.rate)
+            counts, status = self._measure_counts(began + (number + 1) / self.rate)
             if lost and number == first:
                 status |= SampleStatus.GAP
             values = tuple(self._resolution * (count - zero) for count, zero in zip(counts, self._zero, strict=True))
@@ -66,8 +66,8 @@ class VirtualForceSensor(ForceSensor):
 
     def tare(self) -> None:
         """Take the present counts as zero."""
-        now, _ = self._times()
-        self._zero, _ = self._measure(now)
+        now, _ = self._present_and_start_time()
+        self._zero, _ = self._measure_counts(now)
 
     def stop(self) -> None:
         """End sampling."""
@@ -78,13 +78,13 @@ class VirtualForceSensor(ForceSensor):
         return {"sensor": "virtual", "channels": list(self.channels), "rate_Hz": self.rate,
                 "resolution_N": self._resolution, "range_N": self._largest_count * self._resolution}
 
-    def _times(self) -> tuple[float, float]:
+    def _present_and_start_time(self) -> tuple[float, float]:
         """Return the present time and the time of the start, s on the clock."""
         if self._began is None:
             raise DeviceError("the virtual force sensor is not started; start it first")
         return self._clock(), self._began
 
-    def _measure(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
+    def _measure_counts(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
         """Return counts, clipped to the range, and status at a time on the clock, s."""
         unclipped = [round(value / self._resolution) for value in self._load(at)]
         counts = tuple(min(max(count, -self._largest_count), self._largest_count) for count in unclipped)

@@ -84,7 +84,7 @@ class VirtualStage(Stage):
     def home(self) -> None:
         """Begin a motion to zero at top speed; the zero is known at its end."""
         self._require_start()
-        self._go(0.0, self.limits.speed)
+        self._begin_motion(0.0, self.limits.speed)
         self._homing = True
 
     def move(self, position: float, speed: float) -> None:
@@ -94,7 +94,7 @@ class VirtualStage(Stage):
         self._finish_homing()
         if not self._homed:
             raise DeviceError("the virtual stage does not know its zero; home it first, and wait until it is there")
-        self._go(position, speed)
+        self._begin_motion(position, speed)
 
     def position(self) -> StageSample:
         """Return the position of the encoder, m: of the tool if `measures_position`, otherwise of the motor."""
@@ -123,7 +123,7 @@ class VirtualStage(Stage):
         """Stop the motor at its present position."""
         self._finish_homing()
         position = self._motor_position(self._clock())
-        self._go(position, self.limits.speed)
+        self._begin_motion(position, self.limits.speed)
         self._homing = False
 
     def stop(self) -> None:
@@ -136,7 +136,7 @@ class VirtualStage(Stage):
         return {"stage": "virtual", "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "resolution_mm": self._resolution * 1e3}
 
-    def _go(self, position: float, speed: float) -> None:
+    def _begin_motion(self, position: float, speed: float) -> None:
         """Begin a motion to a position, m, at a speed, m/s, and end homing."""
         now = self._clock()
         start, last = self._motor_position(now), self._motions[-1]
