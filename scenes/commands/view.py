@@ -18,7 +18,7 @@ from scenes.commands.shared.experiment_flags import (
     make_protocol,
     refuse_corrections,
 )
-from scenes.commands.shared.parsing import Parser, add_json, at_least, positive
+from scenes.commands.shared.parsing import Parser, add_json, make_integer_type, parse_positive
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
     add_solver_flags,
@@ -63,7 +63,7 @@ def add_arguments(parser: Parser) -> None:
     headless = parser.add_argument_group("without a browser")
     headless.add_argument("--headless", action="store_true",
                           help="run --protocol without a page and print a summary; requires --seconds")
-    headless.add_argument("--seconds", type=positive, metavar="N",
+    headless.add_argument("--seconds", type=parse_positive, metavar="N",
                           help="end after this time (default: at Ctrl-C)")
     add_experiment_flags(parser)
     add_json(parser)
@@ -73,7 +73,7 @@ def add_arguments(parser: Parser) -> None:
 def add_page_flags(parser: Parser) -> None:
     """Add the flags of the page: address, access and graphics."""
     page = parser.add_argument_group("page")
-    page.add_argument("--port", type=at_least(0, 65535), metavar="N", default=VIEWER_PORT,
+    page.add_argument("--port", type=make_integer_type(0, 65535), metavar="N", default=VIEWER_PORT,
                       help=f"port of the page; 0 selects a free port (default: {VIEWER_PORT})")
     page.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
                       help="network address of the page (default: 127.0.0.1, this computer only)")

@@ -92,6 +92,6 @@ def make_body(mesh: Any) -> Body:
     return SolidBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 else RevolvedBody(CutAway.from_mesh(mesh))
 
 
-def drawable(fields: Any) -> bool:
+def is_drawable(fields: Any) -> bool:
     """Return whether the viewer can draw fields of this type."""
     return isinstance(fields, Fields | SolidFields)

@@ -15,7 +15,7 @@ from haptics.recorder.live import UPDATE_INTERVAL
 from scenes.stop_signals import stopped_by_signals
 from scenes.viewer.bench.sources import BenchSource, BenchView
 from scenes.viewer.plots import curve_options, settled_range
-from scenes.viewer.web_server import ViewerServer, exposure, open_server
+from scenes.viewer.web_server import ViewerServer, describe_exposure, open_server
 
 
 class BenchPage:
@@ -119,7 +119,7 @@ def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float 
         address = shown.server.address()
         print(json_format.dumps({"url": address}) if json else f"{address}   (Ctrl-C stops)", flush=True)
         if page["exposed"]:
-            print(f"tissue-sim: warning: {exposure(page['host'], shown.server.get_port())}", file=sys.stderr)
+            print(f"tissue-sim: warning: {describe_exposure(page['host'], shown.server.get_port())}", file=sys.stderr)
         if page["open"]:
             webbrowser.open_new_tab(address)
         stop = threading.Event()

@@ -167,7 +167,7 @@ class DevicesSource(BenchSource):
             if self._stage is not None:
                 position = 1e3 * self._stage.position().position
         except DeviceError as error:
-            return self._view(str(error))
+            return self._make_view(str(error))
         self._rows.extend((sample.received, position, sample.values[self._axis]) for sample in samples)
         while self._rows and self._rows[-1][0] - self._rows[0][0] > CURVE.time_span:
             self._rows.popleft()
@@ -175,9 +175,9 @@ class DevicesSource(BenchSource):
             message = "The sensor is at the limit of its range. Reduce the force."
         elif any(sample.status & SampleStatus.FAULT for sample in samples):
             message = "The sensor reports a fault. Check the sensor and its cable."
-        return self._view(message)
+        return self._make_view(message)
 
-    def _view(self, message: str) -> BenchView:
+    def _make_view(self, message: str) -> BenchView:
         rows = np.array(list(self._rows)[:: max(1, len(self._rows) // CURVE.points)]).reshape(-1, 3)
         last = self._rows[-1] if self._rows else None
         return BenchView("sensor" if self._stage is None else "sensor and stage", message or (
