@@ -153,7 +153,7 @@ class HaplyEmulator(Emulator):
                     line.put(self._answer_message(message).encode(), now)
                 else:
                     self._simulate_hand()
-                for each in line.take(now):
+                for each in line.take_due(now):
                     connection.send(each.decode(errors="replace"))
         with self._lock:
             self._set_force((0.0, 0.0, 0.0))

@@ -127,7 +127,7 @@ class RdtEmulator(Emulator):
                 if len(pending) == size or remaining == 0:
                     line.put(rdt.pack_records(pending), now)
                     pending = []
-            for datagram in line.take(now):
+            for datagram in line.take_due(now):
                 # Like a box, the emulator ignores a client that has closed its port, and a full send buffer.
                 with contextlib.suppress(OSError):
                     self._socket.sendto(datagram, client)

@@ -87,7 +87,7 @@ class TerminalEmulator(Emulator):
                         messages = self.answer_bytes(data)
             for message in (*messages, *self.take_due_messages()):
                 line.put(message, now)
-            for message in line.take(now):
+            for message in line.take_due(now):
                 # If the client does not read, excess bytes are lost, as on a wire without flow control.
                 with contextlib.suppress(BlockingIOError):
                     os.write(self._master, message)

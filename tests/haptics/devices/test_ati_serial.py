@@ -201,7 +201,7 @@ def first_garbled(seed):
     line = FaultyLine(Faults(garble=0.3, seed=seed), 0.0)
     for number in range(100):
         line.put(b"x" * 45, 0.0)
-        if line.take(0.0) != [b"x" * 45]:
+        if line.take_due(0.0) != [b"x" * 45]:
             return number
     return 100
 
