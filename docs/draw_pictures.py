@@ -25,7 +25,7 @@ import tissue_sim as ts
 from calibration import ColumnHints, ImportOptions, calibrate, import_files
 from scenes import SCENES, draw_simulation, run_demo, run_hidden_demo
 from scenes.colour_scale import colour_scale
-from scenes.figures import draw_section, save
+from scenes.figures import draw_section, save_figure
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"
@@ -155,7 +155,7 @@ def draw_cycles(material: ts.Material) -> None:
             panel.grid(alpha=0.3)
             panel.spines[["top", "right"]].set_visible(False)
     axes[0, 0].legend(frameon=False)
-    save(figure, PICTURES / "cycles.png")
+    save_figure(figure, PICTURES / "cycles.png")
 
 
 def draw_inverse_calibration(material: ts.Material) -> None:

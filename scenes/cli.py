@@ -63,14 +63,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     arguments = None
     try:
-        arguments = _parse(words)
+        arguments = _parse_arguments(words)
         code = ExitCode.DONE if arguments is None else arguments.run(arguments)
         sys.stdout.flush()  # raises BrokenPipeError inside this block instead of at exit
         return code
     except InputError as error:
-        return _fail(str(error), ExitCode.BAD_INPUT)
+        return _print_error(str(error), ExitCode.BAD_INPUT)
     except (ConvergenceError, MissingBackendError, WorkerError) as error:
-        return _fail(str(error), ExitCode.GOAL_MISSED)
+        return _print_error(str(error), ExitCode.GOAL_MISSED)
     except BrokenPipeError:
         # A program such as head closed the pipe early, which is no error. The buffered rest goes to the null device,
         # so that the interpreter does not fail when it flushes stdout at exit.
@@ -78,13 +78,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.DONE
     except OSError as error:
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        return _fail(text, ExitCode.BAD_INPUT)
+        return _print_error(text, ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
         hint = getattr(arguments, "resume_hint", "nothing was written")
-        return _fail(f"stopped by Ctrl-C; {hint}", ExitCode.INTERRUPTED)
+        return _print_error(f"stopped by Ctrl-C; {hint}", ExitCode.INTERRUPTED)
 
 
-def _parse(words: list[str]) -> Namespace | None:
+def _parse_arguments(words: list[str]) -> Namespace | None:
     """Parse the arguments; return None after argparse printed the help or the version.
 
     Raises:
@@ -155,7 +155,7 @@ def _print_utf8() -> None:
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")
 
 
-def _fail(text: str, code: int) -> int:
+def _print_error(text: str, code: int) -> int:
     """Print an error on stderr and return the exit code."""
     print(f"tissue-sim: {sentence(text)}", file=sys.stderr)
     return code

@@ -52,7 +52,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("the recording has no fields. Simulate with fields=True", field="fields")
-    sample = _drawn_sample(recording, segment)
+    sample = _find_drawn_sample(recording, segment)
     tool, fields = model.experiment.tool, recording.fields
     figure = Figure(layout="constrained")
     if fields.mesh.nodes.shape[1] == 3:
@@ -82,7 +82,7 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     warnings = recording.metadata.get("solver", {}).get("warnings", [])
     if warnings:
         curve.set_title("\n".join(textwrap.wrap("; ".join(warnings), 60)), fontsize=8, color="#a33c00")
-    save(figure, path)
+    save_figure(figure, path)
 
 
 def _draw_solid(figure, fields: SolidFields, field: str, sample: int, pose: Pose, tool: Tool) -> dict[str, Any]:
@@ -112,7 +112,7 @@ def _draw_axisymmetric(figure, fields: Fields, field: str, sample: int, tool: To
     return axes
 
 
-def _drawn_sample(recording: Recording, segment: str | None) -> int:
+def _find_drawn_sample(recording: Recording, segment: str | None) -> int:
     """Return the index of the deepest sample, or of the last sample of a segment."""
     if segment is None:
         return int(np.argmax(recording.displacement))
@@ -190,8 +190,8 @@ def _draw_field(axes, fields: Fields, name: str, sample: int, sides: tuple[int, 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
     values = fields.at_nodes(name, sample) * factor
-    triangles = _triangles(mesh)
-    edges = _outlines(mesh, nodes)
+    triangles = _split_into_triangles(mesh)
+    edges = _element_outlines(mesh, nodes)
     for mirror in sides:
         side = np.array([mirror, 1])
         x, y = (nodes * side).T
@@ -225,7 +225,7 @@ def _contact_height(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
     return float(surface[below, 1].max())
 
 
-def save(figure, path: Path) -> None:
+def save_figure(figure, path: Path) -> None:
     """Write a matplotlib figure atomically, in the format of the file's suffix (png without a suffix)."""
     kind = Path(path).suffix.lstrip(".").lower() or "png"
     if kind == "png":
@@ -236,7 +236,7 @@ def save(figure, path: Path) -> None:
     write_bytes(Path(path), buffer.getvalue())
 
 
-def _triangles(mesh: Mesh) -> np.ndarray:
+def _split_into_triangles(mesh: Mesh) -> np.ndarray:
     """Split each element into triangles between its nodes; node numbers, shape (triangles, 3)."""
     square = [(0, 1, 2), (0, 2, 3)]
     nine = [(0, 4, 8), (0, 8, 7), (4, 1, 5), (4, 5, 8), (8, 5, 2), (8, 2, 6), (7, 8, 6), (7, 6, 3)]
@@ -244,7 +244,7 @@ def _triangles(mesh: Mesh) -> np.ndarray:
                            for corners in (square if mesh.element.order == 1 else nine)])
 
 
-def _outlines(mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
+def _element_outlines(mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
     """Return the outline of each element as a closed polyline, in the unit of `nodes`, shape (elements, points, 2)."""
     ring = [0, 1, 2, 3, 0] if mesh.element.order == 1 else [0, 4, 1, 5, 2, 6, 3, 7, 0]
     return nodes[mesh.connectivity[:, ring]]

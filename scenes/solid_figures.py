@@ -125,7 +125,7 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     normals = _vertex_normals(nodes, surface_triangles(mesh.element, sides), len(nodes))
     lines = lines[(normals[sides[:, side_edges(mesh.element)].reshape(-1, 2)] @ _view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
-        lines = lines[~_is_hidden(lines.mean(axis=1), *bodies[1][:2])]
+        lines = lines[~_find_hidden_points(lines.mean(axis=1), *bodies[1][:2])]
     thickness = min(0.4, 8.0 / np.sqrt(len(lines) + 1))
     axes.add_collection(LineCollection(list(1e3 * _camera_coordinates(lines)[..., :2]), colors="white",
                                        linewidths=thickness, alpha=0.55))
@@ -273,7 +273,7 @@ def _draw_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) 
     axes.update_datalim(np.column_stack([x, y]))
 
 
-def _is_hidden(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _find_hidden_points(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Tell for each point, shape (n, 3), whether a triangle lies between the point and the camera; bool, shape (n,)."""
     seen, corners = _camera_coordinates(points), _camera_coordinates(vertices)[faces]
     hidden = np.zeros(len(points), dtype=bool)

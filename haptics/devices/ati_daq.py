@@ -15,15 +15,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
+from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.settings import read_choices, read_settings, split_target
 from haptics.protocols.ati_calibration import MAX_SIZE, AtiCalibration, read_calibration
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
 
-#: Samples kept until they are read; older ones are lost.
-BUFFER = 4096
 #: Counts over the range of voltages, as of a 16-bit converter.
 _CONVERTER_STEPS = 65536
 #: A complete name, for messages.
@@ -83,14 +81,15 @@ class AtiDaqSensor(ForceSensor):
         self._reach = np.array(calibration.reach)
         self._zero = np.zeros(6)
         self._read_volts: Callable[[], Any] | None = None
-        self._waiting: deque[_ReceivedSample] = deque(maxlen=BUFFER)
-        self._recent: deque[_ReceivedSample] = deque(maxlen=BUFFER)
+        self._waiting: deque[_ReceivedSample] = deque(maxlen=SAMPLE_BUFFER)
+        self._recent: deque[_ReceivedSample] = deque(maxlen=SAMPLE_BUFFER)
         #: Number of the next sample to receive, and of the next one to be read.
         self._number = self._next = 0
         #: Time of the last sample, s.
         self._last_received = 0.0
 
     def start(self) -> None:
+        """Import the function that reads the voltages if its name was given, and discard old samples."""
         if self._read_volts is not None:
             return
         read_volts = _import_function(self._given) if isinstance(self._given, str) else self._given
@@ -104,11 +103,12 @@ class AtiDaqSensor(ForceSensor):
         self._last_received = time.monotonic()
 
     def read(self) -> tuple[ForceSample, ...]:
+        """Return the samples received since the last call, forces in N and torques in N m."""
         self._read_board()
         found = []
         while self._waiting:
             received = self._waiting.popleft()
-            found.append(self._sample(received, gap=received.sequence != self._next))
+            found.append(self._convert_sample(received, gap=received.sequence != self._next))
             self._next = received.sequence + 1
         return tuple(found)
 
@@ -144,7 +144,7 @@ class AtiDaqSensor(ForceSensor):
             raise DeviceError(f"{name} has returned no sample for {now - self._last_received:.1f} s; check that the "
                               "board is sampling, and start it again")
 
-    def _sample(self, received: _ReceivedSample, gap: bool) -> ForceSample:
+    def _convert_sample(self, received: _ReceivedSample, gap: bool) -> ForceSample:
         """Return the sample of six voltages; `gap` marks lost samples before it."""
         steps = np.rint(received.volts * (_CONVERTER_STEPS / (self._highest - self._lowest)))
         least, most = (math.ceil(self._lowest / (self._highest - self._lowest) * _CONVERTER_STEPS),
@@ -166,9 +166,11 @@ class AtiDaqSensor(ForceSensor):
         self._zero = np.mean([each.volts for each in list(self._recent)[-count:]], axis=0)
 
     def stop(self) -> None:
+        """Stop reading voltages."""
         self._read_volts = None
 
     def describe(self) -> dict[str, Any]:
+        """Return sensor, calibration, channels, rate, voltage range and force range; keys carry units."""
         calibration = self.calibration
         return {"sensor": "ATI on a data acquisition board", "serial": calibration.serial, "part": calibration.part,
                 "calibrated": calibration.date, "calibration_rows": calibration.rows, "channels": list(self.channels),

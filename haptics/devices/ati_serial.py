@@ -11,8 +11,8 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from haptics.devices.ati_serial_records import AsciiStream, BinaryRequests, is_text, quote, read_until_quiet
-from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
+from haptics.devices.ati_serial_records import AsciiStream, BinaryRequests, is_text, quote_bytes, read_until_quiet
+from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import read_choices, read_settings, split_target
 from haptics.protocols.ati_serial import (
@@ -28,8 +28,6 @@ from tissue_sim.errors import InputError
 
 #: Forms of the records.
 MODES = ("ascii", "binary")
-#: Samples kept until they are read; older ones are lost.
-BUFFER = 4096
 #: Name of the controller in messages.
 _OWNER = "the ATI controller"
 
@@ -112,6 +110,7 @@ class AtiSerialSensor(ForceSensor):
         self._receiver: _Receiver | None = None
 
     def start(self) -> None:
+        """Open the port, configure the controller, observe its records and start the thread that receives them."""
         if self._receiver is not None:
             return
         line = SerialLine(self._port, self._baud, _OWNER)
@@ -119,16 +118,17 @@ class AtiSerialSensor(ForceSensor):
             self._configure(line)
             source = AsciiStream(line) if self._mode == "ascii" else BinaryRequests(line, self._baud, TIMING.answer)
             source.begin()
-            self._observe(source)
+            self._observe_records(source)
         except BaseException:
             line.close()
             raise
         self._receiver = _Receiver(line, source, self._port, max(TIMING.silence, TIMING.silent_periods / self.rate))
 
     def read(self) -> tuple[ForceSample, ...]:
-        return tuple(self._sample(*each) for each in self._require_start().take())
+        """Return the samples received since the last call, forces in N and torques in N m."""
+        return tuple(self._convert_record(*each) for each in self._require_start().take())
 
-    def _sample(self, received: _ReceivedRecord, gap: bool) -> ForceSample:
+    def _convert_record(self, received: _ReceivedRecord, gap: bool) -> ForceSample:
         """Return the sample of a record; `gap` marks lost records before it."""
         status = SampleStatus.GAP if gap else SampleStatus.GOOD
         if received.record.flag:
@@ -147,11 +147,13 @@ class AtiSerialSensor(ForceSensor):
         self._zero = tuple(sum(counts) / len(recent) for counts in zip(*recent, strict=True))
 
     def stop(self) -> None:
+        """End the thread and close the port."""
         if self._receiver is not None:
             receiver, self._receiver = self._receiver, None
             receiver.end()
 
     def describe(self) -> dict[str, Any]:
+        """Return port, mode, rate, resolution, range and number of garbled records; keys carry units."""
         force, torque = self._scale[0], self._scale[-1]
         return {"sensor": "ATI stand-alone controller", "port": self._port, "baud": self._baud, "mode": self._mode,
                 "channels": list(self.channels), "rate_Hz": self.rate, "averaged_samples": self._average,
@@ -182,20 +184,21 @@ class AtiSerialSensor(ForceSensor):
             while not answer.rstrip().endswith(PROMPT):
                 if time.monotonic() >= end:
                     raise DeviceError(f"the ATI controller at {self._port} did not end its answer to {command!r} "
-                                      f"({quote(answer)}) with its prompt '>'; switch it off and on, and start again")
+                                      f"({quote_bytes(answer)}) with its prompt '>'; switch it off and on, and start "
+                                      "again")
                 answer += line.read_within(0.1)
 
-    def _observe(self, source: AsciiStream | BinaryRequests) -> None:
+    def _observe_records(self, source: AsciiStream | BinaryRequests) -> None:
         """Read records for `AtiSerialTiming.observation` to find their form and rate; discards the records."""
         times: list[float] = []
         end = time.monotonic() + TIMING.patience
         while not times or time.monotonic() < times[0] + TIMING.observation or len(times) < 3:
-            times += [time.monotonic() for record in source.take(0.1) if record is not None]
+            times += [time.monotonic() for record in source.read_records(0.1) if record is not None]
             if time.monotonic() >= end + (TIMING.observation if times else 0.0):
                 raise DeviceError(f"the ATI controller at {self._port} sends no records of a flag and six counts "
-                                  f"({quote(source.wrong)}); select all six components (CV 3F), and check the baud "
-                                  "rate and the cable")
-        source.fix_form()
+                                  f"({quote_bytes(source.wrong)}); select all six components (CV 3F), and check the "
+                                  "baud rate and the cable")
+        source.require_present_form()
         line_rate = 1.0 / transmission_time(source.length, self._baud)
         measured = (len(times) - 1) / max(times[-1] - times[0], 1e-9)
         is_close = abs(measured - line_rate) <= TIMING.rate_tolerance * line_rate
@@ -225,8 +228,8 @@ class _Receiver:
 
     def __init__(self, line: SerialLine, source: AsciiStream | BinaryRequests, port: str, silence: float):
         self._line, self._source, self._port, self._silence = line, source, port, silence
-        self._waiting: deque[_ReceivedRecord] = deque(maxlen=BUFFER)
-        self._recent: deque[_ReceivedRecord] = deque(maxlen=BUFFER)
+        self._waiting: deque[_ReceivedRecord] = deque(maxlen=SAMPLE_BUFFER)
+        self._recent: deque[_ReceivedRecord] = deque(maxlen=SAMPLE_BUFFER)
         #: Number of the next record to receive, and of the next one to be read.
         self._number, self._next = 0, 0
         self.garbled = 0
@@ -240,7 +243,7 @@ class _Receiver:
         last_received, wrong = time.monotonic(), b""
         try:
             while not self._ending.is_set():
-                records = self._source.take(0.02)
+                records = self._source.read_records(0.02)
                 now = time.monotonic()
                 for record in records:
                     if record is None:
@@ -254,7 +257,7 @@ class _Receiver:
                     self._number += 1
                 if now - last_received > self._silence:
                     # Some controllers report a saturated or disconnected sensor in words.
-                    sent = f"no complete record ({quote(wrong)})" if wrong else "nothing"
+                    sent = f"no complete record ({quote_bytes(wrong)})" if wrong else "nothing"
                     raise DeviceError(f"the ATI controller at {self._port} has sent {sent} for {self._silence:.2g} s; "
                                       "check its power, its sensor and the cable, and start it again")
         except DeviceError as error:
@@ -303,8 +306,8 @@ def _describe_missing_prompt(port: str, baud: int, answer: bytes) -> str:
     if sum(not is_text(bytes([byte])) for byte in answer) > len(answer) / 8:
         return (f"the bytes from {port} are no text at {baud} baud; give the baud rate of the ATI controller, which "
                 "its display shows at power on, as in baud=38400")
-    return (f"the device at {port} is not an ATI controller (it sent {quote(answer)} and no prompt '>'); give the "
-            "port of the controller")
+    return (f"the device at {port} is not an ATI controller (it sent {quote_bytes(answer)} and no prompt '>'); give "
+            "the port of the controller")
 
 
 def open_ati_serial(text: str) -> AtiSerialSensor:

@@ -39,7 +39,7 @@ class AsciiStream:
         """Start the stream."""
         self._line.write(b"QS" + CARRIAGE_RETURN)
 
-    def take(self, timeout: float) -> list[Record | None]:
+    def read_records(self, timeout: float) -> list[Record | None]:
         """Return the records that arrive within `timeout` seconds, with None for each garbled one."""
         *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
         if len(self._rest) > 4 * FORMAT.padded_length:
@@ -57,7 +57,7 @@ class AsciiStream:
                     self.length = len(text) + 2
         return records
 
-    def fix_form(self) -> None:
+    def require_present_form(self) -> None:
         """Accept only the form, padded or not, that all records so far had."""
         self._padded = self._forms == {True}
 
@@ -89,7 +89,7 @@ class BinaryRequests:
         """Do nothing; each record is requested."""
         return
 
-    def take(self, timeout: float) -> list[Record | None]:
+    def read_records(self, timeout: float) -> list[Record | None]:
         """Request a record; return [record], [None] if its length is wrong, or [] if there is no answer."""
         self._line.read()  # discards late bytes of an earlier answer
         self._line.write(ONE_RECORD)
@@ -106,7 +106,7 @@ class BinaryRequests:
                 read_until_quiet(self._line, self._pause)
         return [record]
 
-    def fix_form(self) -> None:
+    def require_present_form(self) -> None:
         """Do nothing; binary records have one form."""
         return
 
@@ -134,6 +134,6 @@ def is_text(data: bytes) -> bool:
     return all(byte in b"\r\n\t\x06\0" or 32 <= byte < 127 for byte in data)
 
 
-def quote(data: bytes) -> str:
+def quote_bytes(data: bytes) -> str:
     """Return the last 40 bytes for a message."""
     return repr(data.strip()[-40:].decode("ascii", "backslashreplace")) if data.strip() else "nothing arrived"

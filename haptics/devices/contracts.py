@@ -41,6 +41,10 @@ class SampleStatus(IntFlag):
     LIMIT = 8
 
 
+#: Samples that most sensors keep until they are read; older ones are lost.
+SAMPLE_BUFFER = 4096
+
+
 @dataclass(frozen=True, slots=True)
 class ForceSample:
     """One sample of a force sensor.
@@ -334,9 +338,11 @@ class Motion(HapticDevice):
     approach: Approach | None = None
 
     def render(self, wrench: Screw) -> None:
+        """Ignore the wrench: a motion has no actuator."""
         return
 
     def set_approach(self, approach: Approach | None) -> None:
+        """Use the approach of a tool, unless an approach was set before."""
         if self.approach is None:
             self.approach = approach
 
@@ -353,6 +359,7 @@ class AxialMotion(Motion):
 
 
     def pose(self, time: float) -> Pose | None:
+        """Return the pose at `depth` on the approach of the tool, or on the z axis without an approach."""
         depth = self.depth(time)
         if depth is None:
             return None

@@ -65,7 +65,7 @@ def _probe_all() -> Iterator[ProbeResult]:
                 yield ProbeResult(f"{back_end}:", kind, False, f"name its port, as in {back_end}:{ports[0]}" if ports
                                   else "no serial port was found; plug the device in")
             elif back_end in _DEFAULT_ADDRESSES:
-                yield _probe(f"{back_end}:{_DEFAULT_ADDRESSES[back_end]}", kind, table)
+                yield _probe_back_end(f"{back_end}:{_DEFAULT_ADDRESSES[back_end]}", kind, table)
             else:
                 yield ProbeResult(f"{back_end}:", kind, False, _FILES.get(back_end, "give its name with its settings"))
     for port in ports:
@@ -89,10 +89,10 @@ def _probe_name(name: str) -> Iterator[ProbeResult]:
         known = ", ".join(sorted({each for _, table in _TABLES for each in table}))
         raise InputError(f"must begin with one of {known}; got {back_end!r}", field="names")
     for kind, table in tables:
-        yield _probe(name, kind, table)
+        yield _probe_back_end(name, kind, table)
 
 
-def _probe(name: str, kind: str, table: Any) -> ProbeResult:
+def _probe_back_end(name: str, kind: str, table: Any) -> ProbeResult:
     """Start a device, read its description and stop it."""
     back_end, _, rest = name.partition(":")
     if back_end in _REQUIRED_SETTINGS and "=" not in rest:

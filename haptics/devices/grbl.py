@@ -42,7 +42,6 @@ class JogSettings:
 
 #: Settings of all stages of this process.
 JOGS = JogSettings()
-
 #: States that forbid a motion, with the remedy.
 _BLOCKED = {"Hold": "is on hold; send ~ or reset it", "Door": "has its safety door open; close it and reset it",
             "Check": "is in check mode, which moves nothing; send $C", "Sleep": "sleeps; reset it and home it"}
@@ -84,9 +83,9 @@ class GrblStage(Stage):
         self.limits, self._port, self._axis, self._baud = limits, port, axis, baud
         self._name = f"the Grbl at {port}"
         self._connection: GrblConnection | None = None
-        self._reset()
+        self._reset_state()
 
-    def _reset(self) -> None:
+    def _reset_state(self) -> None:
         """Set the state of a stage that has not been started."""
         self._sequence = 0
         #: Machine coordinate of the zero, mm; None: not homed.
@@ -115,13 +114,14 @@ class GrblStage(Stage):
         return self.__dict__
 
     def start(self) -> None:
+        """Open the port, check the settings of Grbl and start the thread that sends jogs and reads reports."""
         if self._connection is not None:
             return
-        self._reset()
+        self._reset_state()
         connection = GrblConnection(self._port, self._baud, grbl.AXES.index(self._axis))
         try:
             self._check_settings(connection.read_settings())
-            connection.start_thread(self._act)
+            connection.start_thread(self._send_next_commands)
         except BaseException:
             connection.close()
             raise
@@ -163,12 +163,13 @@ class GrblStage(Stage):
                                                + 10.0 * read(Setting.PULL_OFF) / max(read(Setting.HOMING_FEED), 1.0))
 
     def home(self) -> None:
+        """Request Grbl's homing cycle and return at once."""
         connection = self._require_start()
         with connection.lock:
             self._raise_trouble(connection)
             if self._homing_until is not None:
                 return
-            report = self._new_report(connection)
+            report = self._wait_for_new_report(connection)
             if report.state in _BLOCKED:
                 raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
             if report.critical:
@@ -180,11 +181,12 @@ class GrblStage(Stage):
             connection.wake()
 
     def move(self, position: float, speed: float) -> None:
+        """Set the goal of the jogs, m, and their speed, m/s, and return at once."""
         halts, connection = self._halts, self._require_start()
         self.limits.require(position, speed, slowest=grbl.LEAST_FEED / 60e3)
         with connection.lock:
             self._raise_trouble(connection)
-            report = connection.latest if self._homing_until is not None else self._new_report(connection)
+            report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
             self._require_movable(report, connection)
             zero = self._zero
             if zero is None:
@@ -195,11 +197,12 @@ class GrblStage(Stage):
                 connection.wake()
 
     def position(self) -> StageSample:
+        """Return the commanded position, m, from a new status report, or from the latest one during homing."""
         connection = self._require_start()
         with connection.lock:
             self._last_call = time.monotonic()
             self._raise_trouble(connection)
-            report = connection.latest if self._homing_until is not None else self._new_report(connection)
+            report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
             homing = self._homing_until is not None
             moving = (homing or self._goal is not None or connection.unanswered > 0
                       or report.state in ("Jog", "Run", "Home"))
@@ -215,6 +218,7 @@ class GrblStage(Stage):
                                self._sequence - 1, int(bits), report.received, report.requested or None)
 
     def halt(self) -> None:
+        """Discard the goal and cancel the jogs; during homing, reset Grbl."""
         self._halts += 1
         self._goal = None
         connection = self._connection
@@ -239,6 +243,7 @@ class GrblStage(Stage):
                 connection.lock.release()
 
     def stop(self) -> None:
+        """Halt the axis and close the port."""
         connection = self._connection
         if connection is None:
             return
@@ -247,15 +252,16 @@ class GrblStage(Stage):
         connection.close()
 
     def describe(self) -> dict[str, Any]:
-        steps = {} if math.isnan(self._steps_per_mm) else {"steps_per_mm": self._steps_per_mm,
-                                                           "resolution_mm": max(1.0 / self._steps_per_mm, 1e-3)}
-        return {"stage": "Grbl 1.1", "port": self._port, "axis": self._axis, **steps,
+        """Return port, axis, steps, travel range and top speed; keys carry units."""
+        steps = self._steps_per_mm
+        scale = {} if math.isnan(steps) else {"steps_per_mm": steps, "resolution_mm": max(1.0 / steps, 1e-3)}
+        return {"stage": "Grbl 1.1", "port": self._port, "axis": self._axis, **scale,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "position": "commanded", "stalled_motor": "not detectable",
                 "runs_on_s": self.runs_on, "homing_runs_on": "to its end",
                 "checked_with": "emulator; unverified on hardware"}
 
-    def _act(self, connection: GrblConnection) -> bool:
+    def _send_next_commands(self, connection: GrblConnection) -> bool:
         """Send the next commands; return True while a motion is in progress.
 
         The connection's thread calls this method every few milliseconds and holds the lock.
@@ -352,7 +358,7 @@ class GrblStage(Stage):
         elif connection.is_settled and report.state == "Idle":
             self._zero, self._homing_until, connection.was_reset = report.position, None, False
 
-    def _new_report(self, connection: GrblConnection) -> AxisReport:
+    def _wait_for_new_report(self, connection: GrblConnection) -> AxisReport:
         """Return a report requested after this call. Requires the lock, which is released during the wait."""
         report = connection.wait_for_report(JOGS.report)
         if report is None:

@@ -131,12 +131,12 @@ class GrblConnection:
         elif state in ("Run", "Hold", "Home"):
             raise DeviceError(f"{self._name} is in the state {state} because of another program; end that program, and "
                               "start again")
-        lines = self._query(b"$I\n")
+        lines = self._query_lines(b"$I\n")
         versions = [version for version in map(grbl.parse_version, lines) if version]
         if not versions or not versions[0][0].startswith("1.1"):
             version = versions[0][0] if versions else "no version"
             raise DeviceError(f"{self._name} reports {version}; install Grbl 1.1, which can jog")
-        settings = [setting for setting in map(grbl.parse_setting, self._query(b"$$\n")) if setting]
+        settings = [setting for setting in map(grbl.parse_setting, self._query_lines(b"$$\n")) if setting]
         return dict(settings)
 
     def _wait_for_first_state(self) -> str:
@@ -159,7 +159,7 @@ class GrblConnection:
         raise DeviceError(f"nothing answers at {self._port} within {TIMING.boot:g} s; check that the Grbl has power, "
                           f"the cable and the baud rate ({self._baud}){identify_controller(self._line)}")
 
-    def _query(self, command: bytes) -> list[str]:
+    def _query_lines(self, command: bytes) -> list[str]:
         """Send a command while the thread does not run, and return the lines before its ``ok``."""
         self.send(command)
         lines: list[str] = []
@@ -177,10 +177,10 @@ class GrblConnection:
 
     def start_thread(self, act: Callable[[GrblConnection], bool]) -> None:
         """Start the thread. It calls `act` with the lock held; `act` returns True while a motion is in progress."""
-        self._thread = threading.Thread(target=self._run, args=(act,), name="Grbl", daemon=True)
+        self._thread = threading.Thread(target=self._run_thread, args=(act,), name="Grbl", daemon=True)
         self._thread.start()
 
-    def _run(self, act: Callable[[GrblConnection], bool]) -> None:
+    def _run_thread(self, act: Callable[[GrblConnection], bool]) -> None:
         """Read lines, act and request reports until the end or an error; the body of the thread."""
         while not self._ending.is_set():
             try:

@@ -99,11 +99,12 @@ class HaplyDevice(HapticDevice):
         return self._trouble if self._thread is None else self._thread.trouble
 
     def start(self) -> None:
+        """Connect to the service, set the origin of the motion and start the thread that exchanges messages."""
         if self._thread is not None:
             return
         line = self._connect()
         try:
-            first = self._register(line)
+            first = self._register_program(line)
         except BaseException:
             line.close()
             raise
@@ -130,7 +131,7 @@ class HaplyDevice(HapticDevice):
                               "the service (Linux: systemctl start haply-inverse-service), or give its address as "
                               "haply:ws://HOST:PORT") from None
 
-    def _register(self, line: WebSocketLine) -> HapticState:
+    def _register_program(self, line: WebSocketLine) -> HapticState:
         """Receive the first state and register this program with zero force; return the state."""
         service = f"the Haply Inverse service at {self.address}"
         try:
@@ -157,6 +158,7 @@ class HaplyDevice(HapticDevice):
         return first
 
     def pose(self, time: float) -> Pose | None:
+        """Return the newest pose of the cursor in the scene, scaled, m; None without a recent state."""
         thread = self._thread
         state = None if thread is None else thread.newest()
         if state is None:
@@ -170,6 +172,7 @@ class HaplyDevice(HapticDevice):
         return Pose(position, self._rotation_since_start(state.orientation, self._first_orientation))
 
     def render(self, wrench: Screw) -> None:
+        """Send the force, N, scaled and limited to the largest force of the device; the torque is ignored."""
         if self._thread is None:
             return
         x, y, z = (self._force_scale * part for part in wrench[:3])
@@ -181,12 +184,14 @@ class HaplyDevice(HapticDevice):
         self._thread.set_force(self._to_device((x, y, z)))
 
     def stop(self) -> None:
+        """End the exchange of messages with the service."""
         thread, self._thread = self._thread, None
         if thread is not None:
             thread.end()
             self._trouble = thread.trouble
 
     def describe(self) -> dict[str, Any]:
+        """Return address, axes, scales, largest force and state of the device; keys carry units."""
         described: dict[str, Any] = {
             "device": "Haply Inverse3", "address": self.address, "scale": self._scale, "axes": self._axes,
             "force_scale": self._force_scale, "largest_force_N": self._largest_hand_force,
@@ -268,17 +273,17 @@ class _ExchangeThread:
                 self._has_force.wait(0.5 * TIMING.stale)
                 self._has_force.clear()
                 requested, force = self._request
-                self._exchange(force if time.monotonic() - requested <= TIMING.silence else (0.0, 0.0, 0.0))
+                self._exchange_messages(force if time.monotonic() - requested <= TIMING.silence else (0.0, 0.0, 0.0))
             # The answer confirms that the service has received the zero force.
             self._unanswered = 0
-            self._exchange((0.0, 0.0, 0.0), within=0.2)
+            self._exchange_messages((0.0, 0.0, 0.0), within=0.2)
         except OSError as error:
             self.trouble = (f"the Haply Inverse service at {self._address} is gone ({error}); start it again, then "
                             "this program")
         finally:
             self._line.close()
 
-    def _exchange(self, force: Vector, within: float = TIMING.answer) -> None:
+    def _exchange_messages(self, force: Vector, within: float = TIMING.answer) -> None:
         """Send a force, N, unless too many messages are in flight, and receive answers for up to `within` seconds."""
         if self._unanswered < TIMING.max_unanswered:
             self._line.send(force_message(self._device_id, force), within + 1.0)

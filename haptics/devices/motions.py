@@ -64,6 +64,7 @@ class ProtocolMotion(AxialMotion):
         return self._times[-1]
 
     def depth(self, time: float) -> float:
+        """Return the depth at a time, s, by linear interpolation between the samples, m."""
         times, depths = self._times, self._depths
         if self._repeat:
             time %= times[-1]
@@ -96,6 +97,7 @@ class SineMotion(AxialMotion):
         self._rate = 2 * math.pi * frequency
 
     def depth(self, time: float) -> float:
+        """Return the depth at a time, s, m."""
         return self._middle - self._amplitude * math.cos(self._rate * time)
 
 
@@ -121,9 +123,9 @@ class HandMotion(Motion):
         self._starts_at_tool = start is None
         self._time = 0.0
         self._velocity = [0.0, 0.0, 0.0]
-        self._begin(approach, start or 0.0, start or 0.0)
+        self._set_start(approach, start or 0.0, start or 0.0)
 
-    def _begin(self, approach: Approach | None, start: float, target: float) -> None:
+    def _set_start(self, approach: Approach | None, start: float, target: float) -> None:
         """Set approach, depth, m, and target depth, m, at the start of the motion."""
         self.approach = approach
         # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
@@ -134,8 +136,9 @@ class HandMotion(Motion):
         self.aim(target)
 
     def set_approach(self, approach: Approach | None) -> None:
+        """Begin at the start of an approach, unless the motion has one or begins at the present pose of the tool."""
         if self.approach is None and approach is not None and not self._starts_at_tool:
-            self._begin(approach, self._position[2], self._target[2])
+            self._set_start(approach, self._position[2], self._target[2])
 
     def _set_orientation(self, pose: Pose) -> None:
         """Store a pose's orientation and the tool's axis, scaled: x, y and height per unit of depth along the axis."""
@@ -144,6 +147,7 @@ class HandMotion(Motion):
         self._axis = -a, -b, max(c, _DEFAULTS.least_cosine)
 
     def take_over(self, pose: Pose) -> None:
+        """Begin at the present pose of the tool if the motion was made without a start."""
         if not self._starts_at_tool:
             return
         self._set_orientation(pose)
@@ -166,6 +170,7 @@ class HandMotion(Motion):
         self._target = [x, y, depth]
 
     def pose(self, time: float) -> Pose:
+        """Return the pose at the depth of the motion at a time, s, with the constant orientation."""
         depth = self.depth(time)
         (x, y, _), (u, v, cosine) = self._position, self._axis
         return Pose((x + u * depth, y + v * depth, -cosine * depth), self._orientation)
@@ -232,17 +237,18 @@ class RandomWalk(AxialMotion):
         self._points = [start] * 4
 
     def depth(self, time: float) -> float:
+        """Return the depth at a time, s, from a uniform cubic B-spline through random points, m."""
         knot = max(time, 0.0) / self.SPACING
         first = int(knot)
         points = self._points
         while len(points) < first + 4:
-            points.append(self._next_point())
+            points.append(self._draw_control_point())
         u = knot - first
         v = 1.0 - u
         return (v * v * v * points[first] + (3 * u * u * u - 6 * u * u + 4) * points[first + 1]
                 + (3 * v * v * v - 6 * v * v + 4) * points[first + 2] + u * u * u * points[first + 3]) / 6
 
-    def _next_point(self) -> float:
+    def _draw_control_point(self) -> float:
         """Draw the next control point of the spline, m."""
         gauss = self._random.gauss
         self._log_amplitude = (self._AMPLITUDE_CORRELATION * self._log_amplitude
@@ -299,6 +305,7 @@ class SpatialWalk(Motion):
                            for axis in "xyz"] if turn > _DEFAULTS.negligible_range else []
 
     def pose(self, time: float) -> Pose:
+        """Return the pose at a time, s: depth on the approach, sideways displacement and rotation."""
         depth = self._depth.depth(time)
         straight = Pose.at_depth(depth) if self.approach is None else self.approach.pose(depth)
         x, y, z = straight.position

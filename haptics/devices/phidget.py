@@ -90,6 +90,7 @@ class PhidgetStage(Stage):
         self._halts = 0
 
     def start(self) -> None:
+        """Attach the controller and set current, acceleration and failsafe."""
         if self._motor is not None:
             return
         motor = self._attach()
@@ -140,7 +141,7 @@ class PhidgetStage(Stage):
             motor.setRescaleFactor(1.0)
             motor.setVelocityLimit(0.0)
             self._require_speed(motor)
-            motor.setAcceleration(min(max(self._counts(self._acceleration), motor.getMinAcceleration()),
+            motor.setAcceleration(min(max(self._to_counts(self._acceleration), motor.getMinAcceleration()),
                                       motor.getMaxAcceleration()))
             if self._current is not None:
                 motor.setCurrentLimit(self._current)
@@ -168,11 +169,12 @@ class PhidgetStage(Stage):
             raise DeviceError(f"the top speed of the Phidget stepper is {most * 1e3:g} mm/s at {self._steps_per_mm:g} "
                               f"steps per mm; give top_speed_mm_s={most * 1e3:.4g} or less")
 
-    def _counts(self, length: float) -> float:
+    def _to_counts(self, length: float) -> float:
         """Convert a length, m, a speed, m/s, or an acceleration, m/s^2, to counts, without sign."""
         return abs(length / self._length_per_count)
 
     def home(self) -> None:
+        """Take the present position as zero, without a motion, and switch the current on."""
         motor = self._require_start()
         try:
             motor.setVelocityLimit(0.0)
@@ -184,12 +186,13 @@ class PhidgetStage(Stage):
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
+        """Begin a motion to a position, m, at a speed, m/s, and return at once."""
         motor = self._require_start()
         self.limits.require(position, speed)
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
         # The controller rounds down to whole counts per second, so a speed below 1 would become 0.
-        if self._counts(speed) < 1.0:
+        if self._to_counts(speed) < 1.0:
             raise InputError(f"must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
                              field="speed")
         halts = self._halts
@@ -198,7 +201,7 @@ class PhidgetStage(Stage):
             motor.setVelocityLimit(0.0)
             motor.setTargetPosition(float(round(position / self._length_per_count)))
             if self._halts == halts:
-                motor.setVelocityLimit(float(round(self._counts(speed))))
+                motor.setVelocityLimit(float(round(self._to_counts(speed))))
             if self._halts != halts:  # another thread halted in between
                 motor.setVelocityLimit(0.0)
                 return
@@ -207,6 +210,7 @@ class PhidgetStage(Stage):
         self._goal = position
 
     def position(self) -> StageSample:
+        """Return the commanded position, m, and restart the failsafe timer."""
         motor = self._require_start()
         try:
             if self.runs_on < math.inf:
@@ -223,6 +227,7 @@ class PhidgetStage(Stage):
                            now)
 
     def halt(self) -> None:
+        """Set the velocity limit to zero; if the controller refuses, switch the current off."""
         self._halts += 1
         motor, self._goal = self._motor, None
         if motor is not None:
@@ -234,6 +239,7 @@ class PhidgetStage(Stage):
                     motor.setEngaged(False)
 
     def stop(self) -> None:
+        """Halt the motor, switch its current off and close the controller."""
         self.halt()
         motor, self._motor, self._homed = self._motor, None, False
         if motor is not None:
@@ -243,6 +249,7 @@ class PhidgetStage(Stage):
                 motor.close()
 
     def describe(self) -> dict[str, Any]:
+        """Return serial number, steps, travel range, top speed and failsafe time; keys carry units."""
         return {"stage": "Phidget stepper", "serial": self._serial, "steps_per_mm": self._steps_per_mm,
                 "microsteps": self._microsteps, "resolution_mm": abs(self._length_per_count) * 1e3,
                 "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,

@@ -18,9 +18,6 @@ from haptics.protocols import rdt
 from haptics.protocols.rdt import Record, Request, Settings
 from tissue_sim.errors import InputError
 
-#: Samples kept until they are read; older ones are lost.
-BUFFER = 1 << 16
-
 
 @dataclass(frozen=True)
 class StreamSettings:
@@ -28,6 +25,8 @@ class StreamSettings:
 
     #: Size of the system's receive buffer, bytes; with the usual default a loaded machine loses records at 7 kHz.
     receive_buffer: int = 4 << 20
+    #: Samples kept until they are read; older ones are lost.
+    kept_samples: int = 1 << 16
     #: Longest wait for the settings page, and for the records of a tare beyond their duration, s.
     patience: float = 2.0
     #: Longest wait for the first record, s.
@@ -74,6 +73,7 @@ class RdtSensor(ForceSensor):
         self._zero = (0.0,) * 6
 
     def start(self) -> None:
+        """Read the settings of the box, and start the thread that receives its stream of records."""
         if self._stream is not None:
             return
         settings = self._read_settings()
@@ -105,8 +105,8 @@ class RdtSensor(ForceSensor):
             raise DeviceError(f"{address} answers with HTTP status {error.code}, so it is no ATI box; check the address"
                               ) from None
         except (OSError, ValueError) as error:
-            raise DeviceError(f"no ATI box answers at {address} ({_reason(error)}); check its power, the cable, and "
-                              "that this computer has an address in its network (a new box is at 192.168.1.1)"
+            raise DeviceError(f"no ATI box answers at {address} ({_describe_error(error)}); check its power, the cable"
+                              ", and that this computer has an address in its network (a new box is at 192.168.1.1)"
                               ) from None
         try:
             return rdt.read_settings_page(page)
@@ -119,6 +119,7 @@ class RdtSensor(ForceSensor):
         return f"[{self._host}]" if ":" in self._host else self._host
 
     def read(self) -> tuple[ForceSample, ...]:
+        """Return the samples received since the last call, forces in N and torques in N m."""
         stream = self._require_start()
         scales, zero = self._scales, self._zero
         return tuple(ForceSample(counts, tuple(scale * (count - offset) for scale, count, offset
@@ -126,17 +127,20 @@ class RdtSensor(ForceSensor):
                      for counts, number, status, received in stream.take())
 
     def tare(self) -> None:
+        """Wait for the next records, for at most 0.1 s of sampling, and take their mean as zero."""
         stream = self._require_start()
         count = max(1, min(STREAM.tare_records, math.ceil(0.1 * self.rate)))
         latest = stream.latest(count, timeout=STREAM.patience + 2 * count / self.rate)
         self._zero = tuple(sum(axis) / len(latest) for axis in zip(*latest, strict=True))
 
     def stop(self) -> None:
+        """End the stream and its thread."""
         stream, self._stream = self._stream, None
         if stream is not None:
             stream.end()
 
     def describe(self) -> dict[str, Any]:
+        """Return address, rate, calibration, resolution and statistics of the stream; keys carry units."""
         about: dict[str, Any] = {"sensor": "ATI RDT", "address": f"{self._url_host}:{self._port}",
                                  "rate_Hz": self.rate, "channels": list(self.channels),
                                  "checked_with": "emulator, fake sensor of pynetft; unverified on hardware"}
@@ -171,12 +175,12 @@ class _Stream:
             family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind)
         except OSError as error:
-            raise DeviceError(f"{host} cannot be reached ({_reason(error)}); check the address") from None
+            raise DeviceError(f"{host} cannot be reached ({_describe_error(error)}); check the address") from None
         with contextlib.suppress(OSError):  # a smaller buffer works, too
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, STREAM.receive_buffer)
         self._address = address
         #: Counts, number, status and time of receipt, s.
-        self._waiting: deque[tuple[tuple[int, ...], int, int, float]] = deque(maxlen=BUFFER)
+        self._waiting: deque[tuple[tuple[int, ...], int, int, float]] = deque(maxlen=STREAM.kept_samples)
         self._ending = threading.Event()
         self._counter = RecordCounter()
         #: Last error of the socket; empty: none.
@@ -198,7 +202,7 @@ class _Stream:
             self._socket.settimeout(0.1)
             self._socket.send(rdt.pack_request(Request(rdt.Command.REAL_TIME)))
         except OSError as error:
-            raise DeviceError(f"{self._host} cannot be reached ({_reason(error)}); check the network") from None
+            raise DeviceError(f"{self._host} cannot be reached ({_describe_error(error)}); check the network") from None
         self._thread.start()
         with self._arrived:
             if not self._arrived.wait_for(lambda: self._waiting, STREAM.first_record):
@@ -219,13 +223,13 @@ class _Stream:
                 continue
             except OSError as error:
                 # The system reports each datagram sent to a closed port; the box may return later.
-                self._failure = _reason(error)
+                self._failure = _describe_error(error)
                 if self._ending.wait(0.05):
                     return
                 continue
             now = time.monotonic()
             for record, number, status in counter.accept(rdt.unpack_records(bytes(view[:size])), now):
-                if len(waiting) == BUFFER:
+                if len(waiting) == STREAM.kept_samples:
                     self._overflowed += 1
                 waiting.append((record.counts, number, status, now))
             with self._arrived:
@@ -315,7 +319,7 @@ class RecordCounter:
             return []
         new = []
         for record in records:
-            if (number := self._number_of(record, now)) is None:
+            if (number := self._count_since_start(record, now)) is None:
                 continue
             status = SampleStatus.GOOD
             if self._has_restarted or number > self._number + 1:
@@ -331,7 +335,7 @@ class RecordCounter:
             new.append((record, number, int(status)))
         return new
 
-    def _number_of(self, record: Record, now: float) -> int | None:
+    def _count_since_start(self, record: Record, now: float) -> int | None:
         """Return the number of a record since the start; None: the record is late or a duplicate."""
         last = self._last
         if last is None:
@@ -359,7 +363,7 @@ class RecordCounter:
         return None
 
 
-def _reason(error: BaseException) -> str:
+def _describe_error(error: BaseException) -> str:
     """Return the cause in an error of a connection."""
     inner = getattr(error, "reason", error)
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__

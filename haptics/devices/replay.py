@@ -64,10 +64,12 @@ class ReplaySensor(ForceSensor):
         self._returned = 0
 
     def start(self) -> None:
+        """Set the time of the first sample to now."""
         if self._began is None:
             self._began, self._returned = self._clock(), 0
 
     def read(self) -> tuple[ForceSample, ...]:
+        """Return the samples that have become due since the last call."""
         now, due = self._count_due()
         first, self._returned = self._returned, due
         if first == len(self._times):
@@ -80,13 +82,16 @@ class ReplaySensor(ForceSensor):
                      for number, count, value in numbered)
 
     def tare(self) -> None:
+        """Take the values of the newest due sample as zero."""
         _, due = self._count_due()
         self._zero = self._values[due - 1]
 
     def stop(self) -> None:
+        """End the replay; the next `start` begins with the first sample."""
         self._began = None
 
     def describe(self) -> dict[str, Any]:
+        """Return recording, channels, rate, resolution and duration; keys carry units."""
         return {"sensor": "replay", "recording": self._name, "channels": list(self.channels), "rate_Hz": self.rate,
                 "speed": self._speed, "resolution_N": self._resolution, "samples": len(self._times),
                 "duration_s": float(self._times[-1])}

@@ -32,7 +32,7 @@ class SerialLine:
         try:
             self._serial = serial.Serial(port, baud, timeout=_WAIT, write_timeout=1.0, exclusive=True)
         except (OSError, ValueError) as error:
-            raise DeviceError(_open_failure(port, owner, error)) from None
+            raise DeviceError(_describe_open_failure(port, owner, error)) from None
 
     def write(self, data: bytes) -> None:
         """Send all bytes.
@@ -43,7 +43,7 @@ class SerialLine:
         try:
             self._serial.write(data)
         except OSError as error:
-            raise DeviceError(self._lost_message(error)) from None
+            raise DeviceError(self._describe_lost_port(error)) from None
 
     def read(self) -> bytes:
         """Return the bytes received since the last call, without waiting.
@@ -113,23 +113,24 @@ class SerialLine:
             if waiting or wait:
                 self._kept += self._serial.read(waiting or 1)
         except (OSError, TypeError) as error:  # pyserial's TypeError: another thread has closed it
-            raise DeviceError(self._lost_message(error)) from None
+            raise DeviceError(self._describe_lost_port(error)) from None
 
     def close(self) -> None:
         """Close the port; has no effect on a closed port."""
         self._serial.close()
 
-    def _lost_message(self, error: Exception) -> str:
+    def _describe_lost_port(self, error: Exception) -> str:
         """Return the message for a port that has disappeared."""
         return f"{self._owner} at {self.port} is gone ({error}); plug it in again and start again"
 
 
-def _open_failure(port: str, owner: str, error: Exception) -> str:
+def _describe_open_failure(port: str, owner: str, error: Exception) -> str:
     """Return cause and remedy for a port that does not open."""
     number = getattr(error, "errno", None)
     if number in (errno.EACCES, errno.EPERM):
-        return (f"no permission to open {port} for {owner}; add yourself to the group that owns it ({_group(port)}), "
-                f"as with 'sudo usermod -aG {_group(port)} $USER', and log in again")
+        group = _find_port_group(port)
+        return (f"no permission to open {port} for {owner}; add yourself to the group that owns it ({group}), "
+                f"as with 'sudo usermod -aG {group} $USER', and log in again")
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error).lower():
         return f"{port} is in use by another program; close that one, then start {owner} again"
     if number == errno.ENOENT or isinstance(error, FileNotFoundError):
@@ -139,7 +140,7 @@ def _open_failure(port: str, owner: str, error: Exception) -> str:
     return f"{port} cannot be opened for {owner} ({error}); give the port of a serial device, such as /dev/ttyUSB0"
 
 
-def _group(port: str) -> str:
+def _find_port_group(port: str) -> str:
     """Return the group that owns a port, or ``dialout`` if it is unknown."""
     try:
         return Path(port).group()
@@ -151,7 +152,6 @@ def _group(port: str) -> str:
 
 def serial_ports() -> list[str]:
     """Return the names of this computer's serial ports, sorted."""
-
     from serial.tools.list_ports import comports
 
     return sorted(port.device for port in comports())

@@ -19,9 +19,6 @@ from haptics.protocols import tic
 from haptics.protocols.tic import Command, Errors, Flags, Planning, Setting, State, Variable
 from tissue_sim.errors import InputError
 
-#: Longest command timeout accepted, s; also assumed until the Tic's own timeout has been read.
-LONGEST_TIMEOUT = 1.0
-
 
 @dataclass(frozen=True)
 class TicTiming:
@@ -33,6 +30,8 @@ class TicTiming:
     wake: float = 0.5
     #: Time allowed for homing, in addition to twice the time for the whole travel.
     homing_margin: float = 20.0
+    #: Longest command timeout accepted; also assumed until the Tic's own timeout has been read.
+    longest_timeout: float = 1.0
 
 
 #: Settings of all stages of this process.
@@ -99,7 +98,7 @@ class TicStage(Stage):
         self.limits, self._port, self._steps, self._baud = limits, port, steps_per_m, baud
         self._device, self._crc, self._response_crc, self._ramp = device, crc, response_crc, ramp
         #: Timeout of the Tic plus the ramp.
-        self.runs_on = LONGEST_TIMEOUT + ramp
+        self.runs_on = TIMING.longest_timeout + ramp
         self._line: SerialLine | None = None
         #: Number of positions read, and number of calls of `halt`, which reveals a halt during a `move`.
         self._sequence, self._halts = 0, 0
@@ -119,6 +118,7 @@ class TicStage(Stage):
     _writing: threading.Lock | None = None
 
     def start(self) -> None:
+        """Open the port and check the settings of the Tic."""
         if self._line is not None:
             return
         line = SerialLine(self._port, self._baud, "the Tic")
@@ -134,9 +134,9 @@ class TicStage(Stage):
     def _check_settings(self, line: SerialLine) -> None:
         """Check that a Tic answers and stops its motor after a silence, and set its ramps."""
         try:
-            self._status()
-            answers = self._setting(Setting.CRC, 1)
-            self._status()
+            self._read_status()
+            answers = self._read_setting(Setting.CRC, 1)
+            self._read_status()
         except DeviceError as error:
             other = identify_controller(line)
             raise DeviceError(f"{error}; baud, device, crc and response_crc must be as the Tic Control Center shows "
@@ -146,18 +146,18 @@ class TicStage(Stage):
                               "in the Tic Control Center, and give response_crc="
                               f"{bool(answers & tic.AnswerFormat.CHECKED):d}")
         # Ends a motion that another program has left.
-        self._send(Command.SET_TARGET_VELOCITY, 0)
-        mode = self._setting(Setting.CONTROL_MODE, 1)
+        self._send_command(Command.SET_TARGET_VELOCITY, 0)
+        mode = self._read_setting(Setting.CONTROL_MODE, 1)
         if mode != tic.ControlMode.SERIAL:
             raise DeviceError(f"the Tic at {self._port} is in control mode {mode}, which ignores serial commands; set "
                               "it to Serial / I2C / USB in the Tic Control Center")
-        timeout = 1e-3 * self._setting(Setting.COMMAND_TIMEOUT, 2)
-        if not 0 < timeout <= LONGEST_TIMEOUT:
+        timeout = 1e-3 * self._read_setting(Setting.COMMAND_TIMEOUT, 2)
+        if not 0 < timeout <= TIMING.longest_timeout:
             state = f"{timeout:g} s" if timeout else "switched off"
             raise DeviceError(f"the command timeout of the Tic at {self._port} is {state}, so the motor would not stop "
-                              f"if this program died; set it to {LONGEST_TIMEOUT:g} s or less in the Tic Control "
-                              "Center")
-        if self._setting(Setting.SOFT_ERROR_RESPONSE, 1) == tic.SoftErrorResponse.GO_TO_POSITION:
+                              f"if this program died; set it to {TIMING.longest_timeout:g} s or less in the Tic "
+                              "Control Center")
+        if self._read_setting(Setting.SOFT_ERROR_RESPONSE, 1) == tic.SoftErrorResponse.GO_TO_POSITION:
             raise DeviceError(f"the Tic at {self._port} would move to a position if this program died; set its soft "
                               "error response to Decelerate to hold in the Tic Control Center")
         self.runs_on = timeout + self._ramp
@@ -165,59 +165,63 @@ class TicStage(Stage):
         acceleration = min(max(acceleration, tic.MOTION.least_acceleration), tic.MOTION.top_acceleration)
         for command, variable in ((Command.SET_MAX_ACCELERATION, Variable.MAX_ACCELERATION),
                                   (Command.SET_MAX_DECELERATION, Variable.MAX_DECELERATION)):
-            self._set(command, acceleration, variable)
+            self._send_and_verify(command, acceleration, variable)
 
     def home(self) -> None:
+        """Send the command to home, and return when the Tic has begun to home."""
         halts = self._halts
-        self._wake()
+        self._enter_normal_operation()
         steps = (self.limits.highest - self.limits.lowest) * self._steps
-        speeds = [max(self._setting(setting, 4) * tic.MOTION.speed_unit, 1.0)
+        speeds = [max(self._read_setting(setting, 4) * tic.MOTION.speed_unit, 1.0)
                   for setting in (Setting.HOMING_SPEED_TOWARDS, Setting.HOMING_SPEED_AWAY)]
         self._homing_until = time.monotonic() + TIMING.homing_margin + sum(2.0 * steps / speed for speed in speeds)
         self._send_unless_halted(Command.GO_HOME, 0, halts)
-        end, status = time.monotonic() + TIMING.wake, self._status()
+        end, status = time.monotonic() + TIMING.wake, self._read_status()
         while status.flags & Flags.POSITION_UNCERTAIN and not status.flags & Flags.HOMING and halts == self._halts:
             self._require_movable(status.errors)
             if time.monotonic() > end:
                 raise DeviceError(f"the Tic at {self._port} does not begin to home; assign a reverse limit switch in "
                                   "the Tic Control Center")
-            status = self._status()
+            status = self._read_status()
 
     def move(self, position: float, speed: float) -> None:
+        """Set maximum speed, m/s, and target, m, and return when the Tic has accepted them."""
         halts = self._halts
         self._require_start()
         self.limits.require(position, speed)
-        status = self._status()
+        status = self._read_status()
         self._require_movable(status.errors)
         if status.flags & (Flags.POSITION_UNCERTAIN | Flags.HOMING):
             raise DeviceError(f"the Tic at {self._port} does not know its zero; home it first, and wait until it is "
                               "homed")
-        self._wake()
-        self._set(Command.SET_MAX_SPEED, max(round(speed * self._steps / tic.MOTION.speed_unit), 1), Variable.MAX_SPEED)
+        self._enter_normal_operation()
+        units = max(round(speed * self._steps / tic.MOTION.speed_unit), 1)
+        self._send_and_verify(Command.SET_MAX_SPEED, units, Variable.MAX_SPEED)
         target = round(position * self._steps)
         self._send_unless_halted(Command.SET_TARGET_POSITION, target, halts)
-        status = self._status()
+        status = self._read_status()
         if status.target != target and halts == self._halts:
             raise DeviceError(f"the Tic at {self._port} did not accept its target; check the cable, and crc")
 
     def position(self) -> StageSample:
+        """Return the commanded position, m, and restart the command timeout."""
         self._require_start()
-        status = self._status()
+        status = self._read_status()
         requested = time.monotonic()
-        motion = tic.parse_motion_state(self._read(Command.GET_VARIABLE, Variable.CURRENT_POSITION,
-                                                   tic.BlockLength.MOTION_STATE))
+        motion = tic.parse_motion_state(self._read_block(Command.GET_VARIABLE, Variable.CURRENT_POSITION,
+                                                         tic.BlockLength.MOTION_STATE))
         now = time.monotonic()
         if motion is None:
-            raise self._invalid_answer()
+            raise self._make_answer_error()
         uncertain = bool(status.flags & Flags.POSITION_UNCERTAIN)
         self._is_homing = self._is_homing and (uncertain or bool(status.flags & Flags.HOMING))
         if status.errors & Errors.COMMAND_TIMEOUT:
             # The timeout is no fault of a motor at rest. Clearing the error while a target is set would let a Tic
             # without safe start resume its motion; a target velocity of 0 prevents that.
             self._timed_out = self._timed_out or self._is_homing or self._goal not in (None, motion.position)
-            self._send(Command.SET_TARGET_VELOCITY, 0)
+            self._send_command(Command.SET_TARGET_VELOCITY, 0)
         else:
-            self._send(Command.RESET_COMMAND_TIMEOUT)
+            self._send_command(Command.RESET_COMMAND_TIMEOUT)
         homing = bool(status.flags & Flags.HOMING)
         if homing and now > self._homing_until:
             self.halt()
@@ -237,6 +241,7 @@ class TicStage(Stage):
                            int(bits), now, requested)
 
     def halt(self) -> None:
+        """Set the target velocity to zero."""
         self._halts += 1
         self._goal, self._is_homing = None, False
         line, writing = self._line, self._writing
@@ -244,7 +249,7 @@ class TicStage(Stage):
             return
         has_lock = writing.acquire(timeout=0.1)
         try:
-            line.write(self._encode(Command.SET_TARGET_VELOCITY, 0))
+            line.write(self._encode_command(Command.SET_TARGET_VELOCITY, 0))
         except Exception:
             # A halt must not raise: the Tic's timeout stops the motor, and `position` reports the error.
             return
@@ -253,6 +258,7 @@ class TicStage(Stage):
                 writing.release()
 
     def stop(self) -> None:
+        """Halt the motor and close the port."""
         line = self._line
         if line is None:
             return
@@ -261,30 +267,31 @@ class TicStage(Stage):
         line.close()
 
     def describe(self) -> dict[str, Any]:
+        """Return port, steps, travel range, top speed and ramp; keys carry units."""
         return {"stage": "Pololu Tic", "port": self._port, "steps_per_mm": self._steps * 1e-3,
                 "resolution_mm": 1e3 / self._steps, "lowest_mm": self.limits.lowest * 1e3,
                 "highest_mm": self.limits.highest * 1e3, "top_speed_mm_s": self.limits.speed * 1e3,
                 "position": "commanded", "stalled_motor": "not detectable", "runs_on_s": self.runs_on,
                 "ramp_ms": self._ramp * 1e3, "checked_with": "emulator and ticlib; unverified on hardware"}
 
-    def _wake(self) -> None:
+    def _enter_normal_operation(self) -> None:
         """Bring the Tic to normal operation without a target; raises the error that prevents it."""
         self._require_start()
-        status = self._status()
+        status = self._read_status()
         self._require_movable(status.errors)
         self._timed_out = False
         if status.state == State.NORMAL:
-            self._send(Command.RESET_COMMAND_TIMEOUT)
+            self._send_command(Command.RESET_COMMAND_TIMEOUT)
             return
-        self._send(Command.SET_TARGET_VELOCITY, 0)
+        self._send_command(Command.SET_TARGET_VELOCITY, 0)
         end = time.monotonic() + TIMING.wake
         while status.state != State.NORMAL:
             if time.monotonic() > end:
                 self._require_movable(status.errors)
                 raise DeviceError(f"the Tic at {self._port} stays in the state {status.state.name} (error status "
                                   f"{status.errors.value:#x}); check it in the Tic Control Center")
-            self._send(Command.EXIT_SAFE_START)
-            status = self._status()
+            self._send_command(Command.EXIT_SAFE_START)
+            status = self._read_status()
 
     def _require_movable(self, errors: Errors) -> None:
         """Raise the most serious error that keeps the motor from moving."""
@@ -292,46 +299,46 @@ class TicStage(Stage):
             if errors & error:
                 raise DeviceError(f"the Tic at {self._port} {remedy}")
 
-    def _status(self) -> tic.Status:
+    def _read_status(self) -> tic.Status:
         """Read the status of the Tic."""
-        status = tic.parse_status(self._read(Command.GET_VARIABLE, Variable.STATUS, tic.BlockLength.STATUS))
+        status = tic.parse_status(self._read_block(Command.GET_VARIABLE, Variable.STATUS, tic.BlockLength.STATUS))
         if status is None:
-            raise self._invalid_answer()
+            raise self._make_answer_error()
         return status
 
-    def _invalid_answer(self) -> DeviceError:
+    def _make_answer_error(self) -> DeviceError:
         return DeviceError(f"the device at {self._port} is no Tic, or its baud rate is not {self._baud}; check the "
                            "baud rate and the device")
 
-    def _setting(self, setting: Setting, size: int) -> int:
+    def _read_setting(self, setting: Setting, size: int) -> int:
         """Read a setting of `size` bytes."""
-        return int.from_bytes(self._read(Command.GET_SETTING, setting, size), "little")
+        return int.from_bytes(self._read_block(Command.GET_SETTING, setting, size), "little")
 
-    def _set(self, command: Command, value: int, variable: Variable) -> None:
+    def _send_and_verify(self, command: Command, value: int, variable: Variable) -> None:
         """Send a number and check by reading that the Tic has accepted it."""
-        self._send(command, value)
-        if int.from_bytes(self._read(Command.GET_VARIABLE, variable, 4), "little") != value:
+        self._send_command(command, value)
+        if int.from_bytes(self._read_block(Command.GET_VARIABLE, variable, 4), "little") != value:
             raise DeviceError(f"the Tic at {self._port} answers but does not accept commands; check crc")
 
-    def _read(self, command: Command, offset: int, size: int) -> bytes:
+    def _read_block(self, command: Command, offset: int, size: int) -> bytes:
         """Read a block of variables or settings, and verify its checksum."""
         line = self._require_start()
         line.read()  # discards an answer that arrived after its timeout
-        self._send(command, offset, size)
+        self._send_command(command, offset, size)
         message = line.read_exactly(size + self._response_crc, TIMING.answer)
         if self._response_crc and tic.crc7(message[:-1]) != message[-1]:
             raise DeviceError(f"an answer of the Tic at {self._port} has a wrong checksum; check the cable, and that "
                               "response_crc is switched on in the Tic Control Center")
         return message[:size]
 
-    def _encode(self, command: Command, value: int = 0, length: int = 0) -> bytes:
+    def _encode_command(self, command: Command, value: int = 0, length: int = 0) -> bytes:
         return tic.encode(command, value, length, self._device, self._crc)
 
-    def _send(self, command: Command, value: int = 0, length: int = 0) -> None:
+    def _send_command(self, command: Command, value: int = 0, length: int = 0) -> None:
         line, writing = self._require_start(), self._writing
         assert writing is not None
         with writing:
-            line.write(self._encode(command, value, length))
+            line.write(self._encode_command(command, value, length))
 
     def _send_unless_halted(self, command: Command, value: int, halts: int) -> None:
         """Send a motion command, unless `halt` was called after its count was `halts`."""
@@ -340,7 +347,7 @@ class TicStage(Stage):
         with writing:
             if halts == self._halts:
                 self._goal, self._is_homing = (None, True) if command == Command.GO_HOME else (value, False)
-                line.write(self._encode(command, value))
+                line.write(self._encode_command(command, value))
 
     def _require_start(self) -> SerialLine:
         line = self._line
@@ -355,7 +362,6 @@ def open_tic(text: str) -> TicStage:
     Defaults: ``tic:/dev/ttyUSB0,steps_per_mm=800,lowest_mm=0,highest_mm=50,top_speed_mm_s=5,baud=9600,crc=0,
     response_crc=0,ramp_ms=100``; ``device=14`` selects the Pololu protocol, otherwise the compact one is used.
     """
-
     port, _, settings = text.partition(",")
     given = read_settings(settings, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0, baud=9600,
                           device=-1, crc=0, response_crc=0, ramp_ms=100.0)

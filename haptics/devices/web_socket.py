@@ -40,7 +40,7 @@ class WebSocketLine:
             self._protocol = ClientProtocol(parse_uri(address))
             self._protocol.send_request(self._protocol.connect())
             self._parts: list[bytes] = []
-            self._flush(timeout)
+            self._send_queued_data(timeout)
             end = time.monotonic() + timeout
             while self._protocol.state is not self._open:
                 if self._protocol.handshake_exc is not None:
@@ -61,7 +61,7 @@ class WebSocketLine:
         """
         self._require_open()
         self._protocol.send_text(message.encode())
-        self._flush(timeout)
+        self._send_queued_data(timeout)
 
     def receive(self, timeout: float) -> list[bytes]:
         """Wait up to `timeout` seconds for a message and return all received messages.
@@ -73,7 +73,7 @@ class WebSocketLine:
             OSError: The connection is closed.
         """
         end = time.monotonic() + timeout
-        while not (messages := self._messages()):
+        while not (messages := self._extract_messages()):
             self._require_open()
             remaining = end - time.monotonic()
             if remaining <= 0:
@@ -87,7 +87,7 @@ class WebSocketLine:
         with contextlib.suppress(Exception):
             if self._protocol.state is self._open:
                 self._protocol.send_close(1000)
-                self._flush(0.1)
+                self._send_queued_data(0.1)
         self._socket.close()
 
     def _require_open(self) -> None:
@@ -102,7 +102,7 @@ class WebSocketLine:
             self._protocol.receive_data(data)
         else:
             self._protocol.receive_eof()
-        self._flush(0.1)
+        self._send_queued_data(0.1)
         if not data:
             # After the handshake, messages received before the end are returned first; the next call reports the end.
             if self._protocol.handshake_exc is not None:
@@ -110,14 +110,14 @@ class WebSocketLine:
             if not self._protocol.events:
                 raise LineClosedError("the server has closed the connection")
 
-    def _flush(self, timeout: float) -> None:
+    def _send_queued_data(self, timeout: float) -> None:
         """Send all queued data."""
         for data in self._protocol.data_to_send():
             if data:
                 self._socket.settimeout(timeout)
                 self._socket.sendall(data)
 
-    def _messages(self) -> list[bytes]:
+    def _extract_messages(self) -> list[bytes]:
         """Return the complete messages received so far; fragments wait for their end."""
         from websockets.frames import Frame, Opcode
 

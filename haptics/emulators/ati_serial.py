@@ -73,19 +73,23 @@ class AtiSerialEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
+        """Name of the sensor with terminal, counts per unit, baud rate and mode."""
         return (f"ati-serial:{self.path},counts_per_N={self._scale[0]:g},counts_per_Nm={self._scale[-1]:g},"
                 f"baud={self._baud},mode={self._mode_at_start}")
 
     def describe(self) -> dict[str, Any]:
+        """Return terminal, baud rate, mode, counts per unit and number of records sent."""
         return {"emulator": self.name, "terminal": self.path, "baud": self._baud, "mode": self._mode,
                 "padded_fields": self._padded, "counts_per_N": self._scale[0], "counts_per_Nm": self._scale[-1],
                 "records": self.records}
 
     def begin(self) -> None:
+        """Start the sensor and set the state of the controller after power-on."""
         self._sensor.start()
         self._power_on()
 
     def end(self) -> None:
+        """Stop the sensor."""
         self._sensor.stop()
 
     def _power_on(self) -> None:
@@ -100,30 +104,32 @@ class AtiSerialEmulator(TerminalEmulator):
         #: Time until which the line is occupied, s.
         self._free_at = 0.0
 
-    def received(self, data: bytes) -> list[bytes]:
+    def answer_bytes(self, data: bytes) -> list[bytes]:
+        """Execute the received commands; `take_due_messages` returns the answers at the speed of the line."""
         if not self._has_matching_baud():
-            self._send(PROMPT + _END)
+            self._queue_message(PROMPT + _END)
             return []
         for value in data:
             byte = bytes([value])
             if byte == RESET:
                 self._power_on()
-                self._send(b"ATI stand-alone controller (emulated)" + _END + PROMPT)
+                self._queue_message(b"ATI stand-alone controller (emulated)" + _END + PROMPT)
             elif byte == ONE_RECORD:
-                self._send(self._record())
+                self._queue_message(self._encode_next_record())
                 self.records += 1
             elif byte == CARRIAGE_RETURN:
-                self._answer(self._command)
+                self._execute_command(self._command)
                 self._command = b""
             elif not self._streams:
                 self._command += byte
         return []
 
-    def due(self) -> list[bytes]:
+    def take_due_messages(self) -> list[bytes]:
+        """Queue the streamed records that are due, and return the bytes whose transmission is complete."""
         now = time.monotonic()
         while self._streams and self._free_at <= now:
             # The next record follows the last one without a pause, unless the thread is 0.1 s behind.
-            self._send(self._record(), max(self._free_at, now - 0.1))
+            self._queue_message(self._encode_next_record(), max(self._free_at, now - 0.1))
             self.records += 1
         ready = []
         while self._leaving and self._leaving[0][0] <= now:
@@ -139,13 +145,13 @@ class AtiSerialEmulator(TerminalEmulator):
         speed = getattr(termios, f"B{self._baud}", None)
         return speed is None or termios.tcgetattr(self._slave)[5] == speed
 
-    def _send(self, message: bytes, begins: float | None = None) -> None:
+    def _queue_message(self, message: bytes, begins: float | None = None) -> None:
         """Queue a message that begins at a time, s; None: as soon as the line is free."""
         begins = max(self._free_at, time.monotonic()) if begins is None else begins
         self._free_at = begins + transmission_time(len(message), self._baud)
         self._leaving.append((self._free_at, message))
 
-    def _answer(self, command: bytes) -> None:
+    def _execute_command(self, command: bytes) -> None:
         """Execute a command and send the answer."""
         self._streams = False
         words = command.decode("ascii", "replace").upper().split()
@@ -155,37 +161,38 @@ class AtiSerialEmulator(TerminalEmulator):
             case ["SA", number] if number.isascii() and number.isdigit():
                 self._loads = deque(self._loads, maxlen=max(int(number), 1))
             case ["SB"]:
-                self._biases.append(self._counts())
+                self._biases.append(self._measure_counts())
             case ["SU"]:
                 if self._biases:
                     self._biases.pop()
             case ["SZ"]:
                 self._biases.clear()
             case ["QR"]:
-                self._send(command + _END + self._record() + _END * (self._mode == "binary") + PROMPT)
+                record = self._encode_next_record() + _END * (self._mode == "binary")
+                self._queue_message(command + _END + record + PROMPT)
                 self.records += 1
                 return
             case ["QS"]:
-                self._send(command + _END)
+                self._queue_message(command + _END)
                 self._streams = True
                 return
             case [] | ["CD", "R" | "E" | "U"]:
                 pass
             case _:
-                self._send(command + _END + b"ERROR: no such command" + _END + PROMPT)
+                self._queue_message(command + _END + b"ERROR: no such command" + _END + PROMPT)
                 return
-        self._send(command + _END + _END + PROMPT)
+        self._queue_message(command + _END + _END + PROMPT)
 
-    def _record(self) -> bytes:
+    def _encode_next_record(self) -> bytes:
         """Return the bytes of the next record."""
-        counts = self._counts()
+        counts = self._measure_counts()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
         clipped = tuple(min(max(count, FORMAT.lowest_count), FORMAT.highest_count) for count in biased)
         record = Record(int(self._faulty or list(clipped) != biased), clipped)
         return encode_binary(record) if self._mode == "binary" else encode_ascii(record, self._padded) + _END
 
-    def _counts(self) -> tuple[int, ...]:
+    def _measure_counts(self) -> tuple[int, ...]:
         """Return the averaged counts without bias, and update the error flag."""
         try:
             samples = self._sensor.read()
@@ -202,7 +209,6 @@ class AtiSerialEmulator(TerminalEmulator):
 
 def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
     """Make an emulator from ``ati-serial:counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
-
     words, rest = read_choices(text, mode=MODES)
     given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),

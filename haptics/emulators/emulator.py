@@ -69,6 +69,5 @@ def open_emulator(name: str, bench: Bench, faults: Faults | None = None) -> Emul
     Raises:
         InputError: No emulator has this name (the message names the nearest), or the settings are invalid.
     """
-
     protocol, _, settings = name.partition(":")
     return EMULATORS.find(protocol)(bench, settings, faults or Faults())

@@ -77,6 +77,7 @@ class GrblEmulator(TerminalEmulator):
 
     @property
     def address(self) -> str:
+        """Name of the stage with terminal, axis, travel and top speed."""
         limits = self._stage.limits
         return (f"grbl:{self.path},axis={self._axis},highest_mm={limits.highest * 1e3:g},"
                 f"top_speed_mm_s={limits.speed * 1e3:g}")
@@ -86,14 +87,17 @@ class GrblEmulator(TerminalEmulator):
         self._pending_alarm = number
 
     def begin(self) -> None:
+        """Set the state after power-on, start the stage and home it."""
         self._power_up()
         self._stage.start()
         self._stage.home()
 
     def end(self) -> None:
+        """Stop the stage."""
         self._stage.stop()
 
     def describe(self) -> dict[str, Any]:
+        """Return terminal, axis, number of answers and longest queue of jogs, s."""
         return {"emulator": "grbl", "port": self.path, "axis": self._axis, "answered": self.answered,
                 "most_queued_s": self.most_queued}
 
@@ -106,7 +110,8 @@ class GrblEmulator(TerminalEmulator):
             position = target
         return seconds
 
-    def received(self, data: bytes) -> list[bytes]:
+    def answer_bytes(self, data: bytes) -> list[bytes]:
+        """Execute real-time characters at once and lines in their order, and return the answers."""
         lines: list[str] = []
         for byte in data:
             character = bytes([byte])
@@ -120,7 +125,8 @@ class GrblEmulator(TerminalEmulator):
                 self._text += character
         return self._encode_lines(lines)
 
-    def due(self) -> list[bytes]:
+    def take_due_messages(self) -> list[bytes]:
+        """Advance the axis, and return alarms and the answer to a homing cycle that has ended."""
         lines: list[str] = []
         number, self._pending_alarm = self._pending_alarm, None
         if number is not None:
@@ -130,7 +136,7 @@ class GrblEmulator(TerminalEmulator):
         if self._homing and not self._stage.position().moving:
             self._homing = self._alarm = False
             lines += ["ok", *self._execute_waiting()]
-        self._advance()
+        self._start_due_motion()
         return self._encode_lines(lines)
 
     def _encode_lines(self, lines: list[str]) -> list[bytes]:
@@ -142,7 +148,7 @@ class GrblEmulator(TerminalEmulator):
         self._stage.halt()
         self._motions, self._begun, self._homing = [], False, False
 
-    def _advance(self) -> None:
+    def _start_due_motion(self) -> None:
         """Start the first queued motion, or the next one when the first has ended."""
         sample = self._stage.position()
         if self._begun and self._motions and not sample.moving:
@@ -155,7 +161,7 @@ class GrblEmulator(TerminalEmulator):
         """Execute a real-time character and return the answer."""
         """Real-time characters."""
         if character == grbl.STATUS:
-            return [] if self._homing else [self._report()]
+            return [] if self._homing else [self._make_status_report()]
         if character == grbl.JOG_CANCEL or (character == grbl.HOLD and self._motions):
             if self._motions:
                 self._stop_motion()
@@ -181,7 +187,7 @@ class GrblEmulator(TerminalEmulator):
     def _execute_line(self, line: str) -> list[str]:
         """Execute a line and return the answer."""
         if line.startswith("$J="):
-            return [self._jog(line)]
+            return [self._queue_jog(line)]
         if line == "$H":
             if not self._settings[Setting.HOMING]:
                 return ["error:5"]
@@ -213,7 +219,7 @@ class GrblEmulator(TerminalEmulator):
             return ["error:3"]
         return ["error:9" if self._alarm or self._motions else "error:20"]
 
-    def _jog(self, line: str) -> str:
+    def _queue_jog(self, line: str) -> str:
         """Queue a jog and return the answer."""
         if self._alarm or self._held:
             return "error:8"
@@ -246,7 +252,7 @@ class GrblEmulator(TerminalEmulator):
             self._begun = self._begun and len(self._motions) > 1
         else:
             self._motions.append((goal, speed))
-        self._advance()
+        self._start_due_motion()
         self.most_queued = max(self.most_queued, self.queued)
         return "ok"
 
@@ -268,7 +274,7 @@ class GrblEmulator(TerminalEmulator):
         zero, sign = self._axis_frame()
         return sign * (coordinate - zero) * 1e-3
 
-    def _report(self) -> str:
+    def _make_status_report(self) -> str:
         """Return the next status report."""
         sample = self._stage.position()
         number = grbl.AXES.index(self._axis)

@@ -82,16 +82,22 @@ class HaplyEmulator(Emulator):
 
     @property
     def address(self) -> str:
+        """Name of the device with the address of the emulator; known after `start`."""
         return f"haply:ws://127.0.0.1:{self._port}"
 
     def start(self) -> None:
+        """Serve clients of the port in a thread; has no effect on a started emulator.
+
+        Raises:
+            DeviceError: the port cannot be opened.
+        """
         if self._server is not None:
             return
         from websockets.sync.server import serve
 
         try:
             # Compression would delay messages.
-            self._server = serve(self._serve, "127.0.0.1", self._port, compression=None)
+            self._server = serve(self._serve_client, "127.0.0.1", self._port, compression=None)
         except OSError as error:
             raise DeviceError(f"port {self._port} cannot be opened for the emulator of a Haply service ({error}); the "
                               "service itself or another emulator may run: give haply:port=0 for any free port"
@@ -102,6 +108,7 @@ class HaplyEmulator(Emulator):
         self._thread.start()
 
     def stop(self) -> None:
+        """End the server, stop the hand and set the force to zero."""
         if self._server is None or self._thread is None:
             return
         self._ending.set()
@@ -112,6 +119,7 @@ class HaplyEmulator(Emulator):
         self.force = (0.0, 0.0, 0.0)
 
     def describe(self) -> dict[str, Any]:
+        """Return address, counts of messages, force and the description of the hand; keys carry units."""
         return {"emulator": "Haply Inverse service", "address": self.address, "messages": self.messages,
                 "refused": self.refused, "force_N": list(self.force), "largest_force_N": self.largest_force,
                 "unverified": f"that the real service removes the force after {TIMES.release_time:g} s of silence",
@@ -119,9 +127,9 @@ class HaplyEmulator(Emulator):
 
     def cursor_position(self) -> Vector:
         """Return the present position of the cursor in the frame of the device, m."""
-        return self._state().position
+        return self._simulate_hand().position
 
-    def _serve(self, connection: ServerConnection) -> None:
+    def _serve_client(self, connection: ServerConnection) -> None:
         """Serve one client until it disconnects."""
         from websockets.exceptions import ConnectionClosed
 
@@ -135,25 +143,25 @@ class HaplyEmulator(Emulator):
             self._set_force((0.0, 0.0, 0.0))
         line = FaultyLine(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
-            connection.send(state_message(self._state(config=_CONFIG), self.force, session=1))
+            connection.send(state_message(self._simulate_hand(config=_CONFIG), self.force, session=1))
             while not self._ending.is_set():
                 message = None
                 with contextlib.suppress(TimeoutError):
                     message = connection.recv(timeout=0.1 * TIMES.wait if self._faults.delay else TIMES.wait)
                 now = time.monotonic()
                 if message is not None and not line.is_silent(now):
-                    line.put(self._answer(message).encode(), now)
+                    line.put(self._answer_message(message).encode(), now)
                 else:
-                    self._state()
-                for each in line.take(now):
+                    self._simulate_hand()
+                for each in line.take_due(now):
                     connection.send(each.decode(errors="replace"))
         with self._lock:
             self._set_force((0.0, 0.0, 0.0))
 
-    def _answer(self, message: str | bytes) -> str:
+    def _answer_message(self, message: str | bytes) -> str:
         """Apply the force of a message and return the answer."""
         self.messages += 1
-        state = self._state()
+        state = self._simulate_hand()
         with self._lock:
             self._last_message = time.monotonic()
             try:
@@ -165,7 +173,7 @@ class HaplyEmulator(Emulator):
                 self._set_force(force)
         return state_message(state, self.force)
 
-    def _state(self, config: dict[str, Any] | None = None) -> HapticState:
+    def _simulate_hand(self, config: dict[str, Any] | None = None) -> HapticState:
         """Simulate the hand until now and return its state."""
         with self._lock:
             now = time.monotonic()

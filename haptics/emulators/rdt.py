@@ -64,9 +64,15 @@ class RdtEmulator(Emulator):
 
     @property
     def address(self) -> str:
+        """Name of the sensor with host and ports of the emulator."""
         return f"rdt://{self._host}:{self._ports[0]},http_port={self._ports[1]}"
 
     def start(self) -> None:
+        """Start the sensor, the stream of datagrams and the settings page; has no effect on a started emulator.
+
+        Raises:
+            DeviceError: a port cannot be opened.
+        """
         if self._threads:
             return
         self._sensor.start()
@@ -76,20 +82,21 @@ class RdtEmulator(Emulator):
         try:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.bind((self._host, self._ports[0]))
-            self._pages = HTTPServer((self._host, self._ports[1]), _page_handler(rdt.write_settings_page(settings)))
+            handler = _make_page_handler(rdt.write_settings_page(settings))
+            self._pages = HTTPServer((self._host, self._ports[1]), handler)
         except OSError as error:
             self._socket.close()
             self._sensor.stop()
-            raise DeviceError(_listen_failure(self._host, self._ports, error)) from None
+            raise DeviceError(_describe_listen_failure(self._host, self._ports, error)) from None
         self._ports = self._socket.getsockname()[1], self._pages.server_address[1]
         self._socket.settimeout(0.0)
         self._ending.clear()
-        self._threads = [threading.Thread(target=self._serve, name="RDT emulator", daemon=True),
+        self._threads = [threading.Thread(target=self._run_thread, name="RDT emulator", daemon=True),
                          threading.Thread(target=self._pages.serve_forever, args=(0.05,), name="RDT page", daemon=True)]
         for thread in self._threads:
             thread.start()
 
-    def _serve(self) -> None:
+    def _run_thread(self) -> None:
         """Answer requests and send records until the end; the body of the thread."""
         began = time.monotonic()
         line = FaultyLine(self._faults, began)
@@ -98,7 +105,7 @@ class RdtEmulator(Emulator):
         pending: list[Record] = []
         while not self._ending.wait(0.5e-3):
             samples = self._sensor.read()
-            counts = [self._counts(sample.values) for sample in samples]
+            counts = [self._convert_to_counts(sample.values) for sample in samples]
             for request, sender in self._receive_requests(line):
                 if request.command in (rdt.Command.REAL_TIME, rdt.Command.BUFFERED):
                     client, number, remaining = sender, 0, request.count or -1
@@ -115,12 +122,12 @@ class RdtEmulator(Emulator):
                 if remaining == 0:
                     break
                 number, remaining = number + 1, remaining - 1
-                pending.append(Record(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF, _status_word(sample.status),
-                                      _clip(count - zero for count, zero in zip(each, bias, strict=True))))
+                pending.append(Record(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF, _encode_status(sample.status),
+                                      _clip_counts(count - zero for count, zero in zip(each, bias, strict=True))))
                 if len(pending) == size or remaining == 0:
                     line.put(rdt.pack_records(pending), now)
                     pending = []
-            for datagram in line.take(now):
+            for datagram in line.take_due(now):
                 # Like a box, the emulator ignores a client that has closed its port, and a full send buffer.
                 with contextlib.suppress(OSError):
                     self._socket.sendto(datagram, client)
@@ -139,13 +146,14 @@ class RdtEmulator(Emulator):
                 self.requests += 1
                 requests.append((request, sender))
 
-    def _counts(self, values: Sequence[float]) -> list[int]:
+    def _convert_to_counts(self, values: Sequence[float]) -> list[int]:
         """Return the six counts of a sample."""
         by_name = dict(zip(self._sensor.channels, values, strict=True))
         return [round(by_name.get(name, 0.0) / (self._force if name[0] == "F" else self._torque))
                 for name in rdt.CHANNELS]
 
     def stop(self) -> None:
+        """End the stream and the settings page, and stop the sensor."""
         if not self._threads:
             return
         self._ending.set()
@@ -158,11 +166,12 @@ class RdtEmulator(Emulator):
         self._sensor.stop()
 
     def describe(self) -> dict[str, Any]:
+        """Return address, description of the sensor and counts of requests and datagrams."""
         return {"emulator": "ATI RDT", "address": self.address, "sensor": self._sensor.describe(),
                 "requests": self.requests, "datagrams": self.sent}
 
 
-def _page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
+def _make_page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
     """Return the HTTP handler that serves the settings page only."""
 
     class Pages(BaseHTTPRequestHandler):
@@ -183,19 +192,19 @@ def _page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
     return Pages
 
 
-def _clip(counts: Iterable[int]) -> rdt.Wrench:
+def _clip_counts(counts: Iterable[int]) -> rdt.Wrench:
     """Return six counts, clipped to 32 bits."""
     x, y, z, u, v, w = (min(max(count, -_LARGEST_COUNT), _LARGEST_COUNT) for count in counts)
     return x, y, z, u, v, w
 
 
-def _status_word(status: int) -> int:
+def _encode_status(status: int) -> int:
     """Return the status word of an Axia for bits of `SampleStatus`."""
     return ((StatusWord.SATURATED if status & SampleStatus.SATURATED else 0)
             | (StatusWord.FAULTY if status & SampleStatus.FAULT else 0))
 
 
-def _listen_failure(host: str, ports: tuple[int, int], error: OSError) -> str:
+def _describe_listen_failure(host: str, ports: tuple[int, int], error: OSError) -> str:
     """Return cause and remedy for ports that cannot be opened."""
     if error.errno == errno.EADDRINUSE:
         return f"port {ports[0]} or {ports[1]} of {host} is in use; stop the other program, or give port=0,http_port=0"

@@ -14,7 +14,7 @@ from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.faults import Faults, FaultyLine
 from haptics.emulators.emulator import Emulator
 
-#: Longest wait for received bytes before `TerminalEmulator.due` is called again, s.
+#: Longest wait for received bytes before `TerminalEmulator.take_due_messages` is called again, s.
 _POLL = 0.5e-3
 
 
@@ -44,14 +44,19 @@ class TerminalEmulator(Emulator):
         """Stop the device that backs the emulator."""
 
     @abstractmethod
-    def received(self, data: bytes) -> list[bytes]:
+    def answer_bytes(self, data: bytes) -> list[bytes]:
         """Return the answers to received bytes, one message each; the bytes may hold part of a command, or several."""
 
-    def due(self) -> list[bytes]:
+    def take_due_messages(self) -> list[bytes]:
         """Return the messages to send without a request, one message each; called about every 0.5 ms."""
         return []
 
     def start(self) -> None:
+        """Open the pseudo-terminal and answer in a thread; has no effect on a started emulator.
+
+        Raises:
+            DeviceError: the platform has no pseudo-terminals.
+        """
         if self._thread is not None:
             return
         if sys.platform == "win32":
@@ -79,15 +84,16 @@ class TerminalEmulator(Emulator):
                 with contextlib.suppress(BlockingIOError, OSError):
                     data = os.read(self._master, 65536)
                     if not line.is_silent(now):
-                        messages = self.received(data)
-            for message in (*messages, *self.due()):
+                        messages = self.answer_bytes(data)
+            for message in (*messages, *self.take_due_messages()):
                 line.put(message, now)
-            for message in line.take(now):
+            for message in line.take_due(now):
                 # If the client does not read, excess bytes are lost, as on a wire without flow control.
                 with contextlib.suppress(BlockingIOError):
                     os.write(self._master, message)
 
     def stop(self) -> None:
+        """End the thread, close the pseudo-terminal and stop the device that backs the emulator."""
         if self._thread is None:
             return
         self._ending.set()

@@ -102,6 +102,7 @@ class TicEmulator(TerminalEmulator):
         self.answered = 0
     @property
     def address(self) -> str:
+        """Name of the stage with terminal, steps, travel, top speed and use of checksums."""
         limits, extra = self._stage.limits, ""
         if self._crc or self._response_crc:
             extra = f",crc={self._crc:d},response_crc={self._response_crc:d}"
@@ -109,39 +110,44 @@ class TicEmulator(TerminalEmulator):
                 f"highest_mm={limits.highest * 1e3:g},top_speed_mm_s={limits.speed * 1e3:g}{extra}")
 
     def begin(self) -> None:
+        """Set the state after power-on, start the stage and home it."""
         self._power_up()
         self._stage.start()
         self._stage.home()
 
     def end(self) -> None:
+        """Stop the stage."""
         self._stage.stop()
 
     def describe(self) -> dict[str, Any]:
+        """Return terminal, steps, command timeout and counts of answers and of bad bytes."""
         return {"emulator": "tic", "port": self.path, "steps_per_mm": self._steps * 1e-3,
                 "command_timeout_s": self._timeout, "answered": self.answered, "bad_bytes": self._commands.bad_bytes}
 
-    def received(self, data: bytes) -> list[bytes]:
+    def answer_bytes(self, data: bytes) -> list[bytes]:
+        """Execute the received commands and return the answers."""
         answers = []
-        self._evaluate()
+        self._update_state()
         for received in self._commands.feed(data):
-            answer = self._execute(received)
-            self._evaluate()
+            answer = self._execute_command(received)
+            self._update_state()
             if answer is not None:
                 self.answered += 1
                 answers.append(answer + bytes([tic.crc7(answer)]) if self._response_crc else answer)
         return answers
 
-    def due(self) -> list[bytes]:
-        self._evaluate()
+    def take_due_messages(self) -> list[bytes]:
+        """Update the state, such as the command timeout; a Tic sends nothing without a request."""
+        self._update_state()
         return []
 
-    def _execute(self, received: ReceivedCommand) -> bytes | None:
+    def _execute_command(self, received: ReceivedCommand) -> bytes | None:
         """Execute a command; return the answer of a command that reads."""
         command, now = received.command, time.monotonic()
         if command in _KEEP_ALIVE:
             self._alive = now
         if command in (Command.GET_VARIABLE, Command.GET_VARIABLE_AND_CLEAR):
-            block = self._variables()[received.value:received.value + received.length]
+            block = self._pack_variables()[received.value:received.value + received.length]
             if command == Command.GET_VARIABLE_AND_CLEAR:
                 self._occurred = 0
             return block
@@ -170,25 +176,25 @@ class TicEmulator(TerminalEmulator):
         """Execute a command that moves the motor or stops it."""
         command = received.command
         if self._homing and command in _KEEP_ALIVE and command != Command.RESET_COMMAND_TIMEOUT:
-            self._halt()
+            self._halt_stage()
         if command == Command.SET_TARGET_POSITION:
             self._input, self._target = Planning.POSITION, tic.to_signed(received.value)
         elif command == Command.SET_TARGET_VELOCITY:
             self._input, self._target = Planning.VELOCITY, tic.to_signed(received.value)
         elif command in (Command.HALT_AND_HOLD, Command.HALT_AND_SET_POSITION, Command.RESET):
-            self._halt()
+            self._halt_stage()
             self._input, self._target, self._uncertain = Planning.OFF, 0, True
             if command == Command.HALT_AND_SET_POSITION:
-                self._offset += tic.to_signed(received.value) - self._count()[0]
+                self._offset += tic.to_signed(received.value) - self._read_motor_position()[0]
                 self._uncertain = False
             elif command == Command.RESET:
                 self._errors, self._occurred, self._state = Errors(0), 0, State.RESET
         elif command == Command.GO_HOME and self._state == State.NORMAL and self.has_limit_switch:
-            self._halt()
+            self._halt_stage()
             self._input, self._homing, self._uncertain, self._offset = Planning.OFF, True, True, 0
             self._stage.home()
 
-    def _halt(self) -> None:
+    def _halt_stage(self) -> None:
         """Halt the stage and end homing."""
         self._stage.halt()
         self._homing, self._motion = False, None
@@ -196,12 +202,12 @@ class TicEmulator(TerminalEmulator):
     def _leave_normal_operation(self, state: State) -> None:
         """Halt and enter an error state. Without power on the motor (`RESET`, `DEENERGIZED`) the position is lost."""
         if self._state == State.NORMAL:
-            self._halt()
+            self._halt_stage()
         if state in (State.RESET, State.DEENERGIZED):
             self._uncertain = True
         self._state = state
 
-    def _evaluate(self) -> None:
+    def _update_state(self) -> None:
         """Update errors, state and motion."""
         now = time.monotonic()
         errors = self.imposed | (Errors.DEENERGIZED if self._deenergized else Errors(0))
@@ -243,14 +249,14 @@ class TicEmulator(TerminalEmulator):
             stage.move(min(max(goal, limits.lowest), limits.highest), speed)
         self._motion = request
 
-    def _count(self) -> tuple[int, bool]:
+    def _read_motor_position(self) -> tuple[int, bool]:
         """Return the current position, microsteps, and True if the motor moves."""
         sample = self._stage.position()
         return round(sample.position * self._steps) + self._offset, sample.moving
 
-    def _variables(self) -> bytes:
+    def _pack_variables(self) -> bytes:
         """Return the block of all variables (section 7)."""
-        count, moving = self._count()
+        count, moving = self._read_motor_position()
         position = (count - self._offset) / self._steps
         limits, velocity = self._stage.limits, 0
         if moving and self._motion is not None:

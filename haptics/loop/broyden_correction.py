@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -9,10 +10,25 @@ import numpy as np
 from tissue_sim.pose import Pose, Screw, motion
 from tissue_sim.tool_force import Matrix
 
-#: Relaxation factor of the secant update; about half of a difference belongs to motions that are not repeated.
-_RELAXATION = 0.5
-#: Shortest motion from which the correction is learned, as a fraction of the contact radius.
-_MIN_MOTION = 0.01
+
+@dataclass(frozen=True)
+class BroydenSettings:
+    """Settings of the secant update, chosen by this project.
+
+    Attributes:
+        relaxation: relaxation factor of the update. About half of a difference belongs to motions that are not
+            repeated; a larger factor learns faster and follows these motions more.
+        min_motion: shortest motion from which the correction is learned, as a fraction of the contact radius. A smaller
+            motion amplifies the errors of the models.
+    """
+
+    relaxation: float = 0.5
+    min_motion: float = 0.01
+
+
+#: Settings of every correction.
+BROYDEN = BroydenSettings()
+
 
 
 class BroydenCorrection:
@@ -30,7 +46,7 @@ class BroydenCorrection:
 
     def __init__(self, radius: float):
         self._scale = np.array([1.0, 1.0, 1.0, radius, radius, radius])
-        self._min_square = (_MIN_MOTION * radius) ** 2
+        self._min_square = (BROYDEN.min_motion * radius) ** 2
         self.rates = np.zeros((6, 6))
 
     def reset(self) -> None:
@@ -50,7 +66,7 @@ class BroydenCorrection:
         square = float(scaled @ scaled)
         if square > self._min_square:
             residual = np.array(missed) - self.rates @ step
-            self.rates += _RELAXATION / square * np.outer(residual, self._scale * scaled)
+            self.rates += BROYDEN.relaxation / square * np.outer(residual, self._scale * scaled)
 
     def wrench(self, model: Pose, pose: Pose) -> Screw:
         """Return the wrench that a model omits at another pose, N and N m.

@@ -16,7 +16,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from haptics.loop.shared_slots import SlotReader, SlotWriter, remove_file, unused_path
+from haptics.loop.multirate_settings import BULK_PROCESS
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file, unused_path
 from haptics.loop.slow_bulk import KIND_CORRECTION, KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
@@ -32,17 +33,6 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.packing import pack
 from tissue_sim.snapshot import Snapshot
-
-#: Bytes of a model that are read in one tick; reading a whole model would take a large part of a tick.
-_PIECE = 1 << 16
-#: Time that the process of the bulk has to end before it is killed, s.
-_END_TIMEOUT = 5.0
-#: Longest wall time that `BulkLink.exchange` blocks, s.
-LONGEST_EXCHANGE = 60.0
-#: Polling interval of `BulkLink.exchange`, s.
-_POLL = 0.2e-3
-#: Time after which `BulkLink.exchange` sends the state again, s, so that a bulk without linearisation tries again.
-_SEND_AGAIN = 0.05
 
 
 class BulkLink(Protocol):
@@ -74,7 +64,7 @@ class BulkLink(Protocol):
         """Send a state and block until the next model arrives, which may belong to an earlier state.
 
         Returns:
-            The model; None if none arrives within `LONGEST_EXCHANGE` or the bulk has ended.
+            The model; None if none arrives within `BulkProcessSettings.longest_exchange` or the bulk has ended.
         """
 
     def set_material(self, material: Material, number: int) -> None:
@@ -122,12 +112,18 @@ class DelayedBulk:
         return lambda: self._epoch != epoch or self._now >= due - 1e-9
 
     def start(self) -> CondensedContact:
+        """Return the model of the undeformed tissue.
+
+        Raises:
+            RuntimeError: the undeformed tissue has no linearisation.
+        """
         model = self._predictive.linearise(first_state(self.surface), 0.0, 0.0)
         if model is None:
             raise RuntimeError("the untouched tissue has no linearisation")
         return model
 
     def send(self, state: ContactState) -> None:
+        """Linearise the bulk at a state, unless a model is in transit; the model arrives after the delay."""
         if state.epoch != self._epoch:
             # A model in transit belongs to the specimen before the reset.
             self._epoch, self._coming = state.epoch, None
@@ -139,6 +135,7 @@ class DelayedBulk:
             self.linearising += time.process_time() - began
 
     def receive(self, now: float) -> CondensedContact | None:
+        """Return the model in transit if it has arrived at the time `now`, s, otherwise None."""
         if self._coming is None or now < self._coming[0] - 1e-9:
             return None
         model, self._coming = self._coming[1], None
@@ -150,12 +147,15 @@ class DelayedBulk:
         return self.receive(math.inf)
 
     def set_material(self, material: Material, number: int) -> None:
+        """Change the material of the bulk; later models contain this number."""
         self._predictive.set_material(material, number)
 
     def snapshot(self) -> Snapshot | None:
+        """Return None: this link has no snapshots."""
         return None
 
     def close(self) -> None:
+        """Do nothing: the bulk is part of this process."""
         return
 
 
@@ -176,6 +176,7 @@ class BulkProcess:
         self._surface: ContactSurface | None = None
 
     def start(self) -> CondensedContact:
+        """Start the process and return its model of the undeformed tissue; raises the errors of `BulkLink.start`."""
         one = {"MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = process = subprocess.Popen(
             [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
@@ -191,7 +192,7 @@ class BulkProcess:
             raise started
         self._surface = started.surface
         size = 8 * packed_state_size(self.surface)
-        self._states = SlotWriter(self._paths[0], KIND_STATE, 4, size)
+        self._states = SlotWriter(self._paths[0], KIND_STATE, SLOTS.count, size)
         self._models = SlotReader(self._paths[1], KIND_MODEL)
         self._corrections, self._corrected = SlotReader(self._paths[2], KIND_CORRECTION), 0
         self._board = None if started.pattern is None else SnapshotReader(self._paths[3], started.pattern)
@@ -206,6 +207,7 @@ class BulkProcess:
 
     @property
     def surface(self) -> ContactSurface:
+        """Contact nodes and tool of the bulk; available after `start`."""
         assert self._surface is not None
         return self._surface
 
@@ -215,24 +217,27 @@ class BulkProcess:
         return self._process is not None and self._process.poll() is None
 
     def send(self, state: ContactState) -> None:
+        """Write a state to the shared file of states, without waiting."""
         self._states.write(state.pack().tobytes())
 
     def receive(self, now: float) -> CondensedContact | None:
+        """Read the next piece of a model; return the model when it is complete, a newer correction, or None."""
         found = self._receive_whole() or self._receive_correction()
         if found is not None:
             self._model = found
         return found
 
     def exchange(self, state: ContactState) -> CondensedContact | None:
+        """Send a state, and poll for the next model for at most `BulkProcessSettings.longest_exchange`."""
         now = time.monotonic()
-        deadline, sends = now + LONGEST_EXCHANGE, now
+        deadline, sends = now + BULK_PROCESS.longest_exchange, now
         while now < deadline and self.alive:
             if now >= sends:
                 self.send(state)
-                sends = now + _SEND_AGAIN
+                sends = now + BULK_PROCESS.resend_interval
             if (model := self.receive(state.time)) is not None:
                 return model
-            time.sleep(_POLL)
+            time.sleep(BULK_PROCESS.polling_interval)
             now = time.monotonic()
         return None
 
@@ -248,7 +253,7 @@ class BulkProcess:
             self._reading, self._piece = models.written, 0
             self._check = self._reading & 0xFFFFFFFF
         length, checksum = models.head(self._reading)
-        end = min(self._piece + _PIECE, length)
+        end = min(self._piece + BULK_PROCESS.piece, length)
         piece = models.part(self._reading, self._piece, end)
         self._buffers[0][self._piece:end] = piece
         self._check, self._piece = zlib.crc32(piece, self._check), end
@@ -272,15 +277,18 @@ class BulkProcess:
         return CondensedContact.unpack(np.frombuffer(content), self._model)
 
     def set_material(self, material: Material, number: int) -> None:
+        """Send a material and its number to the process."""
         self._write_orders(pickle.dumps((number, material)))
 
     def snapshot(self) -> Snapshot | None:
+        """Return the newest published snapshot, at first of the undeformed tissue; None if the bulk publishes none."""
         if self._board is not None:
             newest = self._board.latest()
             self._shown = self._shown if newest is None else newest.snapshot
         return self._shown
 
     def close(self) -> None:
+        """End the process, if necessary by killing it, and remove the shared files."""
         process = self._process
         if process is None:
             return
@@ -294,7 +302,7 @@ class BulkProcess:
             with suppress(OSError):  # the process was killed before it read all of its input
                 process.stdin.close()  # the process ends at the end of its input
         try:
-            process.wait(_END_TIMEOUT)
+            process.wait(BULK_PROCESS.end_timeout)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

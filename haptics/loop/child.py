@@ -6,6 +6,7 @@ import sys
 import traceback
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -25,8 +26,24 @@ from tissue_sim.tool_force import Tissue
 
 #: Errors with a message for the user; other errors are faults of the program.
 _EXPECTED = (InputError, ConvergenceError, MissingBackendError, DeviceError)
-#: Time that the loop has to end after its parent has ended, s.
-_GRACE = 0.5
+
+
+@dataclass(frozen=True)
+class LoopProcessTimes:
+    """Waiting times of the process of a loop and of its parent, s.
+
+    Attributes:
+        patience: time that the loop has to answer a command, or to end. A longer time tolerates a slower computer, and
+            reports a blocked loop later.
+        grace: time that the loop has to end after its parent has ended.
+    """
+
+    patience: float = 5.0
+    grace: float = 0.5
+
+
+#: Times of every process of a loop.
+PROCESS_TIMES = LoopProcessTimes()
 
 
 class LoopFiles(NamedTuple):
@@ -75,41 +92,43 @@ def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things
         for path in files:
             remove_file(path)
 
-    follow_parent(_GRACE, remove_files)  # needed during the creation of the tissue, when the connection is not read
+    # The creation of the tissue does not read the connection, so it cannot notice the end of the parent.
+    follow_parent(PROCESS_TIMES.grace, remove_files)
     try:
         register_all(things)
-        report = _loop(connection, parts, files)
+        report = _run_loop(connection, parts, files)
     except Exception as error:
         expected = isinstance(error, _EXPECTED)
         sentence = " ".join(str(error).split())
         if not expected:
             traceback.print_exc()
             sentence = f"{type(error).__name__}: {sentence}"
-        _send(connection, "error", (sentence, isinstance(error, InputError)))
+        _send_message(connection, "error", (sentence, isinstance(error, InputError)))
         sys.exit(1)
-    _send(connection, "report", report)
+    _send_message(connection, "report", report)
 
 
-def _loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopReport:
+def _run_loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopReport:
     settings = parts.settings
     with ExitStack() as stack:
         ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
-        _send(connection, "doing", "making the tissue")
+        _send_message(connection, "doing", "making the tissue")
         tissue = parts.make_tissue()
         if hasattr(tissue, "warm_up"):
-            _send(connection, "doing", "loading the solver (the first run on a computer compiles it, about 10 s)")
+            _send_message(connection, "doing",
+                          "loading the solver (the first run on a computer compiles it, about 10 s)")
             tissue.warm_up()
         snapshots = shown = None
         if settings.snapshot_rate and isinstance(tissue, ShownTissue):
             pattern = tissue.snapshot()
             if pattern.arrays():
                 shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
-                _send(connection, "pattern", pattern)
+                _send_message(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
                     listen=lambda loop: _run_commands(loop, connection, shown))
         # Started last: a user must not hold a device during compilation.
         parts.device.start()
-        _send(connection, "ready", mesh_of(tissue))
+        _send_message(connection, "ready", mesh_of(tissue))
         return loop.run()
 
 
@@ -136,6 +155,6 @@ def _run_commands(loop: Loop, connection: Connection, shown: ShownTissue | None)
         loop.stop("parent")
 
 
-def _send(connection: Connection, kind: str, content: Any = None) -> None:
+def _send_message(connection: Connection, kind: str, content: Any = None) -> None:
     with suppress(OSError):  # the parent has ended
         connection.send((kind, content))

@@ -3,14 +3,31 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
-#: Distance from the pose of a model, as a fraction of the contact radius, within which a model is trusted before an
-#: error estimate exists.
-SHORT = 0.1
-#: Fraction of the estimate that is kept when the next model comes.
-_MEMORY = 0.8
-#: The estimate is valid up to this many times the distance between the two models from which it was learned.
-_VALID = 3.0
+
+@dataclass(frozen=True)
+class LinearisationErrorSettings:
+    """Settings of the error estimate, chosen by this project.
+
+    Attributes:
+        short: distance from the pose of a model, as a fraction of the contact radius, within which a model is trusted
+            before an error estimate exists. A larger distance gives more forces the status CONVERGED without an
+            estimate.
+        memory: fraction of the estimate that is kept when the next model comes. A larger fraction keeps large
+            estimates for more models.
+        validity: the estimate is valid up to this many times the distance between the two models from which it was
+            learned. A larger factor trusts a longer extrapolation.
+    """
+
+    short: float = 0.1
+    memory: float = 0.8
+    validity: float = 3.0
+
+
+#: Settings of every error estimate.
+ERROR_ESTIMATE = LinearisationErrorSettings()
+
 
 
 class LinearisationError:
@@ -25,9 +42,9 @@ class LinearisationError:
     The second term is the error by linearisation. Two models at the distances d1 and d2 from the pose of the tool have
     the errors growth d1**2 and growth d2**2, of the same sign while the tool moves on. Their difference divided by
     d1**2 - d2**2 gives `growth` (Richardson's extrapolation). It describes the tissue between the poses of
-    the two models, so the estimate is valid up to `_VALID` times the distance between these poses. Beyond, and before
-    two models of the deformed tissue have come, the error is unknown. Two models of the undeformed tissue are equal;
-    their difference contains no information and must not be passed to `learn`.
+    the two models, so the estimate is valid up to `LinearisationErrorSettings.validity` times the distance between
+    these poses. Beyond, and before two models of the deformed tissue have come, the error is unknown. Two models of the
+    undeformed tissue are equal; their difference contains no information and must not be passed to `learn`.
 
     Two models can agree at one pose by chance. `growth` is therefore never below the curvature of a contact: under a
     ball of radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved). The depth is that
@@ -45,11 +62,11 @@ class LinearisationError:
         shear_modulus: shear modulus of the tissue, Pa.
         reach: distance between the models from which `growth` was learned, m.
         time: time of the newest model from which the estimate was learned, s; minus infinity if there is none.
-        short: `SHORT` times the radius, m.
+        short: `LinearisationErrorSettings.short` times the radius, m.
     """
 
     def __init__(self, radius: float, shear_modulus: float = 0.0):
-        self.radius, self.short, self.shear_modulus = radius, SHORT * radius, shear_modulus
+        self.radius, self.short, self.shear_modulus = radius, ERROR_ESTIMATE.short * radius, shear_modulus
         self.forget()
 
     def forget(self) -> None:
@@ -75,7 +92,7 @@ class LinearisationError:
             newer: distance of the tool from the pose of the second model, m.
         """
         # Models of nearly the same pose contain no information on larger distances: they may only raise the estimate.
-        memory = _MEMORY if between >= self.short else 1.0
+        memory = ERROR_ESTIMATE.memory if between >= self.short else 1.0
         squares = max(distance**2 - newer**2, self.short**2)
         self.growth = max(memory * self.growth, missed / squares)
         self.reach, self.time = max(memory * self.reach, between), time
@@ -92,7 +109,7 @@ class LinearisationError:
 
     def is_valid(self, distance: float) -> bool:
         """Return whether the error at this distance, m, from the pose of a model is known."""
-        return math.isfinite(self.time) and distance <= max(self.short, _VALID * self.reach)
+        return math.isfinite(self.time) and distance <= max(self.short, ERROR_ESTIMATE.validity * self.reach)
 
     def at(self, distance: float, age: float = 0.0, depth: float | None = None) -> float:
         """Return the estimated error of the force, N; infinite if it is unknown.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from haptics.loop.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, Vector, added, motion, scaled
 from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, carried_on, pose_of
@@ -55,8 +56,6 @@ class LocalModel:
 
 #: Model with zero wrench, used before the first model and after a model that is too old.
 _NONE = LocalModel(_NO_WRENCH, _NO_STIFFNESS, Pose.at_depth(0.0), -math.inf, None)
-#: Fraction of an error estimate that is kept with the next model.
-_MEMORY = 0.8
 
 
 class SlowSolver:
@@ -99,7 +98,7 @@ class SlowSolver:
         converged = answer.status is ForceStatus.CONVERGED
         if self._last is not None and not converged:
             made = max(time - answer.age, last.time)
-        error = self._error(tool_pose, answer, last, _MEMORY if converged else 1.0)
+        error = self._error(tool_pose, answer, last, ERROR_ESTIMATE.memory if converged else 1.0)
         evaluated = max(made - max(0.0, answer.stiffness_age - (time - made)), last.stiffness_time or -math.inf)
         self._before = self._last
         self._last = LocalModel(answer.wrench, answer.stiffness_matrix, tool_pose, made, error, min(made, evaluated))

@@ -117,7 +117,7 @@ class LoopReport:
             "ended_by": self.ended_by, "seconds": self.seconds, "period_us": self.period * 1e6, "ticks": self.ticks,
             "late": self.late, "missed": self.missed,
             "missed_percent": 100 * self.missed / max(self.ticks + self.missed, 1),
-            "lateness_us": _microseconds(self.lateness), "compute_us": _microseconds(self.compute_time),
+            "lateness_us": _to_microseconds(self.lateness), "compute_us": _to_microseconds(self.compute_time),
             "statuses": self.statuses, "flagged": self.flagged, "largest_force_N": self.largest_force,
             "real_time": [asdict(feature) for feature in self.real_time],
             "peak_memory_MB": None if self.peak_memory is None else self.peak_memory / 1e6,
@@ -131,7 +131,7 @@ def mesh_of(tissue: Tissue) -> tuple[str, float | None]:
     return getattr(tissue, "resolution", ""), getattr(tissue, "force_error", None)
 
 
-def _microseconds(times: Quantiles) -> dict[str, float]:
+def _to_microseconds(times: Quantiles) -> dict[str, float]:
     return {"p50": times.p50 * 1e6, "p99": times.p99 * 1e6, "p99.9": times.p999 * 1e6, "max": times.maximum * 1e6}
 
 
@@ -194,7 +194,7 @@ class Loop:
             Exception: an exception of the tissue, the device or the listener.
         """
         try:
-            features = self._run()
+            features = self._run_ticks()
         finally:
             self._device.stop()
         ticker = self._ticker
@@ -206,7 +206,7 @@ class Loop:
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
             self._largest_force, features, peak_memory(), self._device.describe(), *mesh_of(self._tissue))
 
-    def _run(self) -> tuple[RealTimeFeature, ...]:
+    def _run_ticks(self) -> tuple[RealTimeFeature, ...]:
         """Run all ticks and return the real-time features of the system."""
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
@@ -216,7 +216,7 @@ class Loop:
             ticker.start()
             while ticker.number < last and not self._ended_by:
                 lateness = ticker.wait()
-                self._tick(lateness * 1e-9, ring)
+                self._execute_tick(lateness * 1e-9, ring)
                 if self._prepare is not None:
                     self._prepare()
                 if shown and every and ticker.number >= next_snapshot:
@@ -229,7 +229,7 @@ class Loop:
                     self._listen(self)
         return features
 
-    def _tick(self, lateness: float, ring: RingWriter) -> None:
+    def _execute_tick(self, lateness: float, ring: RingWriter) -> None:
         ticker = self._ticker
         now = ticker.elapsed
         passed, self._now = now - self._now, now

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import cast
 
 import numpy as np
@@ -14,10 +15,22 @@ from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
 from tissue_sim.pose import Pose, Screw, added, motion, scaled
 from tissue_sim.tool_force import Matrix
 
-#: Largest change of force in a tick that a change of model may cause, N.
-JUMP = 0.01
-#: Largest change of torque in a tick that a change of model may cause, N m.
-TORQUE_JUMP = 0.001
+
+@dataclass(frozen=True)
+class TransitionSettings:
+    """Largest changes of the wrench in a tick that a change of model may cause; smaller values take more ticks.
+
+    Attributes:
+        force_step: largest change of the force, N.
+        torque_step: largest change of the torque, N m.
+    """
+
+    force_step: float = 0.01
+    torque_step: float = 0.001
+
+
+#: Settings of every transition.
+TRANSITION = TransitionSettings()
 _NO_WRENCH: Screw = (0.0,) * 6
 
 
@@ -117,9 +130,10 @@ class ModelTransition:
         self._correction.reset()
 
     def reduce_offset(self) -> None:
-        """Reduce the offset by at most `JUMP` (force) and `TORQUE_JUMP` (torque)."""
+        """Reduce the offset by at most one step of `TransitionSettings`."""
         if any(self.offset):
-            self.offset = _shorten(self.offset[:3], JUMP) + _shorten(self.offset[3:], TORQUE_JUMP)
+            force, torque = self.offset[:3], self.offset[3:]
+            self.offset = _shorten(force, TRANSITION.force_step) + _shorten(torque, TRANSITION.torque_step)
 
     def answer(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
         """Return wrench and stiffness of a step on the newest model with offset and Broyden correction."""

@@ -11,6 +11,7 @@ from typing import Any, NoReturn
 
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_transition import ModelTransition
+from haptics.loop.multirate_settings import MULTIRATE
 from haptics.loop.touch_frame import TouchFrame, first_touch
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact
@@ -39,23 +40,7 @@ from tissue_sim.tool_force import (
 __all__ = ["ERROR_FLOOR", "ERROR_SHARE", "OLDEST", "MultiRateTissue"]
 
 #: Largest age of the model of a CONVERGED force, s.
-OLDEST = 1.0
-#: Ticks between two states sent to the bulk.
-_SEND_EVERY = 4
-#: Ticks over which the speed of the tool is measured.
-_LOOK_BACK = 8
-#: Depths of the touches in `warm_up`, as fractions of the contact radius.
-_TOUCHES = (0.02, 0.04, 0.05)
-#: Largest age of a model in a step that waits for the bulk, s.
-_RECENT = 0.01
-#: Largest distance of a model in a step that waits, as a fraction of `LinearisationError.short`.
-_NEAR = 0.25
-#: Maximum number of exchanges of state and model in a step that waits for the bulk.
-_MAX_EXCHANGES = 16
-#: Tolerance on the change of the force in the last exchange, as a fraction of the force.
-_SETTLED = 0.01
-#: Absolute tolerance on this change, N.
-_SETTLED_FLOOR = 1e-4
+OLDEST = MULTIRATE.oldest
 #: Force before the first step.
 _AT_REST = ToolForce(axial_wrench(0.0), axial_stiffness(0.0), ForceStatus.STOPPED)
 
@@ -127,7 +112,7 @@ class MultiRateTissue(KernelOwner):
         self._time, self._ticks, self.error, self._left = 0.0, 0, math.inf, 1.0
         self._answer = _AT_REST
         self._step: ContactStep | None = None
-        self._poses: deque[tuple[float, Pose]] = deque(maxlen=_LOOK_BACK)
+        self._poses: deque[tuple[float, Pose]] = deque(maxlen=MULTIRATE.speed_ticks)
         self._touch = TouchState()
         self._last_pose: Pose | None = None
         #: Times of the states to which the model and its tangent belong, s.
@@ -155,7 +140,7 @@ class MultiRateTissue(KernelOwner):
         self._transition = ModelTransition(self._stepper, self.model.material.mu0)
         x, y, z = surface.start.position
         # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
-        for depth in _TOUCHES:
+        for depth in MULTIRATE.touch_depths:
             self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
         self._rest()
 
@@ -229,7 +214,7 @@ class MultiRateTissue(KernelOwner):
         """Return the zero force of a bonded tool before its first touch; the bulk stays at rest."""
         assert self._stepper is not None
         self._known, start = None, self._link.surface.start
-        if self._ticks % _SEND_EVERY == 0:
+        if self._ticks % MULTIRATE.ticks_between_states == 0:
             self._link.send(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
         status = ForceStatus.CONVERGED if self._link.alive else ForceStatus.LATE
         return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
@@ -253,7 +238,7 @@ class MultiRateTissue(KernelOwner):
         if self.waits:
             if transition.free is not here and self._needs_exchange(step, here):
                 self._step = step = self._exchange_models(step, here)
-        elif known is not None or self._ticks % _SEND_EVERY == 0:
+        elif known is not None or self._ticks % MULTIRATE.ticks_between_states == 0:
             earlier, there = self._poses[0]
             self._link.send(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
@@ -281,15 +266,15 @@ class MultiRateTissue(KernelOwner):
         assert self._stepper is not None and self._stepper.model is not None
         model, transition = self._stepper.model, self._transition
         return (not (step.converged and self._settled) or model.material != self._material
-                or self._time - self._made > _RECENT
-                or transition.distance(model, pose) > _NEAR * transition.estimate.short)
+                or self._time - self._made > MULTIRATE.recent
+                or transition.distance(model, pose) > MULTIRATE.near * transition.estimate.short)
 
     def _exchange_models(self, step: ContactStep, pose: Pose) -> ContactStep:
         """Exchange states and models with the bulk until the force at a pose converges; return the last step."""
         stepper = self._stepper
         assert stepper is not None and stepper.model is not None
         self._settled = False
-        for _ in range(_MAX_EXCHANGES):
+        for _ in range(MULTIRATE.max_exchanges):
             old = stepper.model
             # The clock is simulated: the pose must not be extrapolated by the wall time of a model.
             model = self._link.exchange(
@@ -303,7 +288,7 @@ class MultiRateTissue(KernelOwner):
             missed = math.dist(before.wrench[:3], step.wrench[:3])
             self._transition.learn(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
             if (model.time >= self._time and model.material == self._material and step.converged
-                    and missed <= max(_SETTLED_FLOOR, _SETTLED * math.hypot(*step.wrench[:3]))):
+                    and missed <= max(MULTIRATE.force_floor, MULTIRATE.force_tolerance * math.hypot(*step.wrench[:3]))):
                 self._settled = True
                 break
         self._transition.settle()

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.child import LoopFiles, LoopParts, run_child
+from haptics.loop.child import PROCESS_TIMES, LoopFiles, LoopParts, run_child
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
@@ -28,7 +28,7 @@ from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
 
 #: Time that the loop has to answer a command, or to end, s.
-PATIENCE = 5.0
+PATIENCE = PROCESS_TIMES.patience
 
 
 class LoopError(RuntimeError):
@@ -132,7 +132,7 @@ class LoopProcess:
             InputError: the process ended because of invalid input.
             LoopError: the process ended without a report for another reason.
         """
-        self._read(timeout)
+        self._read_messages(timeout)
         return self._ready
 
     @property
@@ -229,7 +229,7 @@ class LoopProcess:
                 self._connection.send((command, values))
             until = time.monotonic() + self.patience
             while not self._answers and self.report is None:
-                self._read(0.1)
+                self._read_messages(0.1)
                 if time.monotonic() > until:
                     raise LoopError(f"the loop does not answer within {self.patience:g} s")
             if self._answers and self._answers[0]:
@@ -253,8 +253,8 @@ class LoopProcess:
             remaining = 0.5 if until is None else until - time.monotonic()
             if remaining <= 0 and until is not None:
                 return None
-            self._read(min(remaining, 0.5))
-        self._end(PATIENCE)
+            self._read_messages(min(remaining, 0.5))
+        self._end_process(PATIENCE)
         return self.report
 
     def stop(self) -> LoopReport | None:
@@ -262,11 +262,11 @@ class LoopProcess:
         connection, self.patience = self._connection, PATIENCE
         with suppress(LoopError, InputError, OSError):  # the process has already ended
             while connection is not None and not self._ready and connection.poll():
-                self._read(0.0)
+                self._read_messages(0.0)
             if self._ready and self.report is None:
                 self.ask("stop")
                 self.wait(PATIENCE)
-        self._end(0.0 if self.report is None and self._failure is None else PATIENCE)
+        self._end_process(0.0 if self.report is None and self._failure is None else PATIENCE)
         return self.report
 
     def __enter__(self) -> LoopProcess:
@@ -276,7 +276,7 @@ class LoopProcess:
     def __exit__(self, *failure) -> None:
         self.stop()
 
-    def _read(self, timeout: float) -> None:
+    def _read_messages(self, timeout: float) -> None:
         """Read messages of the process for `timeout`, s.
 
         Raises:
@@ -328,7 +328,7 @@ class LoopProcess:
         self.message = f"the process of the loop {how}; before that: {self.message}"
         return self.message
 
-    def _end(self, patience: float) -> None:
+    def _end_process(self, patience: float) -> None:
         """Wait for the end of the process for this time, s, then terminate it."""
         process, connection = self._process, self._connection
         if process is None or connection is None:

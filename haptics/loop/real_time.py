@@ -9,17 +9,23 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from enum import IntFlag
 
 #: SCHED_FIFO priority (1 to 99): above all ordinary processes, below the threads of the kernel.
 PRIORITY = 10
-#: Lock present pages in memory (Linux, mman.h).
-_MCL_CURRENT = 1
-#: Lock future pages in memory (Linux, mman.h).
-_MCL_FUTURE = 2
-#: Lock pages at their first use (Linux, mman.h), because Taichi reserves much more memory than it uses.
-_MCL_ONFAULT = 4
 #: Set the timer slack of a thread (Linux, prctl.h).
 _PR_SET_TIMERSLACK = 29
+
+
+class MemoryLock(IntFlag):
+    """Flags of ``mlockall`` (Linux, mman.h)."""
+
+    #: Lock present pages in memory.
+    CURRENT = 1
+    #: Lock future pages in memory.
+    FUTURE = 2
+    #: Lock pages at their first use, because Taichi reserves much more memory than it uses.
+    ON_FAULT = 4
 
 
 @dataclass(frozen=True)
@@ -76,12 +82,12 @@ def claim_fifo(undo: ExitStack, priority: int) -> str:
     return ""
 
 
-def _locked_memory(undo: ExitStack, _: int) -> str:
+def _lock_memory(undo: ExitStack, _: int) -> str:
     """Lock used pages in memory; return the reason of a refusal, or an empty string."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; swapping of memory may delay the loop"
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE | _MCL_ONFAULT) != 0:
+    if libc.mlockall(MemoryLock.CURRENT | MemoryLock.FUTURE | MemoryLock.ON_FAULT) != 0:
         return (f"{os.strerror(ctypes.get_errno())}; 'ulimit -l' shows how many kB may be locked: add 'USER - memlock "
                 "unlimited' to /etc/security/limits.d/memlock.conf and log in again (in a container: --ulimit "
                 "memlock=-1)")
@@ -89,7 +95,7 @@ def _locked_memory(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _timer_slack(undo: ExitStack, _: int) -> str:
+def _reduce_timer_slack(undo: ExitStack, _: int) -> str:
     """Reduce the timer slack of this thread from 50 us to 1 ns, as SCHED_FIFO does; return the reason of a refusal."""
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; sleeps may end late"
@@ -100,7 +106,7 @@ def _timer_slack(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _no_collection(undo: ExitStack, _: int) -> str:
+def _disable_collection(undo: ExitStack, _: int) -> str:
     """Collect garbage once, then disable the collection of reference cycles; never refused."""
     gc.collect()
     gc.freeze()
@@ -113,8 +119,8 @@ def _no_collection(undo: ExitStack, _: int) -> str:
 
 #: Features in the order of their requests; memory is locked after the garbage collection has freed it.
 _FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
-    "no garbage collection": _no_collection,
-    "locked memory": _locked_memory,
-    "timer slack": _timer_slack,
+    "no garbage collection": _disable_collection,
+    "locked memory": _lock_memory,
+    "timer slack": _reduce_timer_slack,
     "SCHED_FIFO": claim_fifo,
 }

@@ -147,15 +147,15 @@ class RingReader(SlotReader):
     def latest(self) -> np.void | None:
         """Return the newest tick, a record of dtype `TICK`; None before the first tick."""
         newest = self.newest()
-        return None if newest is None else _ticks_of(newest[1])[0]
+        return None if newest is None else _read_tick_records(newest[1])[0]
 
     def since(self, number: int = 0) -> Ticks:
         """Return the ticks written after this number of ticks; 0: all ticks in the ring."""
         contents, newest, lost = self.after(number)
-        return Ticks(_ticks_of(*contents), newest, lost)
+        return Ticks(_read_tick_records(*contents), newest, lost)
 
 
-def _ticks_of(*contents: bytes) -> np.ndarray:
+def _read_tick_records(*contents: bytes) -> np.ndarray:
     """Convert the contents of slots to records of dtype `TICK`, also from older versions with fewer fields.
 
     Raises:

@@ -16,24 +16,40 @@ import secrets
 import struct
 import tempfile
 import zlib
+from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.errors import InputError
 
-#: Version of the layout.
-VERSION = 1
+
+@dataclass(frozen=True)
+class SlotSettings:
+    """Layout of files of slots, and patience of their readers.
+
+    Attributes:
+        version: version of the layout. Each change of the layout requires a new version.
+        head_size: bytes reserved for the header.
+        count: default number of slots. With 4 slots a reader can copy a slot during three further publications; more
+            slots give slow readers more time and use more memory.
+        attempts: attempts to read the newest slot, which the writer may overwrite meanwhile.
+    """
+
+    version: int = 1
+    head_size: int = 64
+    count: int = 4
+    attempts: int = 1000
+
+
+#: Settings of all files of slots.
+SLOTS = SlotSettings()
 #: Header: kind of the file, version, bytes of a slot including its header, number of slots, id of the writing process.
 HEAD = struct.Struct("<8sIIQQ")
-#: Bytes reserved for the header.
-HEAD_SIZE = 64
 #: Offset of the number of the newest slot, bytes.
 _WRITTEN = HEAD.size
 #: Offset of the flag that the writer has ended, bytes.
 _ENDED = HEAD.size + 8
 #: Header of a slot: number, bytes of the content, CRC-32 of the content with the number as start value.
 _SLOT = struct.Struct("<QII")
-#: Attempts to read a slot that is being overwritten.
-_ATTEMPTS = 1000
 
 
 def runtime_folder() -> Path:
@@ -83,8 +99,8 @@ class SlotWriter:
                              f"{count}", field="count")
         self.path, self.count, self.size, self.written = Path(path), count, size, 0
         self._stride = _SLOT.size + -(-size // 8) * 8
-        total = HEAD_SIZE + count * self._stride
-        empty = HEAD.pack(kind, VERSION, self._stride, count, os.getpid()).ljust(total, b"\0")
+        total = SLOTS.head_size + count * self._stride
+        empty = HEAD.pack(kind, SLOTS.version, self._stride, count, os.getpid()).ljust(total, b"\0")
         try:
             _create_atomically(self.path, empty)
             with self.path.open("r+b") as stream:
@@ -106,7 +122,7 @@ class SlotWriter:
         if length > self.size:
             raise InputError(f"content must have at most {self.size} bytes; got {length}", file=self.path)
         number = self.written + 1
-        offset = HEAD_SIZE + (number - 1) % self.count * self._stride
+        offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         _SLOT.pack_into(self._map, offset, number, length, _checksum(content, number))
         offset += _SLOT.size
         self._map[offset:offset + length] = content
@@ -149,13 +165,13 @@ class SlotReader:
             reason = getattr(error, "strerror", None) or error
             raise InputError(f"cannot be read ({reason}); use the file that a running loop prints",
                              file=path) from error
-        found = HEAD.unpack_from(self._map) if len(self._map) >= HEAD_SIZE else (b"", 0, 0, 0, 0)
+        found = HEAD.unpack_from(self._map) if len(self._map) >= SLOTS.head_size else (b"", 0, 0, 0, 0)
         _, version, self._stride, self.count, self.writer = found
-        whole = len(self._map) == HEAD_SIZE + self._stride * self.count
-        if found[0] != kind or version != VERSION or not whole:
+        whole = len(self._map) == SLOTS.head_size + self._stride * self.count
+        if found[0] != kind or version != SLOTS.version or not whole:
             self._map.close()
-            raise InputError(f"is not a file of kind {kind.rstrip(bytes(1)).decode()!r}, version {VERSION}; use the "
-                             "file that a running loop of the same version prints", file=path)
+            raise InputError(f"is not a file of kind {kind.rstrip(bytes(1)).decode()!r}, version {SLOTS.version}; use "
+                             "the file that a running loop of the same version prints", file=path)
         self._numbers = memoryview(self._map)[_WRITTEN:_ENDED + 8].cast("Q")
 
     @property
@@ -170,7 +186,7 @@ class SlotReader:
 
     def read(self, number: int) -> bytes | None:
         """Return the content of a number; None if it is overwritten, incomplete or not yet written."""
-        offset = HEAD_SIZE + (number - 1) % self.count * self._stride
+        offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         copy = self._map[offset:offset + self._stride]
         found, length, checksum = _SLOT.unpack_from(copy)
         content = copy[_SLOT.size:_SLOT.size + length]
@@ -183,7 +199,8 @@ class SlotReader:
 
     def head(self, number: int) -> tuple[int, int]:
         """Return length (bytes) and checksum of the content of a number; (0, -1) if it is overwritten."""
-        found, length, checksum = _SLOT.unpack_from(self._map, HEAD_SIZE + (number - 1) % self.count * self._stride)
+        offset = SLOTS.head_size + (number - 1) % self.count * self._stride
+        found, length, checksum = _SLOT.unpack_from(self._map, offset)
         return (length, checksum) if found == number and length <= self.size else (0, -1)
 
     def part(self, number: int, start: int, end: int) -> bytes:
@@ -191,7 +208,7 @@ class SlotReader:
 
         The caller checks all parts together with the CRC-32 from `head`, whose start value is the number.
         """
-        offset = HEAD_SIZE + (number - 1) % self.count * self._stride + _SLOT.size
+        offset = SLOTS.head_size + (number - 1) % self.count * self._stride + _SLOT.size
         return self._map[offset + start:offset + end]
 
     def newest(self) -> tuple[int, bytes] | None:
@@ -200,7 +217,7 @@ class SlotReader:
         Raises:
             InputError: no complete slot was found.
         """
-        for _ in range(_ATTEMPTS):
+        for _ in range(SLOTS.attempts):
             number = self.written
             if number == 0:
                 return None
@@ -236,6 +253,7 @@ class SlotReader:
         return contents, max(number, newest), lost
 
     def close(self) -> None:
+        """Close the file; the writer removes it."""
         self._numbers.release()
         self._map.close()
 
@@ -267,7 +285,7 @@ def _create_atomically(path: Path, content: bytes) -> None:
     """
     temporary = path.with_name(f".{path.name}.{secrets.token_hex(4)}.tmp")
     try:
-        with open(temporary, "xb", opener=_private) as stream:
+        with open(temporary, "xb", opener=_open_private_file) as stream:
             stream.write(content)
         # Neither call replaces an existing file.
         if os.name == "nt":
@@ -278,5 +296,5 @@ def _create_atomically(path: Path, content: bytes) -> None:
         remove_file(temporary)
 
 
-def _private(path: str, flags: int) -> int:
+def _open_private_file(path: str, flags: int) -> int:
     return os.open(path, flags, 0o600)

@@ -19,7 +19,8 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
-from haptics.loop.shared_slots import SlotReader, SlotWriter, remove_file
+from haptics.loop.multirate_settings import BULK_PROCESS
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.model import (
@@ -42,14 +43,6 @@ KIND_STATE = b"tsSTATE\0"
 KIND_MODEL = b"tsBULK\0\0"
 #: Kind of the shared file of models without tangent (corrections).
 KIND_CORRECTION = b"tsCORR\0\0"
-#: Number of slots of a shared file.
-_SLOTS = 4
-#: Sleep time without a new state, s.
-_NAP = 0.5e-3
-#: Time between two publications of the surface, s.
-_SHOW_EVERY = 0.05
-#: Increment of the niceness of the process, so that the loop has priority.
-_NICE = 5
 
 
 class Started(NamedTuple):
@@ -112,16 +105,16 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         pickle.dump(error, answers)
         answers.flush()
         return
-    pattern = _snapshot(bulk, first)
+    pattern = _take_snapshot(bulk, first)
     whole, part = (8 * max_packed_size(bulk.surface, is_whole) for is_whole in (True, False))
-    with (SlotWriter(models_path, KIND_MODEL, _SLOTS, whole) as models,
-          SlotWriter(corrections_path, KIND_CORRECTION, _SLOTS, part) as corrections,
+    with (SlotWriter(models_path, KIND_MODEL, SLOTS.count, whole) as models,
+          SlotWriter(corrections_path, KIND_CORRECTION, SLOTS.count, part) as corrections,
           SnapshotBoard(surface_path, pattern) as board):
         pickle.dump(Started(bulk.surface, first, pattern), answers)
         answers.flush()
         orders.readline()  # wait until the parent has opened the files
         materials: deque[tuple[int, Material]] = deque()
-        threading.Thread(target=_listen, args=(orders, materials, paths), daemon=True).start()
+        threading.Thread(target=_receive_materials, args=(orders, materials, paths), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
             _run_linearisation(bulk, predictive, states, (models, corrections), board, materials)
 
@@ -142,13 +135,13 @@ def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisat
                 print(f"the bulk keeps its material: {refused}", file=sys.stderr, flush=True)
         newest = states.newest() if states.written != seen else None
         if newest is None:
-            time.sleep(_NAP)
+            time.sleep(BULK_PROCESS.idle_sleep)
             continue
         began = time.monotonic()
         seen, content = newest
         model = predictive.linearise(ContactState.unpack(np.frombuffer(content)), lead, serves)
         if model is None:
-            time.sleep(_NAP)  # no linearisation at this state: wait for the next state
+            time.sleep(BULK_PROCESS.idle_sleep)  # no linearisation at this state: wait for the next state
             continue
         (models if model.has_own_tangent else corrections).write(model.pack().tobytes())
         now = time.monotonic()
@@ -156,16 +149,16 @@ def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisat
         if model.has_own_tangent:
             # A tangent is used until the next one is finished, whose computation begins when this one is published.
             changed, serves = now, 2.0 * (now - changed)
-        if now - shown > _SHOW_EVERY:
-            board.publish(model.time, _snapshot(bulk, model))
+        if now - shown > BULK_PROCESS.surface_interval:
+            board.publish(model.time, _take_snapshot(bulk, model))
             shown = now
 
 
-def _snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
+def _take_snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 
-def _listen(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
+def _receive_materials(orders: BinaryIO, materials: deque[tuple[int, Material]], files: tuple[Path, ...]) -> None:
     """Receive materials until the parent ends, then end this process."""
     try:
         while True:
@@ -182,7 +175,7 @@ def main() -> None:
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # printed text must not mix with the binary output
     if hasattr(os, "nice"):
-        os.nice(_NICE)  # the loop has priority on computers with few cores
+        os.nice(BULK_PROCESS.niceness)  # the loop has priority on computers with few cores
     size, = struct.unpack("<Q", orders.read(8))
     serve(orders.read(size), orders, answers)
 

@@ -8,15 +8,13 @@ from pathlib import Path
 
 import numpy as np
 
-from haptics.loop.shared_slots import SlotReader, SlotWriter
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
 #: Kind of the shared file.
 _KIND = b"tsSNAP\0\0"
-#: Number of slots; a reader can copy a snapshot during three further publications.
-_SLOTS = 4
 #: Header of a snapshot: time, datum, position and orientation of the tool.
 _HEAD = struct.Struct("<2d3d4d")
 
@@ -48,7 +46,7 @@ class SnapshotBoard(SlotWriter):
     """
 
     def __init__(self, path: str | Path, pattern: Snapshot):
-        super().__init__(path, _KIND, _SLOTS, _HEAD.size + 8 * sum(array.size for array in pattern.arrays()))
+        super().__init__(path, _KIND, SLOTS.count, _HEAD.size + 8 * sum(array.size for array in pattern.arrays()))
 
     def publish(self, time: float, snapshot: Snapshot) -> int:
         """Publish a snapshot and return its number.

@@ -2,24 +2,40 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from haptics.devices.contracts import HapticDevice
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.tool_force import Tissue
 
-#: Length of the two successive windows in which the motion is compared, s.
-WINDOW = 0.5
-#: Smallest peak-to-peak amplitude of an oscillation, m.
-SMALL = 0.05e-3
-#: Smallest ratio of the amplitudes of both windows of a sustained oscillation; a smaller ratio means decay.
-LASTS = 0.9
-#: Distance from the start at which the simulation ends because the device is unstable, m.
-_THROWN = 0.05
+
+@dataclass(frozen=True)
+class OscillationCriteria:
+    """Criteria of a sustained oscillation of the device.
+
+    Attributes:
+        window: length of the two successive windows in which the motion is compared, s. A longer window detects slower
+            oscillations.
+        smallest: smallest peak-to-peak amplitude of an oscillation, m.
+        lasting: smallest ratio of the amplitudes of the second and the first window; a smaller ratio means decay.
+        largest: distance from the start at which the simulation ends because the device is unstable, m.
+    """
+
+    window: float = 0.5
+    smallest: float = 0.05e-3
+    lasting: float = 0.9
+    largest: float = 0.05
 
 
-def depths_in_time(tissue: Tissue, device: HapticDevice, rendering: ForceRendering, seconds: float,
-                   tick: float = 1e-3) -> np.ndarray:
+#: Criteria of `simulate_depths` and `measure_oscillation`.
+OSCILLATION = OscillationCriteria()
+
+
+
+def simulate_depths(tissue: Tissue, device: HapticDevice, rendering: ForceRendering, seconds: float,
+                    tick: float = 1e-3) -> np.ndarray:
     """Simulate a loop without delays and return the depth of the device at each tick.
 
     The simulation ends early if the device is more than 50 mm from its start. An unknown pose is replaced by the
@@ -43,27 +59,27 @@ def depths_in_time(tissue: Tissue, device: HapticDevice, rendering: ForceRenderi
         device.render(rendered.wrench)
         depth = pose.depth if pose is not None else depths[-1] if depths else 0.0
         depths.append(depth)
-        if abs(depth - depths[0]) > _THROWN:
+        if abs(depth - depths[0]) > OSCILLATION.largest:
             break
     device.stop()
     return np.array(depths)
 
 
-def shaking(depths: np.ndarray, tick: float = 1e-3) -> float:
+def measure_oscillation(depths: np.ndarray, tick: float = 1e-3) -> float:
     """Return the peak-to-peak amplitude of a sustained oscillation in the last half second, m.
 
     An oscillation is sustained (growing, or a limit cycle) if its amplitude exceeds 0.05 mm and has not decreased by a
     tenth from the half second before. The hand must hold still, because its own motion counts as oscillation.
 
     Args:
-        depths: depths from `depths_in_time`, m, for at least two windows or until the device was unstable.
+        depths: depths from `simulate_depths`, m, for at least two windows or until the device was unstable.
         tick: period of the loop, s.
 
     Returns:
         The amplitude; 0 for a small or decaying motion.
     """
-    window = round(WINDOW / tick)
-    if np.ptp(depths) > _THROWN:
+    window = round(OSCILLATION.window / tick)
+    if np.ptp(depths) > OSCILLATION.largest:
         return float(np.ptp(depths[-window:]))
     now, before = float(np.ptp(depths[-window:])), float(np.ptp(depths[-2 * window:-window]))
-    return now if now > SMALL and now > LASTS * before else 0.0
+    return now if now > OSCILLATION.smallest and now > OSCILLATION.lasting * before else 0.0

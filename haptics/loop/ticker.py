@@ -11,14 +11,45 @@ from itertools import accumulate
 
 from tissue_sim.errors import InputError
 
-#: Lateness from which a tick counts as late, s.
-LATE = 0.1e-3
-#: Binary logarithm of the number of bins per doubling; values differ from the middle of their bin by at most 1.6 %.
-_FINENESS = 5
+
+@dataclass(frozen=True)
+class HistogramBins:
+    """Bins of a `TimeHistogram`.
+
+    Attributes:
+        fineness: binary logarithm of the number of bins per doubling. With 5, times differ from the middle of their bin
+            by at most 1.6 %; a larger number reduces this error and uses more memory.
+        largest: binary logarithm of the longest time with a separate bin, ns; 2**40 ns are 18 minutes.
+    """
+
+    fineness: int = 5
+    largest: int = 40
+
+
+@dataclass(frozen=True)
+class TickerSettings:
+    """Settings of a `Ticker`.
+
+    Attributes:
+        late: lateness from which a tick counts as late, s.
+        rest: fraction of the time that a spinning ticker sleeps. Linux suspends a process of real-time priority that
+            uses more than 0.95 s per second (sched_rt_runtime_us).
+        waking: fraction of the period that is reserved for waking up. A larger fraction polls longer.
+        max_owed: largest postponed sleep, ns: the 5 % of a second that Linux reserves for other processes.
+    """
+
+    late: float = 0.1e-3
+    rest: float = 0.1
+    waking: float = 0.05
+    max_owed: int = 50_000_000
+
+
+#: Bins of all histograms.
+BINS = HistogramBins()
+#: Settings of all tickers.
+TICKER = TickerSettings()
 #: Number of bins per doubling, and number of linear bins of 1 ns.
-_LINEAR = 1 << _FINENESS
-#: Binary logarithm of the longest time with a separate bin, ns; 2**40 ns are 18 minutes.
-_LARGEST = 40
+_LINEAR = 1 << BINS.fineness
 
 
 @dataclass(frozen=True)
@@ -43,7 +74,7 @@ class TimeHistogram:
 
     def __init__(self):
         self.count, self._maximum = 0, 0
-        self._bins = array("Q", bytes(8 * (_bin(1 << _LARGEST) + 1)))
+        self._bins = array("Q", bytes(8 * (_bin_index(1 << BINS.largest) + 1)))
 
     def add(self, nanoseconds: int) -> None:
         """Add a time, ns; a negative time counts as zero."""
@@ -51,7 +82,7 @@ class TimeHistogram:
         self.count += 1
         if nanoseconds > self._maximum:
             self._maximum = nanoseconds
-        self._bins[_bin(min(nanoseconds, 1 << _LARGEST))] += 1
+        self._bins[_bin_index(min(nanoseconds, 1 << BINS.largest))] += 1
 
     def quantile(self, share: float) -> float:
         """Return the time, s, that a fraction `share` (0 to 1) of all times does not exceed; 0 without times."""
@@ -59,7 +90,7 @@ class TimeHistogram:
             return 0.0
         rank = max(math.ceil(share * self.count), 1)
         index = next(index for index, below in enumerate(accumulate(self._bins)) if below >= rank)
-        return min(_middle(index), self._maximum) / 1e9
+        return min(_bin_middle(index), self._maximum) / 1e9
 
     @property
     def maximum(self) -> float:
@@ -68,28 +99,22 @@ class TimeHistogram:
 
     @property
     def quantiles(self) -> Quantiles:
+        """Median, 99 % and 99.9 % quantile and maximum, s."""
         return Quantiles(self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), self.maximum)
 
 
-def _bin(nanoseconds: int) -> int:
-    """Return the bin of a time: bins of 1 ns up to 2**_FINENESS ns, then 2**_FINENESS bins per doubling."""
-    doublings = max(nanoseconds.bit_length() - _FINENESS - 1, 0)
+def _bin_index(nanoseconds: int) -> int:
+    """Return the bin of a time: bins of 1 ns up to `_LINEAR` ns, then as many bins per doubling."""
+    doublings = max(nanoseconds.bit_length() - BINS.fineness - 1, 0)
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
-def _middle(index: int) -> float:
+def _bin_middle(index: int) -> float:
     """Return the middle of a bin, ns."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)
 
 
-#: Fraction of the time that a spinning ticker sleeps. Linux suspends a process of real-time priority that uses more
-#: than 0.95 s per second (sched_rt_runtime_us).
-_REST = 0.1
-#: Fraction of the period that is reserved for waking up.
-_WAKING = 0.05
-#: Largest postponed sleep, ns: the 5 % of a second that Linux reserves for other processes.
-_MAX_OWED = 50_000_000
 
 
 class Ticker:
@@ -118,7 +143,7 @@ class Ticker:
         InputError: `period` is shorter than a microsecond, or `spin` is negative or not shorter than `period`.
     """
 
-    def __init__(self, period: float, *, spin: float = 0.0, late: float = LATE,
+    def __init__(self, period: float, *, spin: float = 0.0, late: float = TICKER.late,
                  clock: Callable[[], int] = time.monotonic_ns, sleep: Callable[[float], None] = time.sleep):
         if not (math.isfinite(period) and period >= 1e-6):
             raise InputError(f"period must be at least 1e-06 s and finite; got {period:g} s", field="period")
@@ -126,7 +151,7 @@ class Ticker:
             raise InputError(f"spin must be at least 0 and less than the period of {period:g} s; got {spin:g} s",
                              field="spin")
         self._period, self._spin, self._late = round(period * 1e9), round(spin * 1e9), round(late * 1e9)
-        self._waking = round(_WAKING * self._period)
+        self._waking = round(TICKER.waking * self._period)
         #: Sleep postponed by earlier ticks, and time of its last update, ns.
         self._owed = self._counted = 0
         self._clock, self._sleep = clock, sleep
@@ -144,7 +169,7 @@ class Ticker:
         clock = self._clock
         deadline = self._start + (self.number + 1) * self._period
         now = clock()
-        self._owed = min(self._owed + round(_REST * (now - self._counted)), _MAX_OWED)
+        self._owed = min(self._owed + round(TICKER.rest * (now - self._counted)), TICKER.max_owed)
         self._counted = now
         wake = max(deadline - self._spin, min(now + self._owed, deadline - self._waking))
         began = now

@@ -11,6 +11,9 @@ from tissue_sim.fem.condensed.model import LINEARISATIONS
 from tissue_sim.model import Model
 from tissue_sim.simulator import Simulator
 
+#: Default wall-time budget of a step in a tick of 1 ms, s; the rest of the tick is left for the ring and the snapshots.
+STEP_BUDGET = 0.8e-3
+
 
 def real_time_tissue(model: Model, *, solver: str, resolution: str, budget: float | None, inertia: str = "auto",
                      looks_ahead: bool = False, simulator: type[Simulator] = Simulator,

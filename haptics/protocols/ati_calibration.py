@@ -82,10 +82,10 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
     if sensor.get("NumGages", "6").strip() != "6":
         raise InputError(f"must be of a sensor with six gages; got {sensor.get('NumGages')} gages. Give the file of "
                          "another sensor", file=name)
-    force = _unit(calibration, "ForceUnits", FORCE_UNITS, name)
-    torque = _unit(calibration, "TorqueUnits", TORQUE_UNITS, name)
+    force = _read_unit(calibration, "ForceUnits", FORCE_UNITS, name)
+    torque = _read_unit(calibration, "TorqueUnits", TORQUE_UNITS, name)
     rows = "UserAxis" if calibration.find("UserAxis") is not None else "Axis"
-    matrix, reach = _rows(calibration, rows, name)
+    matrix, reach = _read_rows(calibration, rows, name)
     if rows == "Axis":
         matrix = _move_torques(calibration, matrix, name)
     units = (force,) * 3 + (torque,) * 3
@@ -93,10 +93,10 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
                           calibration.get("CalDate", "unknown"),
                           tuple(tuple(unit * value for value in row) for unit, row in zip(units, matrix, strict=True)),
                           tuple(unit * value for unit, value in zip(units, reach, strict=True)),
-                          _span(calibration, name), rows)
+                          _read_output_span(calibration, name), rows)
 
 
-def _unit(calibration: ElementTree.Element, field: str, units: dict[str, float], name: str) -> float:
+def _read_unit(calibration: ElementTree.Element, field: str, units: dict[str, float], name: str) -> float:
     """Return the SI value of the unit in an attribute of ``Calibration``."""
     text = calibration.get(field)
     if text is None:
@@ -107,7 +107,7 @@ def _unit(calibration: ElementTree.Element, field: str, units: dict[str, float],
     return units[unit]
 
 
-def _numbers(text: str | None, count: int, quantity: str, name: str) -> Row:
+def _parse_numbers(text: str | None, count: int, quantity: str, name: str) -> Row:
     """Return the finite numbers in an attribute, which must be `count`."""
     words = (text or "").split()
     try:
@@ -121,7 +121,7 @@ def _numbers(text: str | None, count: int, quantity: str, name: str) -> Row:
     return numbers
 
 
-def _rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
+def _read_rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
     """Return the six rows and the largest value of each component, in the units of the file."""
     elements: dict[str, ElementTree.Element] = {}
     for element in calibration.findall(tag):
@@ -137,10 +137,10 @@ def _rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[
     matrix, reach = [], []
     for axis in CHANNELS:
         element = elements[axis]
-        row = _numbers(element.get("values"), 6, f"the values of {tag} {axis}", name)
-        largest, = _numbers(element.get("max"), 1, f"the max of {tag} {axis}", name)
+        row = _parse_numbers(element.get("values"), 6, f"the values of {tag} {axis}", name)
+        largest, = _parse_numbers(element.get("max"), 1, f"the max of {tag} {axis}", name)
         if tag == "Axis":
-            scale, = _numbers(element.get("scale"), 1, f"the scale of {tag} {axis}", name)
+            scale, = _parse_numbers(element.get("scale"), 1, f"the scale of {tag} {axis}", name)
             if not scale > 0:
                 raise InputError(f"the scale of {tag} {axis} must be above 0; got {scale:g}. Copy the .cal file "
                                  "from the sensor's disc again", file=name)
@@ -159,7 +159,7 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
     if transform is None:
         raise InputError("has no UserAxis and no BasicTransform; copy the .cal file from the sensor's disc again",
                          file=name)
-    x, y, z, *rotations = (_numbers(transform.get(key, "0"), 1, f"{key} of the BasicTransform", name)[0]
+    x, y, z, *rotations = (_parse_numbers(transform.get(key, "0"), 1, f"{key} of the BasicTransform", name)[0]
                            for key in ("Dx", "Dy", "Dz", "Rx", "Ry", "Rz"))
     if any(rotations):
         raise InputError("has no UserAxis rows and a BasicTransform with a rotation, which is not supported; ask "
@@ -180,10 +180,10 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
     return fx, fy, fz, subtract(tx, y, fz, z, fy), subtract(ty, z, fx, x, fz), subtract(tz, x, fy, y, fx)
 
 
-def _span(calibration: ElementTree.Element, name: str) -> tuple[float, float]:
+def _read_output_span(calibration: ElementTree.Element, name: str) -> tuple[float, float]:
     """Return the lowest and the highest output, V."""
     text = calibration.get("OutputRange")
-    span = _DEFAULT_SPAN if text is None else _numbers(text, 1, "OutputRange of the Calibration", name)[0]
+    span = _DEFAULT_SPAN if text is None else _parse_numbers(text, 1, "OutputRange of the Calibration", name)[0]
     if not 0 < span <= 100.0:
         raise InputError(f"OutputRange must be above 0 and at most 100 V; got {span:g} V. Copy the .cal file from the "
                          "sensor's disc again", file=name)

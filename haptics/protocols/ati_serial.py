@@ -126,5 +126,4 @@ def is_at_end_of_range(record: Record) -> bool:
 
 def transmission_time(bytes_sent: int, baud: float) -> float:
     """Return the time that bytes need on the line, s."""
-
     return FORMAT.bits_per_byte * bytes_sent / baud

@@ -170,7 +170,7 @@ def parse_jog(line: str) -> Jog | None:
     return Jog(feed * scale, {axis: value * scale for axis, value in targets.items()}, relative, machine)
 
 
-def _numbers(text: str) -> tuple[float, ...]:
+def _parse_numbers(text: str) -> tuple[float, ...]:
     return tuple(float(number) for number in text.split(","))
 
 
@@ -186,7 +186,7 @@ def parse_report(line: str) -> Report | None:
         if name == "WCO":
             if not re.fullmatch(_COORDINATES, value):
                 return None
-            offset = _numbers(value)
+            offset = _parse_numbers(value)
         elif name == "Pn":
             if not re.fullmatch("[XYZABPDHRS]+", value):
                 return None
@@ -195,7 +195,7 @@ def parse_report(line: str) -> Report | None:
             if not re.fullmatch(r"\d+(?:\.\d+)?(?:,\d+(?:\.\d+)?)?", value):
                 return None
             feed = float(value.partition(",")[0])
-    numbers = _numbers(coordinates)
+    numbers = _parse_numbers(coordinates)
     if offset is not None and len(offset) != len(numbers):
         return None
     return Report(state, None if substate is None else int(substate), numbers if kind == "M" else None,

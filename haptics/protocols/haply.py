@@ -82,8 +82,8 @@ def read_state(message: str | bytes, device_id: str | None = None) -> HapticStat
     Raises:
         ValueError: The message is not a message of the service.
     """
-    content = _object(message)
-    devices = _objects(content, DEVICES)
+    content = _parse_object(message)
+    devices = _get_objects(content, DEVICES)
     for device in devices:
         name = device.get("device_id")
         if not isinstance(name, str) or not name:
@@ -92,15 +92,15 @@ def read_state(message: str | bytes, device_id: str | None = None) -> HapticStat
             break
     else:
         return None
-    state = _part(device, "state")
+    state = _get_part(device, "state")
     velocity = None
     if "cursor_velocity" in state:
-        velocity = _vector(state["cursor_velocity"], "cursor_velocity", _LIMITS.speed)
-    return HapticState(name, _vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance), velocity,
-                       _orientation(content), _part(device, "config", {}), _part(device, "status", {}))
+        velocity = _read_vector(state["cursor_velocity"], "cursor_velocity", _LIMITS.speed)
+    return HapticState(name, _read_vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance), velocity,
+                       _read_orientation(content), _get_part(device, "config", {}), _get_part(device, "status", {}))
 
 
-def _object(message: str | bytes) -> dict[str, Any]:
+def _parse_object(message: str | bytes) -> dict[str, Any]:
     """Return the JSON object in a message."""
     try:
         content = json.loads(message)
@@ -111,7 +111,7 @@ def _object(message: str | bytes) -> dict[str, Any]:
     return content
 
 
-def _objects(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+def _get_objects(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     """Return a list of objects; empty if the key is absent."""
     listed = content.get(key)
     if listed is None:
@@ -121,7 +121,7 @@ def _objects(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     return listed
 
 
-def _part(content: Mapping[str, Any], key: str, default: dict[str, Any] | None = None) -> dict[str, Any]:
+def _get_part(content: Mapping[str, Any], key: str, default: dict[str, Any] | None = None) -> dict[str, Any]:
     """Return a nested object, or the default if the key is absent."""
     part = content.get(key, default)
     if not isinstance(part, dict):
@@ -129,7 +129,7 @@ def _part(content: Mapping[str, Any], key: str, default: dict[str, Any] | None =
     return part
 
 
-def _number(value: Any, name: str) -> float:
+def _require_finite(value: Any, name: str) -> float:
     """Return a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} must be a number; got {json.dumps(value)[:20]}")
@@ -142,24 +142,24 @@ def _number(value: Any, name: str) -> float:
     return number
 
 
-def _vector(value: Any, name: str, largest: float) -> Vector:
+def _read_vector(value: Any, name: str, largest: float) -> Vector:
     """Return the x, y and z of an object, whose length must be at most `largest`."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} is missing")
-    x, y, z = (_number(value.get(axis), f"{name}.{axis}") for axis in _AXES)
+    x, y, z = (_require_finite(value.get(axis), f"{name}.{axis}") for axis in _AXES)
     if math.hypot(x, y, z) > largest:
         raise ValueError(f"{name} must have a length of at most {largest:g}; got {math.hypot(x, y, z):.3g}")
     return x, y, z
 
 
-def _orientation(content: Mapping[str, Any]) -> Quaternion | None:
+def _read_orientation(content: Mapping[str, Any]) -> Quaternion | None:
     """Return the orientation of the first active grip, normalised; None: no grip is active."""
     for kind in GRIPS:
-        for grip in _objects(content, kind):
-            quaternion = _part(grip, "state", {}).get("orientation")
+        for grip in _get_objects(content, kind):
+            quaternion = _get_part(grip, "state", {}).get("orientation")
             if not isinstance(quaternion, dict):
                 continue
-            w, x, y, z = (_number(quaternion.get(axis), f"orientation.{axis}") for axis in ("w", *_AXES))
+            w, x, y, z = (_require_finite(quaternion.get(axis), f"orientation.{axis}") for axis in ("w", *_AXES))
             length = math.sqrt(w * w + x * x + y * y + z * z)
             if abs(length - 1.0) <= _LIMITS.quaternion_deviation:
                 return w / length, x / length, y / length, z / length
@@ -186,14 +186,14 @@ def read_force(message: str | bytes, device_id: str) -> Vector | None:
     Raises:
         ValueError: The message is not a message of a client.
     """
-    for device in _objects(_object(message), DEVICES):
+    for device in _get_objects(_parse_object(message), DEVICES):
         if device.get("device_id") != device_id:
             continue
-        command = _part(device, "commands", {}).get("set_cursor_force")
+        command = _get_part(device, "commands", {}).get("set_cursor_force")
         if command is not None:
             if not isinstance(command, dict):
                 raise ValueError("set_cursor_force must be an object")
-            return _vector(command.get("values"), "set_cursor_force", math.inf)
+            return _read_vector(command.get("values"), "set_cursor_force", math.inf)
     return None
 
 

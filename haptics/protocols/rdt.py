@@ -205,15 +205,15 @@ class Settings:
         Raises:
             InputError: The unit is unknown.
         """
-        return _unit(self.force_unit, "force") / self.counts_per_force
+        return _find_unit_value(self.force_unit, "force") / self.counts_per_force
 
     @property
     def newton_metres(self) -> float:
         """Torque of one count, N m. Raises as `newtons`."""
-        return _unit(self.torque_unit, "torque") / self.counts_per_torque
+        return _find_unit_value(self.torque_unit, "torque") / self.counts_per_torque
 
 
-def _unit(name: str, quantity: str) -> float:
+def _find_unit_value(name: str, quantity: str) -> float:
     """Return the SI value of a unit."""
     known = FORCE_UNITS if quantity == "force" else TORQUE_UNITS
     try:
@@ -221,7 +221,7 @@ def _unit(name: str, quantity: str) -> float:
     except KeyError:
         raise InputError(f"must be a known unit of {quantity}; got {name!r} from the box. Set the unit to one of "
                          f"{', '.join(_OFFERED[quantity])} on the configurations page of the box",
-                         field=f"{quantity}_unit") from None
+                         field=f"{quantity}_find_unit_value") from None
 
 
 def read_settings_page(page: bytes) -> Settings:

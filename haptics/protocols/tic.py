@@ -315,7 +315,7 @@ class CommandParser:
                 self.bad_bytes += 1
             if self._partial and self._is_complete():
                 message, self._partial = bytes(self._partial), bytearray()
-                command = self._decode(message)
+                command = self._decode_command(message)
                 if command is not None:
                     commands.append(command)
         return commands
@@ -340,7 +340,7 @@ class CommandParser:
             return len(self._partial) >= head
         return len(self._partial) == head + _argument_size(command) + self._crc
 
-    def _decode(self, message: bytes) -> ReceivedCommand | None:
+    def _decode_command(self, message: bytes) -> ReceivedCommand | None:
         """Return the command of a complete message; None: invalid, or for another device."""
         self._partial = bytearray(message)
         command, head = self._parse_head()

@@ -17,8 +17,8 @@ from tissue_sim.errors import InputError
 
 #: Name of the file in the folder of the run.
 LIVE_FILE = "live.json"
-#: Time between two writes, s.
-_WRITE_INTERVAL = 0.2
+#: Time between two writes of the file, and between two updates of a page that shows the run, s.
+UPDATE_INTERVAL = 0.2
 
 
 class LiveFile:
@@ -54,7 +54,7 @@ class LiveFile:
 
     def _write(self) -> None:
         written = None
-        while not self._ending.wait(_WRITE_INTERVAL):
+        while not self._ending.wait(UPDATE_INTERVAL):
             progress = self._progress
             if progress is not None and progress is not written:
                 # A failed display must not end a recording.

@@ -200,7 +200,7 @@ class Recorder:
 
     def _find_contact(self) -> None:
         """Approach until contact, withdraw, and tare the sensor again in the withdrawn position."""
-        self._contact_point = self._approach(self._plan.approach_speed)
+        self._contact_point = self._lower_until_contact(self._plan.approach_speed)
         self._move_above_contact(2.0)
         self._tare()
 
@@ -214,7 +214,7 @@ class Recorder:
         self._move_above_contact(2.0)
         record = self._record = MotionRecord()
         try:
-            halted = self._approach(_CONTACT_SEARCH.slow_fraction * plan.approach_speed)
+            halted = self._lower_until_contact(_CONTACT_SEARCH.slow_fraction * plan.approach_speed)
         finally:
             self._record = None
         self._contact_point, self._contact_metadata = motion.run_while_polling(
@@ -228,7 +228,7 @@ class Recorder:
                         "moved"))
         self._move_above_contact()
 
-    def _approach(self, speed: float) -> float:
+    def _lower_until_contact(self, speed: float) -> float:
         """Move down at a speed, m/s, until the contact force is reached; return the position of the halt, m."""
         plan, motion = self._plan, self._motion
         self._phase = "approach"

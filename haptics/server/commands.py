@@ -84,13 +84,13 @@ class Commands:
         self._parameters = dict(self._initial_parameters)
         self._states: dict[str, tuple[Any, dict[str, float]]] = {}
         self._commands: dict[str, tuple[type[_Command], Callable[[Any], Iterator[bytes] | dict[str, Any]]]] = {
-            "describe": (_Command, self._describe),
-            "statistics": (_Command, self._statistics),
-            "reset": (_Command, self._reset),
+            "describe": (_Command, self._describe_server),
+            "statistics": (_Command, self._collect_statistics),
+            "reset": (_Command, self._reset_tissue),
             "set_parameters": (_SetParameters, self._set_parameters),
-            "surface": (_Surface, self._surface),
-            "save": (_State, self._save),
-            "restore": (_State, self._restore),
+            "surface": (_Surface, self._encode_surface),
+            "save": (_State, self._save_state),
+            "restore": (_State, self._restore_state),
         }
 
     def execute(self, line: bytes) -> Iterator[bytes]:
@@ -110,7 +110,7 @@ class Commands:
         if re.search(rb"HTTP/\d", line[-16:]):
             raise ConnectionAbortedError("the client is a web browser")
         try:
-            answer = self._execute(line)
+            answer = self._decode_and_execute(line)
         except (InputError, ConvergenceError) as error:
             answer = {"error": str(error)}
         except Exception as error:
@@ -121,7 +121,7 @@ class Commands:
             return iter((msgspec.json.encode(answer) + b"\n",))
         return answer
 
-    def _execute(self, line: bytes) -> Iterator[bytes] | dict[str, Any]:
+    def _decode_and_execute(self, line: bytes) -> Iterator[bytes] | dict[str, Any]:
         """Decode a line, and call the function of its command."""
         try:
             request = msgspec.json.decode(line)
@@ -140,20 +140,20 @@ class Commands:
         answer = function(decode(request, kind))
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
-    def _describe(self, _: _Command) -> dict[str, Any]:
+    def _describe_server(self, _: _Command) -> dict[str, Any]:
         """Return protocol, frame, scene, parameters, commands and saved states."""
         description = as_json_types(self._description()) if callable(self._description) else self._description
         return {"protocol": {"version": VERSION, "request_bytes": REQUEST_SIZE, "reply_bytes": REPLY_SIZE},
                 "frame": FRAME, **description, "parameters": self._parameters,
                 "commands": list(self._commands), "states": list(self._states)}
 
-    def _statistics(self, _: _Command) -> dict[str, Any]:
+    def _collect_statistics(self, _: _Command) -> dict[str, Any]:
         """Return the counters and the address of the owner."""
         owner = self._service.owner
         return {**msgspec.to_builtins(self._service.counters),
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}
 
-    def _reset(self, _: _Command) -> dict[str, Any]:
+    def _reset_tissue(self, _: _Command) -> dict[str, Any]:
         """Restore the undeformed state of the tissue."""
         self._service.tissue.reset()
         self._service.discard_last_step()
@@ -170,7 +170,7 @@ class Commands:
         self._parameters |= request.parameters
         return {"parameters": self._parameters}
 
-    def _surface(self, request: _Surface) -> Iterator[bytes]:
+    def _encode_surface(self, request: _Surface) -> Iterator[bytes]:
         """Yield the deformed surface as an outline and, on request, as triangles."""
         surface = self._require_method("surface")()
         arrays = {} if surface.outline is None else {"outline": surface.outline}
@@ -178,7 +178,7 @@ class Commands:
             arrays["vertices"], arrays["triangles"] = surface.triangles(request.segments)
         return _encode_arrays("surface", arrays)
 
-    def _save(self, request: _State) -> dict[str, Any]:
+    def _save_state(self, request: _State) -> dict[str, Any]:
         """Save state and parameters of the tissue under a name."""
         if request.name not in self._states and len(self._states) == LIMITS.max_states:
             raise InputError(f"at most {LIMITS.max_states} states can be saved; save under an existing name: "
@@ -186,7 +186,7 @@ class Commands:
         self._states[request.name] = (self._require_method("save")(), dict(self._parameters))
         return {"states": list(self._states)}
 
-    def _restore(self, request: _State) -> dict[str, Any]:
+    def _restore_state(self, request: _State) -> dict[str, Any]:
         """Restore state and parameters that were saved under a name."""
         if request.name not in self._states:
             hint = nearest(request.name, self._states) if self._states else "; no state was saved"

@@ -38,22 +38,24 @@ Execute = Callable[[bytes], Iterator[bytes]]
 class ConfigurationPort:
     """Accept TCP connections, and answer their lines.
 
-    All work is done by `work`, one piece per call and without waiting. The owner of the selector decides when to call.
+    `accept_connection` and the connections do one piece of work per call and never wait. The owner of the selector
+    decides when to call.
 
     Args:
         listener: bound and listening socket.
         execute: function that returns the answer to a line in pieces; it raises ConnectionAbortedError to close the
             connection.
-        selector: selector at which the sockets are registered; the data of each socket is its function `work(now)`.
+        selector: selector at which the sockets are registered; the data of each socket is the function that serves the
+            socket, with the time, s, as its argument.
     """
 
     def __init__(self, listener: socket.socket, execute: Execute, selector: selectors.BaseSelector):
         self._listener, self._execute, self._selector = listener, execute, selector
         self._connections: set[_Connection] = set()
         listener.setblocking(False)
-        selector.register(listener, selectors.EVENT_READ, self.work)
+        selector.register(listener, selectors.EVENT_READ, self.accept_connection)
 
-    def work(self, now: float) -> None:
+    def accept_connection(self, now: float) -> None:
         """Accept one connection; if there are too many, close the connection that was idle for longest.
 
         Args:
@@ -102,21 +104,21 @@ class _Connection:
         self._too_long = False
         peer.setblocking(False)
         self._interest = selectors.EVENT_READ
-        selector.register(peer, self._interest, self.work)
+        selector.register(peer, self._interest, self.serve)
 
     @property
     def is_busy(self) -> bool:
         """Whether a line is incomplete, or an answer is not fully sent."""
         return bool(self._inbox or self._too_long or self._outbox or self._answer)
 
-    def work(self, now: float) -> None:
+    def serve(self, now: float) -> None:
         """Do one piece of work: receive bytes, execute a line, compute a piece of the answer, or send bytes.
 
         Args:
             now: time on the clock of the server, s.
         """
         try:
-            self._work(now)
+            self._do_next_piece(now)
         except BlockingIOError:
             return
         except OSError:  # The client has disconnected, or `execute` closes the connection.
@@ -126,7 +128,7 @@ class _Connection:
         interest = selectors.EVENT_WRITE if ready else selectors.EVENT_READ
         if interest != self._interest:
             self._interest = interest
-            self._selector.modify(self._peer, interest, self.work)
+            self._selector.modify(self._peer, interest, self.serve)
 
     def close(self) -> None:
         """Close the connection; bytes that were not sent are lost."""
@@ -134,7 +136,7 @@ class _Connection:
         self._peer.close()
         self._on_close(self)
 
-    def _work(self, now: float) -> None:
+    def _do_next_piece(self, now: float) -> None:
         if not self._outbox and self._answer is None:
             if b"\n" not in self._inbox:
                 received = self._peer.recv(LIMITS.read_size)

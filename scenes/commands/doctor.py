@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, add_json, positive
+from scenes.commands.shared.parsing import Parser, add_json, parse_positive
 
 SUMMARY = "check this computer: Python, Taichi, packages, real-time behaviour, caches and ports"
 EXAMPLE = "tissue-sim doctor"
@@ -14,7 +14,7 @@ _COLOURS = {"ok": "green", "warn": "yellow", "fail": "red"}
 
 def add_arguments(parser: Parser) -> None:
     """Declare the arguments of `tissue-sim doctor`."""
-    parser.add_argument("--clock-seconds", type=positive, metavar="N", default=2.0,
+    parser.add_argument("--clock-seconds", type=parse_positive, metavar="N", default=2.0,
                         help="duration of the clock measurement (default: 2)")
     add_json(parser)
     parser.set_defaults(run=run)
@@ -22,11 +22,11 @@ def add_arguments(parser: Parser) -> None:
 
 def run(arguments) -> int:
     """Print each check with its remedy; `ExitCode.GOAL_MISSED` if a check failed."""
-    from scenes.doctor import examine
+    from scenes.doctor import run_checks
 
     checks = []
     console = results_console(quiet=arguments.json)
-    for check in examine(clock_seconds=arguments.clock_seconds):
+    for check in run_checks(clock_seconds=arguments.clock_seconds):
         checks.append(check)
         console.print(f"[{_COLOURS[check.status]}]{check.status:<4}[/]", end="  ")
         console.print(f"{check.name}: {check.finding}", markup=False, soft_wrap=True)

@@ -7,7 +7,7 @@ from typing import Any
 
 from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, add_json, positive
+from scenes.commands.shared.parsing import Parser, add_json, parse_positive
 from scenes.stop_signals import stopped_by_signals
 
 SUMMARY = "emulate force sensors, stages and a haptic device with their own protocols, and faults on request"
@@ -24,9 +24,9 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--faults", default="", metavar="NAME=NUMBER,...",
                         help="faults of the devices: loss, duplicate, reorder, garble (fraction of the packets), "
                              "delay_ms, disconnect_after_s, saturate_after_s, stall_after_s, drift_N_per_s, seed")
-    parser.add_argument("--rate-hz", type=positive, metavar="N", default=1000.0,
+    parser.add_argument("--rate-hz", type=parse_positive, metavar="N", default=1000.0,
                         help="sampling rate of the sensor (default: %(default)g)")
-    parser.add_argument("--seconds", type=positive, metavar="N", help="duration (default: until Ctrl-C)")
+    parser.add_argument("--seconds", type=parse_positive, metavar="N", help="duration (default: until Ctrl-C)")
     add_json(parser)
     parser.set_defaults(run=run)
 

@@ -11,7 +11,14 @@ from scenes.commands.shared.console import print_json, progress_console
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment
 from scenes.commands.shared.log_lines import show_status
-from scenes.commands.shared.parsing import Parser, add_json, at_least, between, not_negative, positive
+from scenes.commands.shared.parsing import (
+    Parser,
+    add_json,
+    make_integer_type,
+    make_range_type,
+    parse_non_negative,
+    parse_positive,
+)
 from scenes.commands.shared.tissue_flags import read_material
 from tissue_sim.errors import InputError
 
@@ -36,29 +43,29 @@ def add_arguments(parser: Parser) -> None:
                         help="file of the reduced model, NAME.reduced.npz")
     parser.add_argument("--overwrite", action="store_true", help="replace existing output")
     box = parser.add_argument_group("box of tool poses")
-    box.add_argument("--depth-mm", type=positive, metavar="N", default=4.0,
+    box.add_argument("--depth-mm", type=parse_positive, metavar="N", default=4.0,
                      help="largest depth of the tool (default: %(default)g)")
-    box.add_argument("--sideways-mm", type=not_negative, metavar="N", default=0.0,
+    box.add_argument("--sideways-mm", type=parse_non_negative, metavar="N", default=0.0,
                      help="largest lateral displacement, along x and y in both directions (default: 0)")
-    box.add_argument("--turn-deg", type=between(0.0, 45.0), metavar="N", default=0.0,
+    box.add_argument("--turn-deg", type=make_range_type(0.0, 45.0), metavar="N", default=0.0,
                      help="largest rotation of the tool, about any axis (default: 0)")
     effort = parser.add_argument_group("accuracy and effort")
     effort.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
                         help="mesh of the full model (default: %(default)s)")
-    effort.add_argument("--strokes", type=at_least(2, 4000), metavar="N",
+    effort.add_argument("--strokes", type=make_integer_type(2, 4000), metavar="N",
                         help="number of training paths, motions of the tool that the full model simulates (default: 24 "
                              "for a bonded tool, 60 for other contact; for a cylinder under an upright tool on its "
                              "axis 6 and 30, because mirror images are used too; the same number again for each "
                              "--also)")
-    effort.add_argument("--modes", type=at_least(2, 400), metavar="N",
+    effort.add_argument("--modes", type=make_integer_type(2, 400), metavar="N",
                         help="number of displacement modes (default: 24 for a bonded tool, 64 for other contact)")
-    effort.add_argument("--bulk-ratio", type=between(1.0, 1000.0), metavar="N",
+    effort.add_argument("--bulk-ratio", type=make_range_type(1.0, 1000.0), metavar="N",
                         help="upper limit of bulk modulus over shear modulus; a larger value needs more modes and "
                              "training paths (default: 300; 50 for a tool that slides on the tissue)")
-    effort.add_argument("--sampling", type=positive, metavar="N", default=6e-3,
+    effort.add_argument("--sampling", type=parse_positive, metavar="N", default=6e-3,
                         help="relative error of the internal forces of the sampled elements (hyper-reduction; default: "
                              "%(default)g)")
-    effort.add_argument("--tried", type=at_least(1, 1000), metavar="N", default=3,
+    effort.add_argument("--tried", type=make_integer_type(1, 1000), metavar="N", default=3,
                         help="number of test paths, not used in training, for the error of the reduced model; at least "
                              "one path for each material (default: %(default)s)")
     add_experiment_flags(parser, motion=False)

@@ -19,7 +19,7 @@ from scenes.commands.shared.experiment_flags import (
     make_protocol,
     refuse_corrections,
 )
-from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
+from scenes.commands.shared.parsing import Parser, add_json, make_integer_type, parse_non_negative, parse_positive
 from scenes.commands.shared.tissue_flags import add_reduced_flag, add_solver_flags, check_solver, read_reduced
 from scenes.stop_signals import stopped_by_signals
 from tissue_sim.errors import InputError
@@ -69,29 +69,29 @@ def add_arguments(parser: Parser) -> None:
     add_solver_flags(parser)
     add_reduced_flag(parser)
     network = parser.add_argument_group("network")
-    network.add_argument("--port", type=at_least(0, SETTINGS.max_port), metavar="N", default=SETTINGS.port,
+    network.add_argument("--port", type=make_integer_type(0, SETTINGS.max_port), metavar="N", default=SETTINGS.port,
                          help=f"UDP port of the poses; 0 selects a free port (default: {SETTINGS.port})")
-    network.add_argument("--configuration-port", type=at_least(0, SETTINGS.max_port), metavar="N",
+    network.add_argument("--configuration-port", type=make_integer_type(0, SETTINGS.max_port), metavar="N",
                          help="TCP port of the configuration; 0 selects a free port (default: value of --port)")
     network.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
                          help="address of the network interface (default: 127.0.0.1, this computer only)")
     network.add_argument("--expose", action="store_true",
                          help="allow a --host that other computers can reach; they need no password")
-    network.add_argument("--session", type=at_least(1, SETTINGS.max_session), metavar="N",
+    network.add_argument("--session", type=make_integer_type(1, SETTINGS.max_session), metavar="N",
                          help="serve only clients whose packets carry this session number (default: the first client)")
-    network.add_argument("--silence-s", type=positive, metavar="T", default=SETTINGS.silence_s,
+    network.add_argument("--silence-s", type=parse_positive, metavar="T", default=SETTINGS.silence_s,
                          help="time without packets after which another client may take over (default: %(default)g)")
     safety = parser.add_argument_group("safety")
-    safety.add_argument("--largest-force-N", type=positive, metavar="F", default=SETTINGS.max_force,
+    safety.add_argument("--largest-force-N", type=parse_positive, metavar="F", default=SETTINGS.max_force,
                         help=f"largest force of a reply, at most {SETTINGS.max_force:g} (default: %(default)g)")
     timing = parser.add_argument_group("timing")
-    timing.add_argument("--budget-us", type=not_negative, metavar="N",
+    timing.add_argument("--budget-us", type=parse_non_negative, metavar="N",
                         help="time limit of a simulation step; a step that reaches it returns the force of the last "
                              "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
                              f"{SETTINGS.budget_us:g}; with --resolution accurate 0)")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
                         help="inertia of the tissue; auto: on where the tool is fast (default: auto)")
-    timing.add_argument("--spin-us", type=not_negative, metavar="N",
+    timing.add_argument("--spin-us", type=parse_non_negative, metavar="N",
                         help="busy-wait this long for the next packet before sleeping; occupies one processor while a "
                              f"client is active (default: {SETTINGS.spin_us:g}; 0 on a single processor and with "
                              "--real-time)")

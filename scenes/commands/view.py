@@ -18,7 +18,7 @@ from scenes.commands.shared.experiment_flags import (
     make_protocol,
     refuse_corrections,
 )
-from scenes.commands.shared.parsing import Parser, add_json, at_least, positive
+from scenes.commands.shared.parsing import Parser, add_json, make_integer_type, parse_positive
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
     add_solver_flags,
@@ -26,12 +26,11 @@ from scenes.commands.shared.tissue_flags import (
     read_material,
     read_reduced,
 )
+from scenes.doctor.platform_services import VIEWER_PORT
 from tissue_sim.errors import InputError
 
 SUMMARY = "simulate a test interactively on a page in the browser, and compare it with measurements"
 EXAMPLE = "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv"
-#: Default port of the page.
-PORT = 8080
 
 
 def add_arguments(parser: Parser) -> None:
@@ -64,7 +63,7 @@ def add_arguments(parser: Parser) -> None:
     headless = parser.add_argument_group("without a browser")
     headless.add_argument("--headless", action="store_true",
                           help="run --protocol without a page and print a summary; requires --seconds")
-    headless.add_argument("--seconds", type=positive, metavar="N",
+    headless.add_argument("--seconds", type=parse_positive, metavar="N",
                           help="end after this time (default: at Ctrl-C)")
     add_experiment_flags(parser)
     add_json(parser)
@@ -74,8 +73,8 @@ def add_arguments(parser: Parser) -> None:
 def add_page_flags(parser: Parser) -> None:
     """Add the flags of the page: address, access and graphics."""
     page = parser.add_argument_group("page")
-    page.add_argument("--port", type=at_least(0, 65535), metavar="N", default=PORT,
-                      help=f"port of the page; 0 selects a free port (default: {PORT})")
+    page.add_argument("--port", type=make_integer_type(0, 65535), metavar="N", default=VIEWER_PORT,
+                      help=f"port of the page; 0 selects a free port (default: {VIEWER_PORT})")
     page.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
                       help="network address of the page (default: 127.0.0.1, this computer only)")
     page.add_argument("--expose", action="store_true",

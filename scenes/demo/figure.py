@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from scenes.demo.comparison import Comparison
-from scenes.figures import draw_fold, draw_section, save
+from scenes.figures import draw_fold, draw_section, save_figure
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
@@ -72,7 +72,7 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
     tool = NEEDLE.require_tool()
     draw_section(section, needle.predicted.fields, "von_mises", tool=tool)
     draw_fold(fold, needle.predicted.fields, "von_mises", tool)
-    save(figure, path)
+    save_figure(figure, path)
 
 
 def _draw_points(axes, recordings: list[Recording]) -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.figures import save
+from scenes.figures import save_figure
 
 if TYPE_CHECKING:
     from calibration import DiagnosisResult
@@ -69,7 +69,7 @@ def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
     sentences = diagnosis.message.replace(". ", ".\n").splitlines()
     figure.suptitle("\n".join(line for each in sentences for line in textwrap.wrap(each, 62 * len(tests))),
                     fontsize=11)
-    save(figure, path)
+    save_figure(figure, path)
 
 
 def _average_in_bins(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

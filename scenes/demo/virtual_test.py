@@ -75,7 +75,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     seeds = iter(np.random.SeedSequence(seed).generate_state(3 * MEASUREMENT.replicates).tolist())
 
     say("1 measuring the virtual specimen (the first run on a computer compiles the solver, about 10 s) ...")
-    measured = {kind: _measure(kind, output / "measured", seeds) for kind in (LUBRICATED, BONDED, NEEDLE)}
+    measured = {kind: _simulate_measurements(kind, output / "measured", seeds) for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
     campaign = output / "campaign.toml"
@@ -86,7 +86,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
 
     say("3 predicting the needle test and the bonded test, which the calibration did not use ...")
     material = ts.load_material(material_file)
-    needle, bonded = (_predict(kind, measured[kind], material, output) for kind in (NEEDLE, BONDED))
+    needle, bonded = (_predict_recording(kind, measured[kind], material, output) for kind in (NEEDLE, BONDED))
 
     figure = output / "prediction.png"
     draw_demo(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise, specimen=SPECIMEN)
@@ -109,7 +109,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     return answer
 
 
-def _measure(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
+def _simulate_measurements(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     """Simulate a test, and write its replicates as recordings of the virtual rig.
 
     Args:
@@ -132,7 +132,7 @@ def _measure(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     return replicates
 
 
-def _predict(kind: TestKind, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
+def _predict_recording(kind: TestKind, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
     """Simulate the measured motion with the calibrated material, and write the recording.
 
     Args:

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from scenes.doctor.check import Check
 
 
-def examine(*, clock_seconds: float = 2.0) -> Iterator[Check]:
+def run_checks(*, clock_seconds: float = 2.0) -> Iterator[Check]:
     """Run all checks one after the other, basic requirements first; each check runs when the iterator reaches it.
 
     Args:
@@ -30,4 +30,4 @@ def examine(*, clock_seconds: float = 2.0) -> Iterator[Check]:
     yield platform_services.check_viewer_port()
 
 
-__all__ = ["Check", "examine"]
+__all__ = ["Check", "run_checks"]

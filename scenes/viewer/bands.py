@@ -76,13 +76,14 @@ class Triangulation:
         highest = np.maximum(below[self.triangles].max(axis=1), lowest)
         whole = lowest == highest
         split = np.flatnonzero(~whole)
-        pieces, band = self._split(split, values, below, reached, of_edge, edges_of, lowest[split], highest[split])
+        pieces, band = self._cut_triangles(split, values, below, reached, of_edge, edges_of, lowest[split],
+                                           highest[split])
         triangles = np.concatenate([self.triangles[whole], pieces])
         band = np.concatenate([lowest[whole], band])
         order = np.argsort(band, kind="stable")
         return BandTriangles(all_points, triangles[order], band[order])
 
-    def _split(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
+    def _cut_triangles(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
         """Cut the triangles numbered `split` into pieces.
 
         The long edge of a triangle connects the corners with the lowest and the highest value; the two short edges

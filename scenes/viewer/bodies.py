@@ -64,21 +64,26 @@ class RevolvedBody:
 
     def values(self, fields: Fields, name: str, positions: np.ndarray,
                wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
+        """Return nodal values, values at integration points, and the fields that contain them."""
         at_points = fields.at_points(name)
         nodal = fields.at_nodes(name) if name == "displacement" else extrapolate(fields.mesh, at_points)
         return nodal, at_points, fields
 
     def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
+        """Return the surfaces of the colour bands between the levels."""
         return self.cut_away.bands(positions, values, levels, wedge.opening)
 
     def mesh_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+        """Return the line segments of the mesh on the cut faces."""
         return self.cut_away.mesh_lines(positions, wedge.opening)
 
     def contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+        """Return the line segments that bound the contact area; None without contact."""
         contact = find_contact(self.cut_away.surface_line(positions), tool, wedge.pose.depth, wedge.opening)
         return None if contact is None else contact.lines
 
     def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
+        """Return the outline of the undeformed body."""
         return self.cut_away.undeformed_outline(wedge.opening, tool=tool)
 
 
@@ -87,6 +92,6 @@ def make_body(mesh: Any) -> Body:
     return SolidBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 else RevolvedBody(CutAway.from_mesh(mesh))
 
 
-def drawable(fields: Any) -> bool:
+def is_drawable(fields: Any) -> bool:
     """Return whether the viewer can draw fields of this type."""
     return isinstance(fields, Fields | SolidFields)

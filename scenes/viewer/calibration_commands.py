@@ -9,7 +9,7 @@ from typing import Protocol
 
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.material_files import new_file
+from scenes.viewer.material_files import new_material_path
 from scenes.viewer.recording_upload import Upload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
@@ -61,7 +61,7 @@ def take_result(session: CalibrationHost) -> None:
         run.set_problem(f"{error} The material is unchanged.")
 
 
-def _save(session: CalibrationHost, folder: Path, name: str) -> None:
+def _save_material(session: CalibrationHost, folder: Path, name: str) -> None:
     """Write the material file of the newest result into a new file of a folder.
 
     Raises:
@@ -70,33 +70,33 @@ def _save(session: CalibrationHost, folder: Path, name: str) -> None:
     result = session.calibration.state.result
     if result is None:
         raise InputError("There is no calibrated material yet. Press Calibrate first.")
-    path = new_file(folder, name)
+    path = new_material_path(folder, name)
     write_bytes(path, result.file)
     if session.scene.source == CALIBRATED and session.scene.material == result.material:
         session.scene = replace(session.scene, source=path.name)
 
 
-def _add(session: CalibrationHost, uploads: Sequence[Upload]) -> None:
+def _add_recordings(session: CalibrationHost, uploads: Sequence[Upload]) -> None:
     session.calibration.add(uploads)
 
 
-def _remove(session: CalibrationHost) -> None:
+def _remove_recordings(session: CalibrationHost) -> None:
     session.calibration.remove_all()
 
 
-def _begin(session: CalibrationHost) -> None:
+def _begin_fit(session: CalibrationHost) -> None:
     session.calibration.begin(session.scene)
 
 
-def _cancel(session: CalibrationHost) -> None:
+def _cancel_fit(session: CalibrationHost) -> None:
     session.calibration.cancel()
 
 
 #: Calibration commands by name; the reply of a command contains the message of its InputError.
 CALIBRATION_COMMANDS: dict[str, Callable[..., None]] = {
-    "add_recordings": _add,
-    "remove_recordings": _remove,
-    "calibrate": _begin,
-    "cancel_calibration": _cancel,
-    "save_calibration": _save,
+    "add_recordings": _add_recordings,
+    "remove_recordings": _remove_recordings,
+    "calibrate": _begin_fit,
+    "cancel_calibration": _cancel_fit,
+    "save_calibration": _save_material,
 }

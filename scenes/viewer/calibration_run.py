@@ -185,7 +185,7 @@ class CalibrationRun:
             if number is None:
                 self._waiting[upload.stem] = upload
                 return
-            changed = (*present[:number], _with_sidecar(present[number].file, upload), *present[number + 1:])
+            changed = (*present[:number], _combine_with_sidecar(present[number].file, upload), *present[number + 1:])
             self.state = replace(self.state, recordings=changed)
             return
         if any(each.file.stem.lower() == upload.stem.lower() for each in present):
@@ -195,7 +195,7 @@ class CalibrationRun:
             raise InputError("The recording was not added: a calibration takes at most "
                              f"{LIMITS.max_recordings} recordings.",
                              file=upload.name)
-        new = _with_sidecar(upload, self._waiting.get(upload.stem))
+        new = _combine_with_sidecar(upload, self._waiting.get(upload.stem))
         self._waiting.pop(upload.stem, None)
         self.state = replace(self.state, recordings=(*present, new))
 
@@ -258,7 +258,7 @@ class CalibrationRun:
         if self._computed is None:
             raise InputError("No calibration is running.")
         self._pool.stop()
-        self._end(problem="The calibration was cancelled. The material is unchanged.")
+        self._end_fit(problem="The calibration was cancelled. The material is unchanged.")
 
     def poll(self) -> CalibrationResult | None:
         """Update the state from the process of the fit.
@@ -276,16 +276,16 @@ class CalibrationRun:
         try:
             result = self._computed.result()
         except (ConvergenceError, InputError, MissingBackendError) as error:
-            self._end(problem=f"{error} The material is unchanged.")
+            self._end_fit(problem=f"{error} The material is unchanged.")
         except self._pool.death:
-            self._end(problem="The calibration process has died. The material is unchanged. Press Calibrate to try "
-                              "again.")
+            self._end_fit(problem="The calibration process has died. The material is unchanged. Press Calibrate to try "
+                          "again.")
         except Exception as error:  # a programming error in the fit must not stop the running simulation
             _logger.exception("the calibration failed with an internal error")
-            self._end(problem=f"The calibration failed with an internal error ({type(error).__name__}: "
-                              f"{shortened(str(error), 200)}). The material is unchanged.")
+            self._end_fit(problem=f"The calibration failed with an internal error ({type(error).__name__}: "
+                          f"{shortened(str(error), 200)}). The material is unchanged.")
         else:
-            self._end(result=result)
+            self._end_fit(result=result)
             return result
         return None
 
@@ -296,13 +296,13 @@ class CalibrationRun:
     def close(self) -> None:
         """Stop the process and delete its folder."""
         self._pool.stop()
-        self._end()
+        self._end_fit()
 
     def _require_no_fit(self) -> None:
         if self._computed is not None:
             raise InputError("A calibration is running. Wait for its end, or cancel it.")
 
-    def _end(self, result: CalibrationResult | None = None, problem: str = "") -> None:
+    def _end_fit(self, result: CalibrationResult | None = None, problem: str = "") -> None:
         """Delete the folder of the fit, and store its result or problem."""
         self._computed = None
         if self._folder is not None:
@@ -333,7 +333,7 @@ def _are_replicates(first: UploadedRecording, second: UploadedRecording) -> bool
     return all(a is None or b is None or max(a, b) <= (1.0 + LIMITS.replicate_tolerance) * min(a, b) for a, b in pairs)
 
 
-def _with_sidecar(file: Upload, sidecar: Upload | None) -> UploadedRecording:
+def _combine_with_sidecar(file: Upload, sidecar: Upload | None) -> UploadedRecording:
     """Combine a recording with the metadata of its sidecar.
 
     Raises:

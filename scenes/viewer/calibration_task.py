@@ -134,7 +134,7 @@ def calibrate_files(folder: str, request: CalibrationRequest) -> CalibrationResu
         file = root / "results" / fit.material_file
         if request.origins:
             _add_origins(file, request.origins)
-        return CalibrationResult(ts.load_material(file), _fitted_values(fit), fit.RMSE_N, _warnings(fit),
+        return CalibrationResult(ts.load_material(file), _fitted_values(fit), fit.RMSE_N, _collect_warnings(fit),
                                  fit.fem_solves, read_bytes(file, "a calibrated material"), fit.unusable or "")
     except InputError as error:
         own = error.file is None or Path(error.file) == campaign
@@ -216,14 +216,14 @@ def _fitted_values(fit: Fit) -> dict[str, FittedValue]:
     """Return the parameters that were free in the fit."""
     free = [name for name, error in fit.standard_errors.items() if error != 0]
     return {name: FittedValue(fit.parameters[name], fit.intervals95.get(name), fit.units.get(name, "1"),
-                              _note(name, fit.on_bound, fit.not_identifiable)) for name in free}
+                              _describe_parameter(name, fit.on_bound, fit.not_identifiable)) for name in free}
 
 
-def _note(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
+def _describe_parameter(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
     return "on its bound" if name in on_bound else "not identifiable" if name in not_identifiable else ""
 
 
-def _warnings(fit: Fit) -> tuple[str, ...]:
+def _collect_warnings(fit: Fit) -> tuple[str, ...]:
     outliers = [f"{name} disagrees with the other recordings" for name in fit.odd_recordings]
     warnings = [fit.unusable, *fit.warnings, *outliers]
     return tuple(each for each in warnings if each)

@@ -90,11 +90,11 @@ def band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np.ndarra
         raise InputError(f"must have a finite range in ascending order; got {low:g} to {high:g}", field="levels")
     largest = max(abs(low), abs(high))
     if high - low > SETTINGS.rounding * largest:
-        return _covering(low, high, bands)
+        return _round_levels(low, high, bands)
     if largest < 1e-100:
-        return _covering(0.0, 1.0, bands)
+        return _round_levels(0.0, 1.0, bands)
     # With a level at the value, rounding errors would alternate between two colours.
-    return _covering(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
+    return _round_levels(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
 
 
 def steady_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
@@ -137,14 +137,14 @@ def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]],
     bands = len(levels) - 1
     if len(colours) != bands:
         raise InputError(f"must be one per band; got {len(colours)} for {bands} bands", field="colours")
-    numbers, power = _numbers(np.asarray(levels, dtype=float))
+    numbers, power = _format_levels(np.asarray(levels, dtype=float))
     points = {0: "polygon(0 50%,60% 0,100% 0,100% 100%,60% 100%)",
               bands - 1: "polygon(0 0,40% 0,100% 50%,40% 100%,0 100%)"}
     blocks = []
     for k, colour in enumerate(colours):
         name = "#{:02x}{:02x}{:02x}".format(*colour)
         shape = f";clip-path:{points[k]}" if k in points else ""
-        blocks.append(f'<div data-colour="{name}" title="{_words(numbers, k)}{power}" '
+        blocks.append(f'<div data-colour="{name}" title="{_describe_band(numbers, k)}{power}" '
                       f'style="flex:1;background:{name}{shape}"></div>')
     every = 2 if bands % 2 == 0 else 1
     ticks = [f'<span style="position:absolute;left:{100 * k / bands:g}%;transform:translateX(-50%)">{numbers[k]}</span>'
@@ -159,7 +159,7 @@ def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]],
             f'{"".join(ticks)}</div></div></div>')
 
 
-def _covering(low: float, high: float, bands: int, apart_from: float | None = None) -> np.ndarray:
+def _round_levels(low: float, high: float, bands: int, apart_from: float | None = None) -> np.ndarray:
     """Return multiples of the smallest round step that cover a range, none of them near the value `apart_from`."""
     smallest = np.floor(np.log10((high - low) / bands))
     for step in (factor * 10.0**power for power in (smallest, smallest + 1, smallest + 2) for factor in ROUND):
@@ -175,7 +175,7 @@ def _covering(low: float, high: float, bands: int, apart_from: float | None = No
     raise InputError(f"must have a range wider than its rounding error; got {low:g} to {high:g}", field="levels")
 
 
-def _numbers(levels: np.ndarray) -> tuple[list[str], str]:
+def _format_levels(levels: np.ndarray) -> tuple[list[str], str]:
     """Format levels as short numbers; also return the power of ten that multiplies them as text, empty for 1."""
     largest, step = np.abs(levels).max(), np.ptp(levels) / (len(levels) - 1)
     power = 0
@@ -191,7 +191,7 @@ def _numbers(levels: np.ndarray) -> tuple[list[str], str]:
     return numbers, f" × 10{superscript}" if power else ""
 
 
-def _words(numbers: list[str], band: int) -> str:
+def _describe_band(numbers: list[str], band: int) -> str:
     """Describe the range of a band, such as "1 to 2"."""
     if band == 0:
         return f"below {numbers[1]}"

@@ -103,7 +103,7 @@ class CutAway:
         edges = np.unique(np.sort(np.stack([rim[:, :-1], rim[:, 1:]], axis=-1).reshape(-1, 2), axis=1), axis=0)
 
         coordinates = matrix @ mesh.nodes
-        top, side, base = (_points_on(mesh.sets[name], points) for name in ("top", "side", "base"))
+        top, side, base = (_find_points_on_nodes(mesh.sets[name], points) for name in ("top", "side", "base"))
         top, side = top[np.argsort(coordinates[top, 0])], side[np.argsort(-coordinates[side, 1])]
         base = base[np.argsort(-coordinates[base, 0])]
         outline = np.concatenate([top, side[1:], base[1:]])
@@ -156,7 +156,7 @@ class CutAway:
         length = 0.5 * height / dashes
         inside, deepest = tool
         covered = inside >= radius
-        rims = [_dashed(np.concatenate([circle[:, 0], circle[-1:, 1]]), length) for circle in
+        rims = [_cut_into_dashes(np.concatenate([circle[:, 0], circle[-1:, 1]]), length) for circle in
                 (opening.circle(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
         side = np.array([[radius, -deepest if covered else 0.0], [radius, -height], [0.0, -height]])
         corners = side if covered else np.concatenate([[[inside, 0.0]], side])
@@ -167,7 +167,7 @@ class CutAway:
         else:
             lines = [*opening.on_faces(corners, SETTINGS.line_offset * radius),
                      np.array([[0.0, 0.0, -deepest], [0.0, 0.0, -height]])]
-        return np.concatenate([*rims, *(_dashed(line, length) for line in lines)])
+        return np.concatenate([*rims, *(_cut_into_dashes(line, length) for line in lines)])
 
     def surface_line(self, positions: np.ndarray) -> SurfaceLine:
         """Return the deformed boundary line that can touch the tool.
@@ -202,7 +202,7 @@ def _point_keys(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
                            if abs(weight) > 1e-9))
 
 
-def _points_on(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
+def _find_points_on_nodes(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
     """Return the numbers of the points that depend on the given nodes only."""
     members = set(nodes.tolist())
     return np.array([number for key, number in points.items() if all(node in members for node, _ in key)])
@@ -222,7 +222,7 @@ def _contact_surface(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
     return nodes, csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), shape=(len(columns), len(mesh.nodes)))
 
 
-def _dashed(line: np.ndarray, length: float) -> np.ndarray:
+def _cut_into_dashes(line: np.ndarray, length: float) -> np.ndarray:
     """Return dashes along a polyline (n, 3), shape (k, 2, 3); gaps are as long as dashes, and both ends are dashes."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     count = 2 * max(1, round(along[-1] / length / 2)) + 1

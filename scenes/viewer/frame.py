@@ -173,7 +173,9 @@ class NullViewer:
         self.latest: Frame | None = None
 
     def show(self, frame: Frame) -> None:
+        """Count a frame and keep it as `latest`."""
         self.frames, self.latest = self.frames + 1, frame
 
     def close(self) -> None:
+        """Do nothing: there is no window."""
         pass

@@ -17,7 +17,7 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
-from haptics.loop.tissue_factory import real_time_tissue
+from haptics.loop.tissue_factory import STEP_BUDGET, real_time_tissue
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
@@ -27,8 +27,8 @@ from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
 
-#: Wall-time budget of a step in a tick of 1 ms, s; the rest of the tick is left for the ring and the snapshots.
-BUDGET = 0.8e-3
+#: Wall-time budget of a step, s.
+BUDGET = STEP_BUDGET
 
 
 @dataclass(frozen=True)
@@ -143,13 +143,13 @@ class LiveSimulation:
         try:
             ready = self._loop.poll()
         except (LoopError, ts.InputError) as error:
-            self._die(str(error))
+            self._mark_as_ended(str(error))
             return None
         self.message = self._loop.message
         if not ready:
             return None
         if self._loop.report is not None:
-            self._die(f"the loop has ended ({self._loop.report.ended_by})")
+            self._mark_as_ended(f"the loop has ended ({self._loop.report.ended_by})")
             return None
         if self._ring is None:
             self._ring = self._files.enter_context(self._loop.ring())
@@ -168,7 +168,7 @@ class LiveSimulation:
             published = self._snapshots.latest(after=self._published)
             if published is not None:
                 self._published = published.number
-                self._store(published.snapshot)
+                self._store_snapshot(published.snapshot)
         if len(records):
             self._update_readouts(records)
         return records
@@ -188,7 +188,7 @@ class LiveSimulation:
         try:
             self._loop.ask(command, **values)
         except LoopError as error:
-            self._die(str(error))
+            self._mark_as_ended(str(error))
             raise ts.InputError(str(error)) from error
         if command in ("pause", "resume"):
             self._paused = command == "pause"
@@ -205,13 +205,13 @@ class LiveSimulation:
             self._number = self._ring.written
         self._statistics = self._statistics[:0]
 
-    def _store(self, snapshot: Snapshot) -> None:
+    def _store_snapshot(self, snapshot: Snapshot) -> None:
         skin = snapshot.skin
         if skin is not None:
             self.surface = Surface(skin.vertices.astype(np.float32), skin.triangles.astype(np.uint32))
         self.snapshot = snapshot
 
-    def _die(self, reason: str) -> None:
+    def _mark_as_ended(self, reason: str) -> None:
         self.phase, self.message = Phase.DIED, reason
 
     def _update_readouts(self, records: np.ndarray) -> None:

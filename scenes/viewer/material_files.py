@@ -103,7 +103,7 @@ def parameter_ranges(material: Material) -> dict[str, SliderRange]:
     plus and minus 1 for exponents and ratios. Each range is then reduced to values that the material accepts and for
     which the finite elements are verified, with the other parameters fixed, and rounded to a round step.
     """
-    return {name: _range(material, each) for name, each in parameters(material).items()}
+    return {name: _slider_range(material, each) for name, each in parameters(material).items()}
 
 
 def exact_values(material: Material) -> dict[str, str]:
@@ -115,14 +115,14 @@ def exact_values(material: Material) -> dict[str, str]:
     return texts
 
 
-def _range(material: Material, parameter: Parameter) -> SliderRange:
+def _slider_range(material: Material, parameter: Parameter) -> SliderRange:
     name, value = parameter.path, parameter.value
     unit, factor = shown(parameter.declaration.unit)
     scale = material.mu0 if unit == "kPa" else 1.0
     if value == 0 or (name in material.parameters and abs(value) < SETTINGS.zero_tolerance * scale):
         ends = [_nearest_accepted(material, name, value, -scale), _nearest_accepted(material, name, value, scale)]
     else:
-        inner = 0.0 if _accepts(material, name, 0.0) else value / SETTINGS.span
+        inner = 0.0 if _accepts_value(material, name, 0.0) else value / SETTINGS.span
         ends = sorted([_nearest_accepted(material, name, value, inner),
                        _nearest_accepted(material, name, value, SETTINGS.span * value)])
     low, high = (factor * end for end in ends)
@@ -131,8 +131,8 @@ def _range(material: Material, parameter: Parameter) -> SliderRange:
     step *= max(n for n in (1, 2, 5) if n * step <= max((high - low) / SETTINGS.steps, step))
     # Round inwards to accepted values, but keep the present value inside.
     low, high = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    low += not _accepts(material, name, _round_decimal(low * step) / factor)
-    high -= not _accepts(material, name, _round_decimal(high * step) / factor)
+    low += not _accepts_value(material, name, _round_decimal(low * step) / factor)
+    high -= not _accepts_value(material, name, _round_decimal(high * step) / factor)
     return SliderRange(min(_round_decimal(low * step), now), max(_round_decimal(high * step), now), step, unit, factor)
 
 
@@ -141,7 +141,7 @@ def _round_decimal(number: float) -> float:
     return float(f"{number:.12g}")
 
 
-def _accepts(material: Material, name: str, value: float) -> bool:
+def _accepts_value(material: Material, name: str, value: float) -> bool:
     """Return whether a value of a parameter is valid and the material can still be simulated."""
     try:
         changed = with_values(material, {name: value})
@@ -158,12 +158,12 @@ def _nearest_accepted(material: Material, name: str, value: float, target: float
 
     The function bisects 40 times, so the result is exact up to 1e-12 of the interval.
     """
-    if _accepts(material, name, target):
+    if _accepts_value(material, name, target):
         return target
     accepted, refused = value, target
     for _ in range(40):
         middle = 0.5 * (accepted + refused)
-        accepted, refused = (middle, refused) if _accepts(material, name, middle) else (accepted, middle)
+        accepted, refused = (middle, refused) if _accepts_value(material, name, middle) else (accepted, middle)
     return accepted
 
 
@@ -185,14 +185,14 @@ def save_edited(material: Material, folder: str | Path, name: str, *, source: st
     Raises:
         InputError: The name is not a valid file name, the file exists already, or the folder cannot be written.
     """
-    path = new_file(folder, name)
+    path = new_material_path(folder, name)
     provenance = {"method": "edited by hand", "settings": {"edited_from": source}}
     named = replace(material, name=path.name.removesuffix(SUFFIX))
     write_material_file(MaterialFile.of(named, provenance=provenance), path)
     return path
 
 
-def new_file(folder: str | Path, name: str) -> Path:
+def new_material_path(folder: str | Path, name: str) -> Path:
     """Return the path for a new material file without writing the file.
 
     Args:

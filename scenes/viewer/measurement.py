@@ -98,8 +98,7 @@ class Measurement:
 
     @property
     def noise(self) -> float | None:
-        """Root mean square over depths and branches of the replicates' standard deviation, N; None for one replicate.
-        """
+        """Root mean square over depths and branches of the standard deviation of replicates, N; None for one."""
         spreads = [each.standard_deviation for each in (self.load, self.unload)
                    if each is not None and each.standard_deviation is not None]
         known = np.concatenate([each[np.isfinite(each)] for each in spreads]) if spreads else np.empty(0)
@@ -172,14 +171,14 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
     unloadings = [unloading for _, unloading in branches if unloading.size]
     unload = None
     if unloadings:
-        unload = _envelope([each for each, (_, unloading) in zip(recordings, branches, strict=True) if unloading.size],
-                           unloadings, -1, grid)
-    load = _envelope(recordings, [loading for loading, _ in branches], 1, grid)
+        unloaded = [each for each, (_, unloading) in zip(recordings, branches, strict=True) if unloading.size]
+        unload = _compute_envelope(unloaded, unloadings, -1, grid)
+    load = _compute_envelope(recordings, [loading for loading, _ in branches], 1, grid)
     return Measurement(recordings, grid, load, unload, branches)
 
 
-def _envelope(recordings: Sequence[Recording], branches: Sequence[np.ndarray], direction: int,
-              grid: np.ndarray) -> Envelope:
+def _compute_envelope(recordings: Sequence[Recording], branches: Sequence[np.ndarray], direction: int,
+                      grid: np.ndarray) -> Envelope:
     """Return the statistics of one branch per recording; `direction` is 1 for loading and -1 for unloading."""
     forces = np.array([interpolate_branch(each.displacement[branch], each.force[branch], direction, grid)
                        for each, branch in zip(recordings, branches, strict=True)])
@@ -221,7 +220,7 @@ def residual(model: Recording, measured: Measurement) -> Residual:
     """Compute model minus measurement.
 
     Args:
-        model: Simulation of `motion(measured)`, or of another motion that reaches the same depths.
+        model: Simulation of `make_motion_protocol(measured)`, or of another motion that reaches the same depths.
         measured: The measurement.
 
     Raises:
@@ -242,7 +241,8 @@ def residual(model: Recording, measured: Measurement) -> Residual:
     return Residual(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(errors**2))), errors.size)
 
 
-def motion(measured: Measurement, *, samples: int = RESAMPLING.motion_samples, speed: float | None = None) -> Protocol:
+def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.motion_samples,
+                         speed: float | None = None) -> Protocol:
     """Return a protocol of the measured motion with few samples, to simulate it for comparison.
 
     The motion is that of the typical replicate from its first sample to the end of its first unloading. The samples are
@@ -260,14 +260,14 @@ def motion(measured: Measurement, *, samples: int = RESAMPLING.motion_samples, s
     recording, (load, unload) = typical_replicate(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
     depth = recording.displacement[:end]
-    time = recording.time[:end] if "time" in recording else _time(depth, recording, speed)
+    time = recording.time[:end] if "time" in recording else _compute_times(depth, recording, speed)
     # A protocol needs increasing times: keep the first of several samples with the same time.
     later = np.concatenate([[True], np.diff(np.maximum.accumulate(time)) > 0])
     kept = np.flatnonzero(later)
     time, depth = time[kept], depth[kept]
     ends = [0, load[0], load[-1], *([unload[0], unload[-1]] if unload.size else [])]
     corners = np.unique(np.minimum(np.searchsorted(kept, ends), kept.size - 1))
-    chosen = np.union1d(corners, _distribute(time, depth, corners, max(samples - corners.size, 2)))
+    chosen = np.union1d(corners, _select_even_samples(time, depth, corners, max(samples - corners.size, 2)))
     labels = {name: values[:end][kept][chosen] for name, values in recording.labels.items()
               if values.dtype.kind in {"segment": "U", "cycle": "iu"}[name]}
     return Protocol(time[chosen], depth[chosen], **labels)
@@ -283,7 +283,7 @@ def typical_replicate(measured: Measurement) -> tuple[Recording, tuple[np.ndarra
     return min(zip(measured.recordings, measured.branches, strict=True), key=distance)
 
 
-def _time(depth: np.ndarray, recording: Recording, speed: float | None) -> np.ndarray:
+def _compute_times(depth: np.ndarray, recording: Recording, speed: float | None) -> np.ndarray:
     """Return the times of a motion at constant speed, s, shape (n,)."""
     if speed is None:
         stated = recording.metadata.get("speed_mm_s")
@@ -294,7 +294,7 @@ def _time(depth: np.ndarray, recording: Recording, speed: float | None) -> np.nd
     return np.concatenate([[0.0], np.cumsum(np.abs(np.diff(depth)))]) / speed
 
 
-def _distribute(time: np.ndarray, depth: np.ndarray, corners: np.ndarray, count: int) -> np.ndarray:
+def _select_even_samples(time: np.ndarray, depth: np.ndarray, corners: np.ndarray, count: int) -> np.ndarray:
     """Return the numbers of about `count` samples that are evenly distributed over path length and time.
 
     The path length between two corners ignores reversals, which are noise.

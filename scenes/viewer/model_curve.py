@@ -54,7 +54,7 @@ class ModelCurve:
             computed, stale = self._computed, self._stale
             self._computed, self._stale = None, False
             if not stale:
-                self._store(computed)
+                self._store_curve(computed)
         if self._computed is None and self._requested is not None:
             model, self._requested = self._requested, None
             try:
@@ -63,7 +63,7 @@ class ModelCurve:
             except WorkerError as error:
                 self.problem, self.number = str(error), self.number + 1
 
-    def _store(self, computed: Future) -> None:
+    def _store_curve(self, computed: Future) -> None:
         self.number += 1
         try:
             self.recording, self.problem = computed.result(), ""

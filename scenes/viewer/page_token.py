@@ -22,7 +22,7 @@ def new_token() -> str:
     return secrets.token_urlsafe(24)
 
 
-def admits(token: str, port: int, path: str, cookies: Sequence[str]) -> bool:
+def contains_token(token: str, port: int, path: str, cookies: Sequence[str]) -> bool:
     """Return whether a request contains the token, in its query or in a cookie.
 
     Args:
@@ -41,7 +41,7 @@ def admits(token: str, port: int, path: str, cookies: Sequence[str]) -> bool:
     return any(hmac.compare_digest(candidate.encode(), token.encode()) for candidate in given)
 
 
-def cookie(token: str, port: int) -> str:
+def make_cookie_header(token: str, port: int) -> str:
     """Return the ``Set-Cookie`` header that stores the token until the browser is closed."""
     return f"{_cookie_name(port)}={token}; Path=/; HttpOnly; SameSite=Strict"
 

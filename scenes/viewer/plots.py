@@ -95,7 +95,7 @@ def force_depth(grid: np.ndarray, *, measured: Measurement | None = None, model:
             columns = [np.insert(column, i, _interpolate_between(grid, column, i, now[0])) for column in columns]
             x, point = np.insert(grid, i, now[0]), np.insert(point, i, np.nan)
         point[i] = now[1]
-    return (x * 1e3, *columns, point), _extent([*columns, point])
+    return (x * 1e3, *columns, point), _value_range([*columns, point])
 
 
 def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
@@ -110,17 +110,17 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
     colours = DARK if dark else LIGHT
     series: list[dict[str, Any]] = [{"label": "depth [mm]"}]
     for branch, dash in (("load", ()), ("unload", _DASH)):
-        series += [_band_edge(f"measured {branch}, lowest"), _band_edge(f"measured {branch}, highest"),
-                   _line(f"measured {branch}", colours["measured"], 1.5, dash)]
+        series += [_band_edge_series(f"measured {branch}, lowest"), _band_edge_series(f"measured {branch}, highest"),
+                   _line_series(f"measured {branch}", colours["measured"], 1.5, dash)]
     for role, width in (("model", 3.0), ("compared", 2.0), ("live", 1.5)):
-        series += [_line(f"{role} {branch}", colours[role], width, dash)
+        series += [_line_series(f"{role} {branch}", colours[role], width, dash)
                    for branch, dash in (("load", ()), ("unload", _DASH))]
     series.append({"label": "late", "stroke": colours["late"], "width": 0,
                    "points": {"show": True, "size": 4, "fill": colours["late"], "stroke": colours["late"]}})
     series.append({"label": "now", "stroke": colours["live"], "width": 0,
                    "points": {"show": True, "size": 9, "fill": colours["live"], "stroke": colours["live"]}})
-    return _options(series, x_range, y_range, "depth [mm]", "force [N]", height=PLOTS.force_height,
-                    bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
+    return _plot_options(series, x_range, y_range, "depth [mm]", "force [N]", height=PLOTS.force_height,
+                         bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
 
 
 def residual_depth(residual: Residual | None, measured: Measurement | None,
@@ -144,7 +144,7 @@ def residual_depth(residual: Residual | None, measured: Measurement | None,
     pair = (None, None) if residual is None else (residual.load, residual.unload)
     zero = np.zeros(grid.size)
     columns = [*_fill_band_edges(low, high, zero), zero, *(_interpolate(grid, residual, each) for each in pair)]
-    return (grid * 1e3, *columns), _extent(columns)
+    return (grid * 1e3, *columns), _value_range(columns)
 
 
 def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
@@ -157,11 +157,11 @@ def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, f
         dark: Use the colours of a dark page.
     """
     colour = (DARK if dark else LIGHT)["model"]
-    series = [{"label": "depth [mm]"}, _band_edge("lowest"), _band_edge("highest"),
-              _line("zero", (DARK if dark else LIGHT)["measured"], 1.0), _line("load", colour, 2.0),
-              _line("unload", colour, 2.0, _DASH)]
-    return _options(series, x_range, y_range, "depth [mm]", "residual [N]", height=PLOTS.other_height,
-                    bands=({"series": (2, 1), "fill": _BAND},))
+    series = [{"label": "depth [mm]"}, _band_edge_series("lowest"), _band_edge_series("highest"),
+              _line_series("zero", (DARK if dark else LIGHT)["measured"], 1.0), _line_series("load", colour, 2.0),
+              _line_series("unload", colour, 2.0, _DASH)]
+    return _plot_options(series, x_range, y_range, "depth [mm]", "residual [N]", height=PLOTS.other_height,
+                         bands=({"series": (2, 1), "fill": _BAND},))
 
 
 def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
@@ -190,7 +190,7 @@ def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pai
     replayed = np.full(x.size, np.nan)
     if measured is not None and len(measured[0]):
         replayed = np.interp(x + now, *measured, left=np.nan, right=np.nan)
-    return (x, replayed, live, on_hand), _extent([replayed, live, on_hand])
+    return (x, replayed, live, on_hand), _value_range([replayed, live, on_hand])
 
 
 def force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.time_span,
@@ -203,9 +203,10 @@ def force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.t
         dark: Use the colours of a dark page.
     """
     colours = DARK if dark else LIGHT
-    series = [{"label": "time [s]"}, _line("measured", colours["measured"], 1.5), _line("live", colours["live"], 2.0),
-              _line("on the hand", colours["hand"], 1.5)]
-    return _options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]", height=PLOTS.other_height)
+    series = [{"label": "time [s]"}, _line_series("measured", colours["measured"], 1.5),
+              _line_series("live", colours["live"], 2.0), _line_series("on the hand", colours["hand"], 1.5)]
+    return _plot_options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]",
+                         height=PLOTS.other_height)
 
 
 def plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:
@@ -226,7 +227,7 @@ def curve_options(label: str, x_range: tuple[float, float], y_range: tuple[float
     colour = (DARK if dark else LIGHT)["live"]
     series: list[dict[str, Any]] = [{"label": label}, {"label": "force", "stroke": colour, "width": 0, "points": {
         "show": True, "size": 3, "fill": colour, "stroke": colour}}]
-    return _options(series, x_range, y_range, label, "force [N]", height=PLOTS.force_height)
+    return _plot_options(series, x_range, y_range, label, "force [N]", height=PLOTS.force_height)
 
 
 def settled_range(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
@@ -269,11 +270,11 @@ def legend_html(*, measured: int = 0, model: bool = True, compared: str | None =
     entries = []
     if measured:
         entries.append(("measured" if measured == 1 else f"measured ({measured})",
-                        (_swatch(_BAND) if measured > 1 else "") + _stroke(colours["measured"])))
-    entries += [(name, _stroke(colours[role])) for role, name, drawn in (
+                        (_legend_area_svg(_BAND) if measured > 1 else "") + _legend_line_svg(colours["measured"])))
+    entries += [(name, _legend_line_svg(colours[role])) for role, name, drawn in (
         ("model", "model", model), ("compared", compared or "", compared is not None), ("live", "live", live),
         ("hand", "on the hand", hand)) if drawn]
-    entries += [("loading", _stroke("currentColor")), ("unloading", _stroke("currentColor", "5 3"))]
+    entries += [("loading", _legend_line_svg("currentColor")), ("unloading", _legend_line_svg("currentColor", "5 3"))]
     spans = "".join('<span style="display:inline-flex;align-items:center;gap:0.35em;white-space:nowrap">'
                     f'<svg width="22" height="10" viewBox="0 0 22 10" aria-hidden="true">{drawing}</svg>'
                     f"{escape(name)}</span>" for name, drawing in entries)
@@ -312,7 +313,7 @@ def _interpolate_between(grid: np.ndarray, column: np.ndarray, i: int, depth: fl
     return float(np.interp(depth, grid[i - 1:i + 1], column[i - 1:i + 1]))
 
 
-def _extent(columns: list[np.ndarray]) -> tuple[float, float]:
+def _value_range(columns: list[np.ndarray]) -> tuple[float, float]:
     """Return the smallest and largest finite value of all columns; (0, 0) if there is none."""
     values = np.concatenate(columns)
     values = values[np.isfinite(values)]
@@ -356,17 +357,19 @@ def _smallest_and_largest(age: np.ndarray, force: np.ndarray, seconds: float) ->
     return values.ravel()
 
 
-def _line(label: str, colour: str, width: float, dash: tuple[int, ...] = ()) -> dict[str, Any]:
+def _line_series(label: str, colour: str, width: float, dash: tuple[int, ...] = ()) -> dict[str, Any]:
     return {"label": label, "stroke": colour, "width": width, "points": {"show": False}, "dash": dash}
 
 
-def _band_edge(label: str) -> dict[str, Any]:
+def _band_edge_series(label: str) -> dict[str, Any]:
     """Series of an edge of a band, whose line is invisible."""
     return {"label": label, "stroke": "rgba(0, 0, 0, 0)", "width": 0, "points": {"show": False}}
 
 
-def _options(series: list[dict[str, Any]], x_range: tuple[float, float], y_range: tuple[float, float], x_label: str,
-             y_label: str, *, height: int, bands: tuple[dict[str, Any], ...] | None = None) -> dict[str, Any]:
+def _plot_options(series: list[dict[str, Any]], x_range: tuple[float, float], y_range: tuple[float, float],
+                  x_label: str, y_label: str, *, height: int,
+                  bands: tuple[dict[str, Any], ...] | None = None) -> dict[str, Any]:
+    """Return the options of a uPlot chart without legend and cursor."""
     axis = {"labelFont": "12px system-ui, sans-serif", "font": "11px system-ui, sans-serif",
             "grid": {"show": True, "stroke": _GRID, "width": 1}, "ticks": {"show": True, "size": 4, "width": 1},
             "gap": 4, "labelGap": 0}
@@ -379,10 +382,10 @@ def _options(series: list[dict[str, Any]], x_range: tuple[float, float], y_range
     }
 
 
-def _stroke(colour: str, dash: str = "") -> str:
+def _legend_line_svg(colour: str, dash: str = "") -> str:
     return (f'<line x1="1" y1="5" x2="21" y2="5" stroke="{colour}" stroke-width="2"'
             + (f' stroke-dasharray="{dash}"' if dash else "") + "/>")
 
 
-def _swatch(colour: str) -> str:
+def _legend_area_svg(colour: str) -> str:
     return f'<rect x="0" y="0" width="22" height="10" fill="{colour}"/>'

@@ -11,7 +11,7 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.snapshot import Snapshot
 
 
-def within_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
+def limit_to_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
     """Move a lateral position towards the middle of the specimen until the whole tool is above the top surface.
 
     Args:
@@ -45,10 +45,10 @@ def within_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, 
     return x, y
 
 
-def within_reach(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
-    """Limit a lateral position, x and y in m, to the top surface (`within_top`) and to `Scene.reach`."""
+def limit_to_reach(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
+    """Limit a lateral position, x and y in m, to the top surface (`limit_to_top`) and to `Scene.reach`."""
     x, y = (min(max(value, low), high) for value, (low, high) in zip(
-        within_top(scene.experiment, snapshot, across), scene.reach, strict=True))
+        limit_to_top(scene.experiment, snapshot, across), scene.reach, strict=True))
     return x, y
 
 

@@ -12,7 +12,7 @@ _ADDRESS = re.compile(r"(?P<name>\[[0-9a-f:.]+\]|[a-z0-9._-]+)(?::(?P<port>[1-9]
                       re.ASCII | re.IGNORECASE)
 
 
-def refuse(hosts: list[str], origins: list[str], allowed: frozenset[str], port: int) -> str | None:
+def find_refusal_reason(hosts: list[str], origins: list[str], allowed: frozenset[str], port: int) -> str | None:
     """Check the headers `Host` and `Origin` of a request.
 
     Browsers derive `Host` from the address of the page and `Origin` from the requesting page, and no page can change

@@ -15,7 +15,7 @@ from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
 from scenes.viewer.trace import Trace
-from scenes.viewer.web_server import exposure
+from scenes.viewer.web_server import describe_exposure
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED
 
@@ -56,7 +56,8 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
             else:
                 print(f"{address}   (Ctrl-C stops)", flush=True)
             if page["exposed"]:
-                print(f"tissue-sim: warning: {exposure(page['host'], viewer.server.get_port())}", file=sys.stderr)
+                warning = describe_exposure(page["host"], viewer.server.get_port())
+                print(f"tissue-sim: warning: {warning}", file=sys.stderr)
             if opens:
                 webbrowser.open_new_tab(address)
             gc.collect()

@@ -18,9 +18,9 @@ from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.frame import FRAMES, Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
-from scenes.viewer.measurement import motion, residual_or_none
+from scenes.viewer.measurement import make_motion_protocol, residual_or_none
 from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.reach import within_reach
+from scenes.viewer.reach import limit_to_reach
 from scenes.viewer.requests import RequestQueue, differ_in_parameters_only
 from scenes.viewer.scene import Scene
 from scenes.viewer.tool_motions import HAND_SPEED, hand_motion, protocol_motion, replay_motion
@@ -68,7 +68,7 @@ class Session:
         self._has_hand_force = False
         #: Whether the material was changed during the start of the simulation, which still has the old material.
         self._material_pending = False
-        self._simulation = self._begin()
+        self._simulation = self._begin_simulation()
 
     @property
     def simulation(self) -> LiveSimulation:
@@ -160,7 +160,7 @@ class Session:
         depth = min(max(self._target if depth is None else depth, self.scene.highest), self.scene.deepest)
         target: dict[str, Any] = {"depth": depth}
         if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
-            target["across"] = within_reach(self.scene, simulation.snapshot, across)
+            target["across"] = limit_to_reach(self.scene, simulation.snapshot, across)
         simulation.ask("aim", **target)
         self._target, self._across = depth, target.get("across", self._across)
 
@@ -287,7 +287,7 @@ class Session:
     def restart(self) -> None:
         """Start a new simulation process."""
         self._simulation.close()
-        self._simulation = self._begin()
+        self._simulation = self._begin_simulation()
 
     @property
     def waits_for_curve(self) -> bool:
@@ -311,7 +311,7 @@ class Session:
         self.restart()
 
 
-    def _begin(self) -> LiveSimulation:
+    def _begin_simulation(self) -> LiveSimulation:
         """Start a simulation with the tool at the undeformed surface, and request its model curve."""
         self._motion, self._target, self._across, self._has_hand_force = "hand", 0.0, self._entry_point, False
         self._clear_trace()
@@ -324,7 +324,7 @@ class Session:
 
     @property
     def _entry_point(self) -> tuple[float, float]:
-        """x and y at which the tool first touches the undeformed surface, m."""
+        """Position (x, y) at which the tool first touches the undeformed surface, m."""
         x, y, _ = self.scene.experiment.tool_pose(0.0).position
         return x, y
 
@@ -357,7 +357,7 @@ class Session:
         model, measurement = replace(self.scene.model, rig=self.scene.rig), self.scene.measurement
         if measurement is None:
             return model
-        return replace(model, experiment=replace(model.experiment, protocol=motion(measurement)))
+        return replace(model, experiment=replace(model.experiment, protocol=make_motion_protocol(measurement)))
 
     def _update_curves(self) -> None:
         curves, trace, measurement = self._curves, self._trace, self.scene.measurement

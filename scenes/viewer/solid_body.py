@@ -126,10 +126,10 @@ class SolidBody:
         visible = np.zeros(len(self.mesh.connectivity), dtype=bool)
         visible[self.at_surface] = True
         at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)
-        for _, _, elements in self._cut(positions, wedge):
+        for _, _, elements in self._find_cut_elements(positions, wedge):
             at_cut[self.mesh.connectivity[elements]] = True
         # The value of a node is the mean over its elements, so all elements at these nodes are needed.
-        visible |= _any_node(at_cut, self.corners)
+        visible |= _has_flagged_node(at_cut, self.corners)
         return means.part(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
     def _element_means(self, fields: SolidFields) -> SolidFields:
@@ -181,12 +181,12 @@ class SolidBody:
         """
         offset = SETTINGS.line_offset * self.size
         points = positions[self.nodes]
-        raised = points + offset * _normals(points, self.triangles)
+        raised = points + offset * _vertex_normals(points, self.triangles)
         on_surface = wedge.to_tool_frame(points)[self.lines]
         lines = [wedge.clip_lines(on_surface, raised[self.lines])]
         element, local = self.mesh.element, wedge.to_tool_frame(positions)
-        for (heights, along, elements), (_, normal) in zip(self._cut(positions, wedge), wedge.opening.faces,
-                                                           strict=True):
+        cuts = self._find_cut_elements(positions, wedge)
+        for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.faces, strict=True):
             sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
             ends = section_lines(surface_triangles(element, sides), heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
@@ -242,7 +242,8 @@ class SolidBody:
             lines.append(wedge.to_scene_frame(on_face))
         return np.concatenate(lines)
 
-    def _cut(self, positions: np.ndarray, wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _find_cut_elements(self, positions: np.ndarray,
+                           wedge: Wedge) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Find the elements that each section face cuts.
 
         Returns:
@@ -254,8 +255,8 @@ class SolidBody:
             cached = []
             for heights, along in wedge.heights_over_faces(wedge.to_tool_frame(positions)):
                 above = heights > 0.0
-                crossed = (_any_node(above, self.corners) & _any_node(~above, self.corners)
-                           & _any_node(along >= 0.0, self.corners))
+                crossed = (_has_flagged_node(above, self.corners) & _has_flagged_node(~above, self.corners)
+                           & _has_flagged_node(along >= 0.0, self.corners))
                 cached.append((heights, along, np.flatnonzero(crossed)))
             wedge.cache[id(positions)] = cached
         return cached
@@ -263,13 +264,13 @@ class SolidBody:
     def _section_faces(self, positions: np.ndarray, values: np.ndarray,
                        wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
-        for heights, along, elements in self._cut(positions, wedge):
+        for heights, along, elements in self._find_cut_elements(positions, wedge):
             crossings, triangles = section(self.cells[elements].reshape(-1, 4), heights)
             edge, _, kept = clip(triangles, crossings.carry(along))
             yield edge.extend(crossings.carry(positions)), kept, edge.extend(crossings.carry(values))
 
 
-def _any_node(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def _has_flagged_node(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Return which elements have at least one node with a true flag; loops over rows, which is faster in memory."""
     found = of_nodes[corners[0]]
     for nodes in corners[1:]:
@@ -306,7 +307,7 @@ def _split_at_sharp_edges(positions: np.ndarray,
     return points % len(positions), numbers, sharp
 
 
-def _normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the area-weighted unit normals at the points, shape (n, 3)."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)

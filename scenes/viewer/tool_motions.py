@@ -6,7 +6,7 @@ import numpy as np
 
 import tissue_sim as ts
 from haptics.devices.motions import HandMotion, ProtocolMotion
-from scenes.viewer.measurement import motion, typical_replicate
+from scenes.viewer.measurement import make_motion_protocol, typical_replicate
 from scenes.viewer.reach import require_within_reach
 from scenes.viewer.scene import Scene
 from tissue_sim.errors import InputError
@@ -44,7 +44,7 @@ def replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tuple[np.
     """
     if scene.measurement is None:
         raise InputError("This scene has no measurement. Start the viewer with --measured FILE.")
-    measured, (recording, _) = motion(scene.measurement), typical_replicate(scene.measurement)
+    measured, (recording, _) = make_motion_protocol(scene.measurement), typical_replicate(scene.measurement)
     require_within_reach(scene, measured, "recording")
     displacement = measured.displacement
     if scene.highest == 0.0:

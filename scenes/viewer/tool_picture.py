@@ -127,7 +127,7 @@ def tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
     Returns:
         Closed surface, m; the origin is the deepest point of the tool.
     """
-    return _revolve(tool_outline(tool, specimen), opening, SETTINGS.recess * specimen.outer_radius)
+    return _revolve_outline(tool_outline(tool, specimen), opening, SETTINGS.recess * specimen.outer_radius)
 
 
 def base_plate(specimen: Specimen, opening: Opening) -> Surface:
@@ -141,7 +141,7 @@ def base_plate(specimen: Specimen, opening: Opening) -> Surface:
     top = -specimen.height - SETTINGS.inset * specimen.outer_radius
     bottom = top - plate_thickness(specimen)
     outline = np.array([[0.0, bottom], [radius, bottom], [radius, top], [0.0, top]])
-    return _revolve(outline, replace(opening, cut=0.0))
+    return _revolve_outline(outline, replace(opening, cut=0.0))
 
 
 def picture_height(tool: Tool, specimen: Specimen) -> float:
@@ -192,7 +192,7 @@ def force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen)
     if force < 0:
         outline = (outline * [1.0, -1.0] + [0.0, length])[::-1]
         ends = ends[::-1]
-    return Arrow(_revolve(outline + ends[:, 1:].min(axis=0), Opening(0.0, segments=24)), *ends)
+    return Arrow(_revolve_outline(outline + ends[:, 1:].min(axis=0), Opening(0.0, segments=24)), *ends)
 
 
 def arrow_foot(tool: Tool, specimen: Specimen) -> float:
@@ -251,7 +251,7 @@ def find_contact(surface: SurfaceLine, tool: Tool, depth: float, opening: Openin
                                    opening.circle(rim[0] + offset, rim[1])]), float(rim[0]), area)
 
 
-def _revolve(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface:
+def _revolve_outline(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface:
     """Return the closed surface of a body of revolution.
 
     Args:

@@ -155,17 +155,17 @@ class Trace:
         for point in np.column_stack([records[name] for name in (
                 "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
                 "inertial")]).tolist():
-            if self._differs(*point[:3]):
-                self._add(point)
+            if self._is_new_point(*point[:3]):
+                self._append_point(point)
         return self._dropped + self._end - before
 
-    def _differs(self, time: float, depth: float, force: float) -> bool:
+    def _is_new_point(self, time: float, depth: float, force: float) -> bool:
         last_time, last_depth, last_force = self._last
         self._largest = max(self._largest, abs(force))
         return (time - last_time >= SETTINGS.longest or abs(depth - last_depth) >= SETTINGS.depth_step
                 or abs(force - last_force) > SETTINGS.force_step * self._largest)
 
-    def _add(self, point: list[float]) -> None:
+    def _append_point(self, point: list[float]) -> None:
         if self._end == self._points.shape[1]:
             self._points[:, :len(self)] = self._points[:, self._first:self._end].copy()
             self._dropped += self._first
@@ -223,7 +223,7 @@ class Trace:
         """Return the newest loading and the newest unloading; None instead of a branch that does not exist."""
         newest: dict[int, Branch] = {}
         for direction, first, last in reversed(self._branches()):
-            newest.setdefault(direction, self._branch(first, last))
+            newest.setdefault(direction, self._make_branch(first, last))
             if len(newest) == 2:
                 break
         return newest.get(1), newest.get(-1)
@@ -246,7 +246,7 @@ class Trace:
             low, high = sorted((self.depth[first], self.depth[last]))
             missing = np.isnan(passes[direction]) & (grid >= low - _ROUNDING) & (grid <= high + _ROUNDING)
             if missing.any():
-                branch = self._branch(first, last)
+                branch = self._make_branch(first, last)
                 passes[direction][missing] = interpolate_branch(branch.depth, branch.force, direction, grid[missing])
         return passes[1], passes[-1]
 
@@ -281,7 +281,7 @@ class Trace:
         return [(direction, first - dropped, last - dropped)
                 for direction, first, last in self._reversals.branches(dropped + len(self) - 1)]
 
-    def _branch(self, first: int, last: int) -> Branch:
+    def _make_branch(self, first: int, last: int) -> Branch:
         part = slice(first, last + 1)
         return Branch(self.time[part], self.depth[part], self.force[part], self.late[part],
                       self.inertial[part])

@@ -16,6 +16,7 @@ class ViewedSimulator(Simulator):
     """
 
     def warm_up(self) -> None:
+        """Compile all functions of a step, and extend the budget to two linear solves if it is shorter than one."""
         super().warm_up()
         if self.budget is not None and self.solve_time > self.budget:
             self.budget = _BUDGET_PER_SOLVE * self.solve_time

@@ -32,8 +32,8 @@ import websockets
 import websockets.asyncio.server
 from websockets.exceptions import WebSocketException
 
-from scenes.viewer.page_token import REFUSAL, admits, cookie
-from scenes.viewer.request_headers import normalise_name, refuse
+from scenes.viewer.page_token import REFUSAL, contains_token, make_cookie_header
+from scenes.viewer.request_headers import find_refusal_reason, normalise_name
 from scenes.viewer.shell import LARGEST_UPLOAD, inject_shell
 from tissue_sim.errors import InputError, MissingBackendError
 
@@ -84,7 +84,7 @@ def open_server(host: str = LOOPBACK, port: int = SERVER.port, *, exposed: bool 
     """
     host = LOOPBACK if host == "localhost" else host
     if not _is_loopback(host) and not exposed:
-        raise InputError(f"{exposure(host, port)}. Use --expose to allow this, or omit --host for {LOOPBACK}.",
+        raise InputError(f"{describe_exposure(host, port)}. Use --expose to allow this, or omit --host for {LOOPBACK}.",
                          field="host")
     if not 0 <= port <= 65535:
         raise InputError(f"must be between 1 and 65535, or 0 for any free port; got {port}", field="port")
@@ -92,7 +92,7 @@ def open_server(host: str = LOOPBACK, port: int = SERVER.port, *, exposed: bool 
     return ViewerServer(host, port, title, token)
 
 
-def exposure(host: str, port: int) -> str:
+def describe_exposure(host: str, port: int) -> str:
     """Describe who can access a server on `host`, in one sentence without a full stop.
 
     Raises:
@@ -111,7 +111,7 @@ class ViewerServer(viser.ViserServer):
 
     def __init__(self, host: str, port: int, title: str, token: str):
         self._token, listener = token, _CheckedListener(host, port, title, token)
-        with _silence(), listener.replace_serve():
+        with _suppress_viser_output(), listener.replace_serve():
             super().__init__(host=host, port=port, label=title, verbose=False)
         try:
             if listener.failure is not None:
@@ -124,7 +124,7 @@ class ViewerServer(viser.ViserServer):
             listener.listen()
         except OSError as error:
             self.stop()
-            raise _address_error(host, port, error) from None
+            raise _make_address_error(host, port, error) from None
         except BaseException:
             self.stop()
             raise
@@ -148,7 +148,7 @@ class ViewerServer(viser.ViserServer):
 
     def stop(self) -> None:
         """Stop the server and close all connections; a second call does nothing."""
-        with _silence():
+        with _suppress_viser_output():
             super().stop()
 
     def __enter__(self) -> ViewerServer:
@@ -160,7 +160,7 @@ class ViewerServer(viser.ViserServer):
     def _unregister_sharing(self) -> None:
         for message in (viser._messages.ShareUrlRequest, viser._messages.ShareUrlDisconnect):
             if message not in self._websock_server._incoming_handlers:
-                raise _unknown_viser(f"viser has no handler for {message.__name__}")
+                raise _make_version_error(f"viser has no handler for {message.__name__}")
             self._websock_server.unregister_handler(message)
 
     def _limit_uploads(self) -> None:
@@ -170,7 +170,7 @@ class ViewerServer(viser.ViserServer):
         def accept_only(kind: type, is_acceptable: Callable[[Any], bool]) -> None:
             handlers = self._websock_server._incoming_handlers.get(kind, [])
             if len(handlers) != 1:
-                raise _unknown_viser(f"viser has {len(handlers)} handlers for {kind.__name__} instead of one")
+                raise _make_version_error(f"viser has {len(handlers)} handlers for {kind.__name__} instead of one")
             handle = handlers[0]
             handlers[0] = lambda client, message: handle(client, message) if is_acceptable(message) else None
 
@@ -204,7 +204,7 @@ class _CheckedListener:
 
     def __init__(self, host: str, port: int, title: str, token: str):
         self.host, self.port, self.title, self._token = host, port, title, token
-        self.failure: Exception | None = _unknown_viser("viser does not start a websocket server with serve")
+        self.failure: Exception | None = _make_version_error("viser does not start a websocket server with serve")
         self._server: Any = None
 
     @contextmanager
@@ -230,11 +230,11 @@ class _CheckedListener:
         """
         try:
             if process_request is None:
-                raise _unknown_viser("viser passes no function for HTTP requests to serve")
+                raise _make_version_error("viser passes no function for HTTP requests to serve")
             options.update(logger=_logger, start_serving=False)
             self._server = await websockets.asyncio.server.serve(
                 _with_version_check(handler), self.host, self.port,
-                process_request=self._checked(process_request), **options)
+                process_request=self._add_access_checks(process_request), **options)
         except Exception as error:
             self.failure = error
             yield SimpleNamespace(server=SimpleNamespace(sockets=()))
@@ -256,16 +256,17 @@ class _CheckedListener:
         loop = self._server.get_loop()
         asyncio.run_coroutine_threadsafe(self._server.start_serving(), loop).result(SERVER.start_timeout)
 
-    def _checked(self, answer: Callable) -> Callable:
+    def _add_access_checks(self, answer: Callable) -> Callable:
         """Return viser's function for HTTP requests with the access checks before it."""
         def process_request(connection, request):
             allowed = self._allowed_names(connection)
-            refusal = refuse(request.headers.get_all("Host"), request.headers.get_all("Origin"), allowed, self.port)
+            headers = request.headers
+            refusal = find_refusal_reason(headers.get_all("Host"), headers.get_all("Origin"), allowed, self.port)
             if refusal:
                 return connection.respond(HTTPStatus.FORBIDDEN, refusal + "\n")
-            if self._token and not admits(self._token, self.port, request.path, request.headers.get_all("Cookie")):
+            if self._token and not contains_token(self._token, self.port, request.path, headers.get_all("Cookie")):
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL + "\n")
-            _delete(request.headers, "Accept-Encoding")  # the page must be uncompressed to be changed
+            _delete_header(request.headers, "Accept-Encoding")  # the page must be uncompressed to be changed
             response = answer(connection, request)
             if response is not None:
                 self._complete_response(response, request.headers["Host"])
@@ -288,8 +289,8 @@ class _CheckedListener:
         """
         response.body = inject_shell(response.body, self.title)
         if self._token:
-            response.headers["Set-Cookie"] = cookie(self._token, self.port)
-        _delete(response.headers, "Content-Length")
+            response.headers["Set-Cookie"] = make_cookie_header(self._token, self.port)
+        _delete_header(response.headers, "Content-Length")
         response.headers.update({
             "Content-Length": str(len(response.body)),
             "X-Frame-Options": "DENY",
@@ -298,7 +299,7 @@ class _CheckedListener:
                                        "object-src 'none'; base-uri 'none'; form-action 'none'"})
 
 
-def _delete(headers, name: str) -> None:
+def _delete_header(headers, name: str) -> None:
     """Delete a header if it exists."""
     if name in headers:
         del headers[name]
@@ -326,16 +327,16 @@ def _with_version_check(handler: Callable) -> Callable:
 
 def _require_known_viser() -> None:
     if viser.__version__ != VISER_VERSION:
-        raise _unknown_viser(f"viser {viser.__version__} is installed")
+        raise _make_version_error(f"viser {viser.__version__} is installed")
 
 
-def _unknown_viser(reason: str) -> MissingBackendError:
+def _make_version_error(reason: str) -> MissingBackendError:
     """Return the error for a version of viser in which the access checks do not work."""
     return MissingBackendError(f"The access checks of the viewer require viser {VISER_VERSION}: {reason}. Install it "
                                f"with: python -m pip install viser=={VISER_VERSION}")
 
 
-def _address_error(host: str, port: int, error: OSError) -> InputError:
+def _make_address_error(host: str, port: int, error: OSError) -> InputError:
     """Convert an error of binding or listening to a message with a remedy."""
     remedy = "choose another port with --port, or 0 for any free port"
     if error.errno == errno.EADDRINUSE:
@@ -349,7 +350,7 @@ def _address_error(host: str, port: int, error: OSError) -> InputError:
 
 
 @contextmanager
-def _silence() -> Iterator[None]:
+def _suppress_viser_output() -> Iterator[None]:
     """Suppress the messages that viser prints at start and stop through the global console of rich."""
     console = rich.get_console()
     with _module_state:
@@ -360,19 +361,19 @@ def _silence() -> Iterator[None]:
             console.quiet = before
 
 
-def _is_relevant(record: logging.LogRecord) -> bool:
+def _is_relevant_record(record: logging.LogRecord) -> bool:
     """Return whether a log record reports more than a broken connection or a client that does not speak HTTP."""
     error = record.exc_info[1] if record.exc_info else None
     # Data that arrive while a request is answered fail an assertion inside websockets.
     return not (isinstance(error, WebSocketException | OSError | EOFError)
-                or (isinstance(error, AssertionError) and _raised_in(error).startswith("websockets.")))
+                or (isinstance(error, AssertionError) and _find_raising_module(error).startswith("websockets.")))
 
 
-def _raised_in(error: BaseException) -> str:
+def _find_raising_module(error: BaseException) -> str:
     """Return the name of the module that raised an error."""
     *_, (frame, _) = traceback.walk_tb(error.__traceback__)
     return str(frame.f_globals.get("__name__", ""))
 
 
 _logger = logging.getLogger(__name__)
-_logger.addFilter(_is_relevant)
+_logger.addFilter(_is_relevant_record)

@@ -14,7 +14,7 @@ import tissue_sim as ts
 from haptics.devices.motions import SineMotion
 from haptics.loop.bulk_link import BulkProcess, DelayedBulk
 from haptics.loop.loop import Loop, LoopSettings
-from haptics.loop.model_transition import JUMP
+from haptics.loop.model_transition import TRANSITION
 from haptics.loop.multirate import MultiRateTissue
 from haptics.loop.process import LoopProcess
 from haptics.loop.tissue_factory import real_time_tissue
@@ -73,12 +73,12 @@ def test_a_random_walk_has_a_force_in_every_tick_and_no_jump():
                if count)
     wrenches = np.array([answer.wrench[:3] for answer in answers])
     assert late <= 15 and np.isfinite(wrenches).all() and wrenches[:, 2].max() > 0.05
-    assert (wrenches[:, 2] > -JUMP).all(), "nothing pulls"
+    assert (wrenches[:, 2] > -TRANSITION.force_step).all(), "nothing pulls"
     assert (wrenches[:, 2] == 0.0).sum() > 50 and np.hypot(*wrenches[:, :2].T).max() > 0.01
     steps = np.linalg.norm(np.diff(wrenches, axis=0), axis=1)
     ways = [np.linalg.norm(np.subtract(b.position, a.position)) for a, b in pairwise(poses)]
     # 250 N/m is the stiffest that this tip feels there.
-    assert (steps - 250.0 * np.array(ways)).max() < JUMP + 1e-3
+    assert (steps - 250.0 * np.array(ways)).max() < TRANSITION.force_step + 1e-3
     assert tissue.models > 50
 
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.loop.ring import TICK, RingReader, RingWriter
-from haptics.loop.shared_slots import HEAD_SIZE, SlotReader, SlotWriter, runtime_folder, unused_path
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, runtime_folder, unused_path
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -135,10 +135,10 @@ def test_a_half_written_slot_is_not_believed(path, part):
         with SlotWriter(path.with_name("next"), KIND, 2, 8) as other:
             for content in (b"11111111", b"22222222", b"33333333"):
                 other.write(content)
-            new = other.path.read_bytes()[HEAD_SIZE:HEAD_SIZE + stride]
+            new = other.path.read_bytes()[SLOTS.head_size:SLOTS.head_size + stride]
         with path.open("r+b") as stream:
-            stream.seek(HEAD_SIZE)
-            stream.write(new[:part] + whole[HEAD_SIZE + part:HEAD_SIZE + stride])
+            stream.seek(SLOTS.head_size)
+            stream.write(new[:part] + whole[SLOTS.head_size + part:SLOTS.head_size + stride])
         assert reader.read(3) is None
         assert reader.read(1) == (b"11111111" if part == 0 else None)
         assert reader.newest() == (2, b"22222222")

@@ -21,6 +21,7 @@ from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import open_tasks
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgress
+from scenes.commands.shared.text_table import TableSettings
 from tissue_sim.errors import ConvergenceError
 
 HEAD = """
@@ -121,7 +122,7 @@ def test_json_contains_the_whole_iteration_table(joint, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("scenes.commands.shared.console.PIPE_WIDTH", 80)
+    monkeypatch.setattr("scenes.commands.shared.console.TABLES", TableSettings(pipe_width=80))
     path = write(laws=("neo_hooke", "reduced_polynomial_2"), more="starts = 1")
     assert run(path, "-o", tmp_path / "out") == 0
     stdout, stderr = capsys.readouterr()

@@ -48,10 +48,12 @@ class DelayedHand(HapticDevice):
         self._in_transit: deque[tuple[float, Screw]] = deque()
 
     def start(self) -> None:
+        """Start the hand without forces in transit."""
         self._hand.start()
         self._reset()
 
     def pose(self, time: float) -> Pose | None:
+        """Deliver the forces that have arrived by `time`, s, and return the pose of the hand; None if it is lost."""
         if time < self._time:
             self._in_transit.clear()
         while self._in_transit and self._in_transit[0][0] <= time:
@@ -63,6 +65,7 @@ class DelayedHand(HapticDevice):
         return None if self._is_lost() else pose
 
     def render(self, wrench: Screw) -> None:
+        """Send a wrench, which arrives after the delay and a random part of the jitter, unless it is lost."""
         if self._is_lost():
             return
         arrives = self._time + self._delay + self._jitter * self._random.random()
@@ -78,15 +81,19 @@ class DelayedHand(HapticDevice):
         return self._loss > 0.0 and self._random.random() < self._loss
 
     def stop(self) -> None:
+        """Discard the forces in transit and stop the hand."""
         self._in_transit.clear()
         self._hand.stop()
 
     def set_approach(self, approach: Approach | None) -> None:
+        """Set the approach of the hand."""
         self._hand.set_approach(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        """Set the target of the hand, m."""
         self._hand.aim(depth, across)
 
     def describe(self) -> dict[str, Any]:
+        """Return the description of the hand with delay, jitter and loss; keys carry units."""
         return {**self._hand.describe(), "device": "virtual hand behind a late line", "delay_ms": self._delay * 1e3,
                 "jitter_ms": self._jitter * 1e3, "loss": self._loss}

@@ -111,7 +111,7 @@ class FaultyLine:
         held_back, self._held_back = self._held_back, None
         return [] if held_back is None else [held_back]
 
-    def take(self, now: float) -> list[bytes]:
+    def take_due(self, now: float) -> list[bytes]:
         """Remove and return the messages due until now, in order; none after the simulated disconnection."""
         if self.is_silent(now):
             self._waiting.clear()

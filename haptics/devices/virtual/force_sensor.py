@@ -7,12 +7,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
+from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.settings import read_settings
 from tissue_sim.errors import InputError
-
-#: Samples that the sensor keeps until they are read; older ones are lost.
-BUFFER = 4096
 
 
 class VirtualForceSensor(ForceSensor):
@@ -48,17 +45,19 @@ class VirtualForceSensor(ForceSensor):
         self._passed = 0
 
     def start(self) -> None:
+        """Set the time of the first sample to one period from now."""
         if self._began is None:
             self._began, self._passed = self._clock(), 0
 
     def read(self) -> tuple[ForceSample, ...]:
-        now, began = self._times()
+        """Return the samples that have become due since the last call; a gap is marked if the buffer was full."""
+        now, began = self._present_and_start_time()
         due = math.floor(min(now - began, self._silent_after) * self.rate)
-        first = max(self._passed, due - BUFFER)
+        first = max(self._passed, due - SAMPLE_BUFFER)
         lost, self._passed = first > self._passed, due
         samples = []
         for number in range(first, due):
-            counts, status = self._measure(began + (number + 1) / self.rate)
+            counts, status = self._measure_counts(began + (number + 1) / self.rate)
             if lost and number == first:
                 status |= SampleStatus.GAP
             values = tuple(self._resolution * (count - zero) for count, zero in zip(counts, self._zero, strict=True))
@@ -66,23 +65,26 @@ class VirtualForceSensor(ForceSensor):
         return tuple(samples)
 
     def tare(self) -> None:
-        now, _ = self._times()
-        self._zero, _ = self._measure(now)
+        """Take the present counts as zero."""
+        now, _ = self._present_and_start_time()
+        self._zero, _ = self._measure_counts(now)
 
     def stop(self) -> None:
+        """End sampling."""
         self._began = None
 
     def describe(self) -> dict[str, Any]:
+        """Return channels, rate, resolution and range; keys carry units."""
         return {"sensor": "virtual", "channels": list(self.channels), "rate_Hz": self.rate,
                 "resolution_N": self._resolution, "range_N": self._largest_count * self._resolution}
 
-    def _times(self) -> tuple[float, float]:
+    def _present_and_start_time(self) -> tuple[float, float]:
         """Return the present time and the time of the start, s on the clock."""
         if self._began is None:
             raise DeviceError("the virtual force sensor is not started; start it first")
         return self._clock(), self._began
 
-    def _measure(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
+    def _measure_counts(self, at: float) -> tuple[tuple[int, ...], SampleStatus]:
         """Return counts, clipped to the range, and status at a time on the clock, s."""
         unclipped = [round(value / self._resolution) for value in self._load(at)]
         counts = tuple(min(max(count, -self._largest_count), self._largest_count) for count in unclipped)

@@ -18,7 +18,9 @@ _LEAST_ROOT_SEPARATION = 1e-6
 
 
 class VirtualHand(HapticDevice):
-    """A handle that follows a motion as a hand would, and yields to the rendered force:
+    """A handle that follows a motion as a hand would, and yields to the rendered force.
+
+    The equation of motion is
 
         mass x'' + damping x' + grip (x - target) = force
 
@@ -57,6 +59,7 @@ class VirtualHand(HapticDevice):
         self.start()
 
     def start(self) -> None:
+        """Start with the push as the only force; the first call of `pose` places the hand on its target."""
         #: Rendered force plus push, N.
         self._force: Vector = (0.0, 0.0, -self._push)
         self._time = 0.0
@@ -64,6 +67,7 @@ class VirtualHand(HapticDevice):
         self._velocity: Vector = (0.0, 0.0, 0.0)
 
     def pose(self, time: float) -> Pose | None:
+        """Solve the equation of motion up to a time, s, and return the pose; None if the motion has no pose."""
         target = self._motion.pose(time)
         if target is None:
             return None
@@ -125,19 +129,24 @@ class VirtualHand(HapticDevice):
         return self._velocity
 
     def render(self, wrench: Screw) -> None:
+        """Apply the force of a wrench, N, in addition to the push; the torque is ignored."""
         x, y, z = wrench[:3]
         self._force = (x, y, z - self._push)
 
     def stop(self) -> None:
+        """Remove the rendered force."""
         self._force = (0.0, 0.0, -self._push)
 
     def set_approach(self, approach: Approach | None) -> None:
+        """Set the approach of the motion that the hand follows."""
         self._motion.set_approach(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
+        """Set the target of the motion that the hand follows, m."""
         self._motion.aim(depth, across)
 
     def describe(self) -> dict[str, Any]:
+        """Return motion, mass, damping, grip and push; keys carry units."""
         return {"device": "virtual hand", "motion": type(self._motion).__name__, "mass_kg": self._mass,
                 "damping_N_s_m": self._damping, "grip_N_m": self._grip, "push_N": self._push}
 

@@ -100,6 +100,7 @@ class ElasticSpecimen:
         self._forces = curve.force_behind(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
 
     def force(self, time: float, depth: float) -> float:
+        """Return the force at a depth, m, by linear interpolation in the table of forces, N."""
         if depth <= 0.0:
             return 0.0
         index = depth / self._step
@@ -128,6 +129,11 @@ class HistoryDependentSpecimen:
         self._time: float | None = None
 
     def force(self, time: float, depth: float) -> float:
+        """Step the simulation to a time, s, and a depth, m, and return the force, N.
+
+        Raises:
+            DeviceError: the simulation refuses the step.
+        """
         dt = 1e-3 if self._time is None else time - self._time
         self._time = time
         answer = self._simulator.step(depth, max(dt, 1e-6))
@@ -181,7 +187,7 @@ class VirtualRig:
         self._noise, self._last, self._began = 0.0, -math.inf, math.inf
         self._tool_motion = replace(rig.motion_only, compliance=0.0).tool_motion
         self.stage = VirtualStage(limits, DEFAULTS.stage_step, start_at, clock, encoder, faults.stall_after)
-        self.sensor = VirtualForceSensor(self._load, channels, rate, resolution, reach, clock,
+        self.sensor = VirtualForceSensor(self._compute_load, channels, rate, resolution, reach, clock,
                                          silent_after=faults.disconnect_after)
 
     @property
@@ -189,29 +195,29 @@ class VirtualRig:
         """The sensor and the stage."""
         return Bench(self.sensor, self.stage)
 
-    def _load(self, at: float) -> tuple[float, ...]:
+    def _compute_load(self, at: float) -> tuple[float, ...]:
         """Return the load of each channel at a time on the clock, s; N."""
         rig = self._rig
         self._began = min(self._began, at)
         delayed = at - rig.latency
-        depth, before = self._depth(delayed), self._depth(delayed - DEFAULTS.speed_interval)
+        depth, before = self._compute_depth(delayed), self._compute_depth(delayed - DEFAULTS.speed_interval)
         speed = (depth - before) / DEFAULTS.speed_interval
         force = self._specimen.force(delayed, depth)
         force += rig.guide_friction * ((speed > 0) - (speed < 0)) + rig.rate_damping * speed
-        force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._disturbance(at)
+        force = (1 + rig.sensor_gain) * force + rig.zero_offset + self._compute_disturbance(at)
         if at - self._began >= self._faults.saturate_after:
             force = 2 * self._reach
         return tuple(self._sign * force if axis == self._axis else 0.0 for axis in range(self._count))
 
-    def _depth(self, at: float) -> float:
+    def _compute_depth(self, at: float) -> float:
         """Return the depth of the tool at a time on the clock, s; m."""
-        return float(self._tool_motion(np.array(self._stage_path(at)) - self._surface)[-1])
+        return float(self._tool_motion(np.array(self._find_stage_path(at)) - self._surface)[-1])
 
-    def _stage_path(self, at: float) -> Sequence[float]:
+    def _find_stage_path(self, at: float) -> Sequence[float]:
         """Return the reversal positions until a time, s, and the position then, m; backlash depends on these alone."""
         return (*self.stage.reversal_positions(at), self.stage.tool_position(at))
 
-    def _disturbance(self, at: float) -> float:
+    def _compute_disturbance(self, at: float) -> float:
         """Return noise (a first-order Gauss-Markov process) plus drift at a time on the clock, s; N."""
         rig, time_constant = self._rig, self._rig.noise_correlation_time
         if rig.force_noise:

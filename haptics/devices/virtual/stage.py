@@ -76,24 +76,28 @@ class VirtualStage(Stage):
         self._homing, self._sequence = False, 0
 
     def start(self) -> None:
+        """Connect without moving; a fault of stalling counts its time from now."""
         if not self._started:
             self._started, self._sequence = True, 0
             self._stalls = self._clock() + self._stalls_after
 
     def home(self) -> None:
+        """Begin a motion to zero at top speed; the zero is known at its end."""
         self._require_start()
-        self._go(0.0, self.limits.speed)
+        self._begin_motion(0.0, self.limits.speed)
         self._homing = True
 
     def move(self, position: float, speed: float) -> None:
+        """Begin a motion to a position, m, at a speed, m/s, and return at once."""
         self._require_start()
         self.limits.require(position, speed)
         self._finish_homing()
         if not self._homed:
             raise DeviceError("the virtual stage does not know its zero; home it first, and wait until it is there")
-        self._go(position, speed)
+        self._begin_motion(position, speed)
 
     def position(self) -> StageSample:
+        """Return the position of the encoder, m: of the tool if `measures_position`, otherwise of the motor."""
         self._require_start()
         self._finish_homing()
         now = self._clock()
@@ -116,20 +120,23 @@ class VirtualStage(Stage):
         return [position for at, position in self._reversals if at <= until]
 
     def halt(self) -> None:
+        """Stop the motor at its present position."""
         self._finish_homing()
         position = self._motor_position(self._clock())
-        self._go(position, self.limits.speed)
+        self._begin_motion(position, self.limits.speed)
         self._homing = False
 
     def stop(self) -> None:
+        """Halt the motor and disconnect."""
         self.halt()
         self._started = False
 
     def describe(self) -> dict[str, Any]:
+        """Return travel range, top speed and resolution; keys carry units."""
         return {"stage": "virtual", "lowest_mm": self.limits.lowest * 1e3, "highest_mm": self.limits.highest * 1e3,
                 "top_speed_mm_s": self.limits.speed * 1e3, "resolution_mm": self._resolution * 1e3}
 
-    def _go(self, position: float, speed: float) -> None:
+    def _begin_motion(self, position: float, speed: float) -> None:
         """Begin a motion to a position, m, at a speed, m/s, and end homing."""
         now = self._clock()
         start, last = self._motor_position(now), self._motions[-1]
@@ -156,7 +163,6 @@ class VirtualStage(Stage):
 
 def open_virtual(text: str) -> VirtualStage:
     """Make a stage from ``virtual:lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
-
     given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
     limits = StageLimits.from_settings(given)
     return VirtualStage(limits, given["resolution_mm"] * 1e-3)

@@ -63,7 +63,7 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     console.print()
     console.print(_parameter_table(fits, units))
     console.print()
-    if legend := _legend(fits):
+    if legend := _make_legend(fits):
         print_sentence(console, legend)
         console.print()
     if table := population_table(fits, units):
@@ -111,19 +111,19 @@ def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
     for fit in fits:
         error = fit.RMSE_N if forces else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(_ranked_name(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
+        table.add_row(_mark_best_law(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
                       _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
                       *format_moduli(fit, units), format_stable_stretches(fit),
-                      style=_ranked_style(fit, best))
+                      style=_find_row_style(fit, best))
     return table
 
 
-def _ranked_name(fit: Fit, best: Fit) -> str:
+def _mark_best_law(fit: Fit, best: Fit) -> str:
     """Return the name of a law, with a star if it is the best usable law; without a usable law none has a star."""
     return f"{fit.law} *" if fit is best and fit.unusable is None else fit.law
 
 
-def _ranked_style(fit: Fit, best: Fit) -> str | None:
+def _find_row_style(fit: Fit, best: Fit) -> str | None:
     """Return the style of a row of the ranking: bold for the best usable law."""
     return "bold" if fit is best and fit.unusable is None else None
 
@@ -150,7 +150,7 @@ def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
     return table
 
 
-def _legend(fits: Sequence[Fit]) -> str:
+def _make_legend(fits: Sequence[Fit]) -> str:
     """Return the legend: full names of abbreviated parameters, and parameters with finite-difference derivatives."""
     full_names = {symbol: name for fit in fits for name, symbol in fit.symbols.items() if symbol != name}
     parts = [f"{symbol}: {name}" for symbol, name in full_names.items()]

@@ -9,7 +9,7 @@ from pathlib import Path
 from scenes.commands.shared.console import print_json, progress_console, results_console
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.log_lines import LogLines
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, make_integer_type
 from scenes.commands.view import add_page_flags, page_options
 
 SUMMARY = "measure a virtual specimen, calibrate its material and predict tests that the calibration did not use"
@@ -29,7 +29,7 @@ def add_arguments(parser: Parser) -> None:
                              "then reveal the effect")
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR",
                         help=f"folder of the results (default: {FOLDER} or {HIDDEN_FOLDER}, replaced by every run)")
-    parser.add_argument("--seed", type=at_least(0), metavar="N",
+    parser.add_argument("--seed", type=make_integer_type(0), metavar="N",
                         help="seed of the measurement noise (default: 0); with --hidden also of the hidden effect "
                              "(default: random)")
     parser.add_argument("--view", action="store_true",
@@ -55,7 +55,7 @@ def run(arguments) -> int:
     if arguments.json:
         print_json(answer)
     if arguments.view:
-        return _view(arguments, output, Path(answer["material_file"]))
+        return _show_page(arguments, output, Path(answer["material_file"]))
     return ExitCode.DONE
 
 
@@ -67,7 +67,7 @@ def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
     from scenes.demo.hidden_test import run_hidden_demo
 
     seed = random.SystemRandom().randrange(_MAX_SEED) if arguments.seed is None else arguments.seed
-    answer = run_hidden_demo(output, seed=seed, overwrite=overwrite, progress=_progress(quiet=arguments.json),
+    answer = run_hidden_demo(output, seed=seed, overwrite=overwrite, progress=_show_progress(quiet=arguments.json),
                              console=results_console(quiet=arguments.json),
                              workers=Workers(min(2, os.cpu_count() or 1)))
     if arguments.json:
@@ -82,7 +82,7 @@ def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
 
 
 @contextmanager
-def _progress(*, quiet: bool):
+def _show_progress(*, quiet: bool):
     """Show the progress inside the block; the display is removed before the results are printed.
 
     Yields:
@@ -94,7 +94,7 @@ def _progress(*, quiet: bool):
         yield progress.show_task
 
 
-def _view(arguments, output: Path, material_file: Path) -> int:
+def _show_page(arguments, output: Path, material_file: Path) -> int:
     """Show the page of an indentation of the calibrated material, with the measurements."""
     import tissue_sim as ts
     from scenes.demo.specimen import DEPTH, SPECIMEN

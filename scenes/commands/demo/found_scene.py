@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import tissue_sim as ts
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, add_effect
 from scenes.demo.hidden_test import KINDS, build_plain_models
-from scenes.viewer.measurement import motion
+from scenes.viewer.measurement import make_motion_protocol
 from scenes.viewer.scene import Scene, read_measurements
 
 if TYPE_CHECKING:
@@ -45,7 +45,7 @@ def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
     compared = None
     if diagnosis.effects:
         name = f"without {' and '.join(each.title for each in diagnosis.effects)}"
-        tested = replace(plain.experiment, protocol=motion(measurements[kind.name]))
+        tested = replace(plain.experiment, protocol=make_motion_protocol(measurements[kind.name]))
         compared = (name, ts.simulate(replace(plain, experiment=tested), estimate_error=False))
     source = "plain model" if diagnosis.fit_after is None else diagnosis.files["material"]
     return Scene(kind, found.experiment, found.material, source, measurements, rig=found.rig, compared=compared)

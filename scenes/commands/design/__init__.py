@@ -9,7 +9,7 @@ from scenes.commands.shared.campaigns import add_workers
 from scenes.commands.shared.console import print_json, progress_console, results_console
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.log_lines import LogLines
-from scenes.commands.shared.parsing import Parser, add_json, at_least
+from scenes.commands.shared.parsing import Parser, add_json, make_integer_type
 
 SUMMARY = "predict, before an experiment, the errors of the material parameters and which effects are detectable"
 EXAMPLE = "tissue-sim design plan.toml --replicates 3 --workers 2"
@@ -40,9 +40,9 @@ def add_arguments(parser: Parser) -> None:
                         help='campaign file with method = "inverse_fem", the expected parameters as start, and force_N '
                              'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '
                              'hold 60s; unload"')
-    parser.add_argument("--replicates", type=at_least(1), default=FLAGS.replicates, metavar="N",
+    parser.add_argument("--replicates", type=make_integer_type(1), default=FLAGS.replicates, metavar="N",
                         help=f"number of recordings of each planned test (default: {FLAGS.replicates})")
-    parser.add_argument("--samples", type=at_least(FLAGS.min_samples), default=FLAGS.samples, metavar="N",
+    parser.add_argument("--samples", type=make_integer_type(FLAGS.min_samples), default=FLAGS.samples, metavar="N",
                         help=f"number of samples of a recording, evenly spaced in time (default: {FLAGS.samples})")
     parser.add_argument("--law", help="material law, one of the laws of the campaign (default: its first law)")
     add_workers(parser, "the evaluation of the effects")

@@ -18,7 +18,7 @@ from calibration.report.drawing import format_count
 from calibration.report.page import estimate_of
 from calibration.report.rounding import gain_text
 from calibration.report.units import Units
-from scenes.commands.shared.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
     from calibration.diagnosis.diagnosis import Diagnosis
     from calibration.diagnosis.result import DiagnosisResult
 
-#: Largest number of effects in the table; the report lists all.
-_MAX_EFFECTS = 8
 
 
 def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> None:
@@ -60,7 +58,7 @@ def _effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
     if not detectable:
         return None
     table = text_table("effect", "score", "dBIC", "explains", "odds against", "detectable from", text=1)
-    for each in detectable[:_MAX_EFFECTS]:
+    for each in detectable[:TABLES.max_effects]:
         table.add_row(candidate_label(each), "-" if each.score is None else f"{each.score:.1f}",
                       "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
                       "-" if each.explained_percent is None else f"{each.explained_percent:.3g} %",
@@ -100,8 +98,8 @@ def _held_out_table(diagnosis: Diagnosis, units: Units) -> Table | None:
 def _remarks(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield sentences on further effects, undetectable effects, the next experiments and the computing time."""
     detectable = sum(each.testable for each in diagnosis.candidates)
-    if detectable > _MAX_EFFECTS:
-        yield f"{format_count(detectable - _MAX_EFFECTS, 'more detectable effect')}: see the report"
+    if detectable > TABLES.max_effects:
+        yield f"{format_count(detectable - TABLES.max_effects, 'more detectable effect')}: see the report"
     undetectable = [candidate_label(each) for each in diagnosis.candidates if not each.testable]
     if undetectable:
         yield f"not detectable with these tests: {join_words(undetectable)}"

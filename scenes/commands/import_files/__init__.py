@@ -8,7 +8,14 @@ from typing import Any
 
 from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, at_least, interface, positive
+from scenes.commands.shared.parsing import (
+    Parser,
+    add_json,
+    add_overwrite,
+    make_integer_type,
+    parse_interface,
+    parse_positive,
+)
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
@@ -38,24 +45,24 @@ def add_arguments(parser: Parser) -> None:
     test = parser.add_argument_group(
         "information that the files do not contain (without the flag the campaign has a line to fill in)")
     test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=f"kind of test: {', '.join(KINDS)}")
-    test.add_argument("--shape", choices=_shapes(),
+    test.add_argument("--shape", choices=_list_specimen_shapes(),
                       help="shape of the specimen (default: cylinder, or a prism with --area-mm2)")
-    test.add_argument("--radius-mm", type=positive, metavar="N", help="radius of a cylindrical specimen")
-    test.add_argument("--area-mm2", type=positive, metavar="N",
+    test.add_argument("--radius-mm", type=parse_positive, metavar="N", help="radius of a cylindrical specimen")
+    test.add_argument("--area-mm2", type=parse_positive, metavar="N",
                       help="cross-sectional area of the specimen, instead of the radius")
-    test.add_argument("--height-mm", type=positive, metavar="N",
+    test.add_argument("--height-mm", type=parse_positive, metavar="N",
                       help="height of the specimen; gauge length in tension, thickness in shear")
     for key, size in specimen_sizes().items():
         if key not in _GENERAL_SIZES:
-            test.add_argument(f"--{key.replace('_', '-')}", type=positive, metavar="N",
+            test.add_argument(f"--{key.replace('_', '-')}", type=parse_positive, metavar="N",
                               help=f"{size.field.replace('_', ' ')} of a specimen of shape {' or '.join(size.shapes)}")
     test.add_argument("--tool", metavar="SHAPE", help="shape of the indentation tool: flat, round, cone, sphere")
-    test.add_argument("--tool-radius-mm", type=positive, metavar="N", help="radius of the indentation tool")
-    test.add_argument("--friction", type=interface, metavar="CONTACT",
+    test.add_argument("--tool-radius-mm", type=parse_positive, metavar="N", help="radius of the indentation tool")
+    test.add_argument("--friction", type=parse_interface, metavar="CONTACT",
                       help="contact between plates and specimen: bonded, stick, frictionless or a friction coefficient")
-    test.add_argument("--speed-mm-s", type=positive, metavar="N",
+    test.add_argument("--speed-mm-s", type=parse_positive, metavar="N",
                       help="constant speed of the test, for files without a time or displacement column")
-    test.add_argument("--max-strain", type=positive, metavar="N", help="largest strain used in the fit")
+    test.add_argument("--max-strain", type=parse_positive, metavar="N", help="largest strain used in the fit")
     test.add_argument("--control", choices=("displacement", "force"),
                       help="quantity that the machine controls: a force that stays equal to the last digit is held, or "
                            "its sensor is saturated (default: determined from the curve)")
@@ -82,11 +89,11 @@ def add_arguments(parser: Parser) -> None:
     columns.add_argument("--delimiter", metavar="C", help="delimiter of the columns of a text file (default: detected)")
     columns.add_argument("--decimal", choices=(".", ","), metavar=".|,",
                          help="decimal mark; the other one separates thousands (default: detected)")
-    columns.add_argument("--curve", action="append", type=at_least(1), metavar="N",
+    columns.add_argument("--curve", action="append", type=make_integer_type(1), metavar="N",
                          help="number of a recording in the file, from 1; once for each recording (default: all)")
     columns.add_argument("--one-material", action="store_true",
                          help="treat all tables of a file as replicates of one material, even if their titles differ")
-    columns.add_argument("--skip-lines", type=at_least(0), default=0, metavar="N",
+    columns.add_argument("--skip-lines", type=make_integer_type(0), default=0, metavar="N",
                          help="number of lines to skip at the top")
     add_overwrite(parser)
     add_json(parser)
@@ -128,14 +135,14 @@ def _import_options(arguments):
     from tissue_sim.recording.formats.guesses import ColumnHints
     from tissue_sim.units import to_si
 
-    units, scales = _channel_values(arguments.unit, "--unit"), _channel_values(arguments.scale, "--scale")
+    units, scales = _parse_channel_values(arguments.unit, "--unit"), _parse_channel_values(arguments.scale, "--scale")
     for channel, unit in units.items():
         try:
             to_si(unit)
         except InputError as error:
             raise InputError(f"{channel}: {error.problem}", field="--unit") from None
-    signs = {channel: _to_number(text, "--sign")
-             for channel, text in _channel_values(arguments.sign, "--sign").items()}
+    signs = {channel: _parse_number(text, "--sign")
+             for channel, text in _parse_channel_values(arguments.sign, "--sign").items()}
     for channel, sign in signs.items():
         if sign not in (1, -1):
             raise InputError(f"the sign of {channel} must be 1 or -1; got {sign:g}", field="--sign")
@@ -146,23 +153,23 @@ def _import_options(arguments):
         LAWS.find(law, "--laws")
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
-    hints = ColumnHints(_channel_values(arguments.column, "--column"), units,
-                    {channel: _to_positive(text) for channel, text in scales.items()},
-                    {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
-                    _sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
-                    measures=_channel_values(arguments.measure, "--measure"), decimal=arguments.decimal,
-                    curve=arguments.curve, one_material=arguments.one_material)
-    specimen = _specimen_keys(arguments)
+    hints = ColumnHints(_parse_channel_values(arguments.column, "--column"), units,
+                        {channel: _parse_positive_number(text) for channel, text in scales.items()},
+                        {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
+                        _parse_sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
+                        measures=_parse_channel_values(arguments.measure, "--measure"), decimal=arguments.decimal,
+                        curve=arguments.curve, one_material=arguments.one_material)
+    specimen = _make_specimen_keys(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return ImportOptions(hints, specimen, test, laws, arguments.zero)
 
 
-def _shapes() -> tuple[str, ...]:
+def _list_specimen_shapes() -> tuple[str, ...]:
     """Return the shapes of specimens whose sizes are flags."""
     return tuple(dict.fromkeys(shape for size in specimen_sizes().values() for shape in size.shapes))
 
 
-def _specimen_keys(arguments) -> dict[str, float | str]:
+def _make_specimen_keys(arguments) -> dict[str, float | str]:
     """Return the keys of the specimen in the campaign.
 
     Raises:
@@ -179,7 +186,7 @@ def _specimen_keys(arguments) -> dict[str, float | str]:
     return stated if shape is None else {"shape": shape, **stated}
 
 
-def _channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
+def _parse_channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
     """Read the values of a repeated flag, texts such as ``force=3`` (channel, then value).
 
     Returns:
@@ -201,7 +208,7 @@ def _channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
     return found
 
 
-def _to_number(text: str, flag: str) -> float:
+def _parse_number(text: str, flag: str) -> float:
     """Convert the value of a flag to a number."""
     try:
         return float(text)
@@ -209,15 +216,15 @@ def _to_number(text: str, flag: str) -> float:
         raise InputError(f"must be a number; got {text!r}", field=flag) from None
 
 
-def _to_positive(text: str) -> float:
+def _parse_positive_number(text: str) -> float:
     """Convert a value of ``--scale`` to a positive number."""
-    value = _to_number(text, "--scale")
+    value = _parse_number(text, "--scale")
     if not 0 < value < float("inf"):
         raise InputError(f"must be positive; got {text}. Use --sign to reverse a column", field="--scale")
     return value
 
 
-def _sheets(names: list[str] | None) -> Any:
+def _parse_sheets(names: list[str] | None) -> Any:
     """Return the sheets of ``--sheet``: one, a list of several, or None; a number is an index from 1."""
     if names is None:
         return None

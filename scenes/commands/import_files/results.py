@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from calibration.importing.assumption_table import HEADINGS, assumption_rows, unused_columns
-from scenes.commands.shared.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
 from tissue_sim.units import shown
 
 if TYPE_CHECKING:
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
 
 #: Delimiter -> its name.
 _DELIMITER_NAMES = {"\t": "tab", " ": "spaces", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
-#: Largest number of recordings in the table; the JSON object lists all.
-_MAX_ROWS = 40
 
 
 def print_imported(imported: Imported, console: Console) -> None:
@@ -30,15 +28,15 @@ def print_imported(imported: Imported, console: Console) -> None:
     files.columns[8].justify = "left"
     rows = [(test.name, part, number, motion) for test in imported.tests for part in test.parts
             for number, motion in enumerate(part.motions, start=1)]
-    for name, part, number, motion in rows[:_MAX_ROWS]:
+    for name, part, number, motion in rows[:TABLES.max_recordings]:
         several = f" {number}" if len(part.motions) > 1 else ""
         files.add_row(part.file.name + several, _describe_format(part), name,
                       str(len(part.reading.recordings[number - 1])),
                       "-" if motion.rate is None else f"{motion.rate:.3g}", _format_reach(part, motion),
                       _format_contact(motion), str(motion.cycles), ", ".join(_segment_names(motion)))
     console.print(files)
-    if len(rows) > _MAX_ROWS:
-        print_sentence(console, f"and {len(rows) - _MAX_ROWS} more recordings")
+    if len(rows) > TABLES.max_recordings:
+        print_sentence(console, f"and {len(rows) - TABLES.max_recordings} more recordings")
     console.print()
     _print_assumptions(imported, console)
     for test in imported.tests:

@@ -19,7 +19,7 @@ from scenes.commands.shared.experiment_flags import (
     make_protocol,
     refuse_corrections,
 )
-from scenes.commands.shared.parsing import Parser, add_json, at_least, not_negative, positive
+from scenes.commands.shared.parsing import Parser, add_json, make_integer_type, parse_non_negative, parse_positive
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
     add_solver_flags,
@@ -72,7 +72,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="material file NAME.material.json (default: silicone of the reference study, law "
                              "reduced_polynomial_2)")
-    parser.add_argument("--seconds", type=positive, metavar="N", default=60.0,
+    parser.add_argument("--seconds", type=parse_positive, metavar="N", default=60.0,
                         help="duration of the loop; Ctrl-C ends it earlier (default: 60)")
     add_solver_flags(parser)
     add_reduced_flag(parser)
@@ -85,23 +85,23 @@ def add_arguments(parser: Parser) -> None:
                         help="haptic device that moves the tool and displays the force, instead of --motion: one of "
                              f"{', '.join(HAPTIC_DEVICES)}; 'virtual:sine:depth_mm=5' simulates a hand that follows a "
                              "sine motion and yields to the force")
-    source.add_argument("--top-speed-mm-s", type=positive, metavar="N", default=200.0,
+    source.add_argument("--top-speed-mm-s", type=parse_positive, metavar="N", default=200.0,
                         help="speed limit of the random motion (default: 200)")
-    source.add_argument("--frequency-hz", type=positive, metavar="N", default=1.0,
+    source.add_argument("--frequency-hz", type=parse_positive, metavar="N", default=1.0,
                         help="frequency of the sine motion (default: 1)")
-    source.add_argument("--sideways-mm", type=not_negative, metavar="N",
+    source.add_argument("--sideways-mm", type=parse_non_negative, metavar="N",
                         help="largest lateral displacement of the random motion, along x and y in both directions "
                              "(default: 0; with --reduced the size of its box of poses)")
-    source.add_argument("--turn-deg", type=not_negative, metavar="N",
+    source.add_argument("--turn-deg", type=parse_non_negative, metavar="N",
                         help="largest rotation of the random motion, about any axis (default: 0; with --reduced the "
                              "size of its box of poses)")
-    source.add_argument("--seed", type=at_least(0), metavar="N", default=0,
+    source.add_argument("--seed", type=make_integer_type(0), metavar="N", default=0,
                         help="seed of the random motion (default: 0)")
     timing = parser.add_argument_group("timing and safety")
-    timing.add_argument("--spin-us", type=not_negative, metavar="N", default=0.0,
+    timing.add_argument("--spin-us", type=parse_non_negative, metavar="N", default=0.0,
                         help="busy-wait this long before each tick instead of sleeping: more exact ticks, but a higher "
                              "processor load (default: 0)")
-    timing.add_argument("--budget-us", type=not_negative, metavar="N", default=DEFAULTS.budget_us,
+    timing.add_argument("--budget-us", type=parse_non_negative, metavar="N", default=DEFAULTS.budget_us,
                         help="time limit of a simulation step; a step that reaches it returns the force of the last "
                              "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
                              f"{DEFAULTS.budget_us:g})")
@@ -110,20 +110,20 @@ def add_arguments(parser: Parser) -> None:
                              "(default: auto)")
     timing.add_argument("--no-real-time", action="store_true",
                         help="do not request real-time scheduling (SCHED_FIFO) and locked memory")
-    timing.add_argument("--force-limit-N", type=positive, metavar="N",
+    timing.add_argument("--force-limit-N", type=parse_positive, metavar="N",
                         help=f"largest rendered force (default: {DEFAULTS.force_limit:g}, or the limit of the device)")
-    timing.add_argument("--force-rate-N", type=positive, metavar="N", default=DEFAULTS.force_rate,
+    timing.add_argument("--force-rate-N", type=parse_positive, metavar="N", default=DEFAULTS.force_rate,
                         help=f"largest change of the rendered force per tick (default: {DEFAULTS.force_rate:g})")
-    timing.add_argument("--coupling-stiffness-N-m", type=not_negative, metavar="N",
+    timing.add_argument("--coupling-stiffness-N-m", type=parse_non_negative, metavar="N",
                         help="stiffness of the virtual coupling, a spring between device and tool; 0: no coupling "
                              f"(default: {DEFAULTS.coupling_stiffness:g} for a device with a force limit, otherwise 0)")
-    timing.add_argument("--coupling-damping-N-s-m", type=not_negative, metavar="N",
+    timing.add_argument("--coupling-damping-N-s-m", type=parse_non_negative, metavar="N",
                         help=f"damping of the virtual coupling (default: {DEFAULTS.coupling_damping:g})")
-    timing.add_argument("--passivity-damping-N-s-m", type=not_negative, metavar="N",
+    timing.add_argument("--passivity-damping-N-s-m", type=parse_non_negative, metavar="N",
                         help="largest damping of the passivity controller, which acts while the hand has received more "
                              "energy than it put in; 0: no controller (default: "
                              f"{DEFAULTS.passivity_damping:g} for a device with a force limit, otherwise 0)")
-    timing.add_argument("--energy-limit-J", type=positive, metavar="N",
+    timing.add_argument("--energy-limit-J", type=parse_positive, metavar="N",
                         help="switch the force off when the hand has received this much more energy than it put in "
                              f"(default: {DEFAULTS.energy_limit:g} for a device with a force limit, otherwise none)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
@@ -231,9 +231,10 @@ def open_source(arguments, name: str, protocol, *, lifts: bool = True):
     if name == "protocol":
         return follow_protocol(protocol)
     depth = f"depth_mm={arguments.depth_mm or MOTION_FLAGS.depth_mm!r}" + ("" if lifts else ",lift=0")
-    motions_of_flags = {"random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
-                          f"sideways_mm={arguments.sideways_mm or 0.0!r},turn_deg={arguments.turn_deg or 0.0!r}",
-                "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
+    motions_of_flags = {
+        "random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"
+                  f"sideways_mm={arguments.sideways_mm or 0.0!r},turn_deg={arguments.turn_deg or 0.0!r}",
+        "sine": f"sine:{depth},frequency_hz={arguments.frequency_hz!r}"}
     return open_motion(motions_of_flags.get(name, name))
 
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from haptics.loop.ticker import LATE
+from haptics.loop.ticker import TICKER
 from scenes.commands.shared.text_table import print_sentence, text_table
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def print_report(report: LoopReport, console: Console) -> None:
         table.add_row(Text(title), *(f"{value:.1f}" for value in answer[key].values()))
     console.print(table)
     print_sentence(console, f"{report.ticks} ticks in {report.seconds:.4g} s: {report.late} late (more than "
-                            f"{LATE * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
+                            f"{TICKER.late * 1e3:g} ms), {report.missed} missed ({answer['missed_percent']:.3g} %)")
     answers = ", ".join(f"{count} {name.replace('_', ' ')}" for name, count in report.statuses.items() if count)
     if answers:
         print_sentence(console, f"simulation steps: {answers}")

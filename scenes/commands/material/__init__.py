@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal
 
 from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, check_output, positive
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, check_output, parse_positive
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -49,9 +49,10 @@ def add_arguments(parser: Parser) -> None:
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
                      help="value of a parameter of the law, in Pa (exponents without unit); once for each parameter")
     bulk = new.add_mutually_exclusive_group()
-    bulk.add_argument("--bulk-ratio", type=positive, metavar="N",
+    bulk.add_argument("--bulk-ratio", type=parse_positive, metavar="N",
                       help="bulk modulus K over shear modulus mu0, 2 to 1e6")
-    bulk.add_argument("--bulk-modulus-pa", type=positive, metavar="N", help="bulk modulus K in Pa, 2 to 1e6 times mu0")
+    bulk.add_argument("--bulk-modulus-pa", type=parse_positive, metavar="N",
+                      help="bulk modulus K in Pa, 2 to 1e6 times mu0")
     bulk.add_argument("--incompressible", action="store_true", help="incompressible material (default)")
     new.add_argument("--prony", action="append", default=[], metavar="G,TAU_S",
                      help="term of a Prony series: fraction of the instantaneous modulus that relaxes, and relaxation "
@@ -63,7 +64,7 @@ def add_arguments(parser: Parser) -> None:
                      help="material of a named region of the specimen mesh, from another material file; its parameters "
                           "are copied without standard errors; once for each region")
     new.add_argument("--name", default="", help="name of the material")
-    new.add_argument("--density-kg-m3", type=positive, metavar="N", help="density of the material")
+    new.add_argument("--density-kg-m3", type=parse_positive, metavar="N", help="density of the material")
     new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE",
                      help="material file NAME.material.json")
     add_overwrite(new)

@@ -126,21 +126,23 @@ def describe_effects(summary: dict[str, Any]) -> list[str]:
     """Return one line for each effect beyond the hyperelastic law, such as viscoelasticity, and for each region."""
     lines = []
     if series := summary["viscoelastic"]:
-        terms = "; ".join(f"g {_with_error(term, 'g')}, tau {_with_error(term, 'tau_s')} s" for term in series["terms"])
+        terms = "; ".join(f"g {_format_with_error(term, 'g')}, tau {_format_with_error(term, 'tau_s')} s"
+                          for term in series["terms"])
         lines.append(f"viscoelastic (Prony series of the {series['form'].replace('_', ' ')} stress): {terms}")
     if soft := summary["softening"]:
-        lines.append(f"softening on first load: loss {_with_error(soft, 'loss')}, modulus "
-                     f"{_with_error(soft, 'modulus_Pa', 0.0)} Pa, fraction {_with_error(soft, 'share', 1.0)}")
-    lines += [f"layer of {_with_error(layer, 'thickness_mm')} mm: moduli multiplied by "
-              f"{_with_error(layer, 'modulus_ratio')}" for layer in summary["layers"] or ()]
+        lines.append(f"softening on first load: loss {_format_with_error(soft, 'loss')}, "
+                     f"modulus {_format_with_error(soft, 'modulus_Pa', 0.0)} Pa, "
+                     f"fraction {_format_with_error(soft, 'share', 1.0)}")
+    lines += [f"layer of {_format_with_error(layer, 'thickness_mm')} mm: moduli multiplied by "
+              f"{_format_with_error(layer, 'modulus_ratio')}" for layer in summary["layers"] or ()]
     if pores := summary["poroelasticity"]:
-        lines.append(f"drainage (poroelasticity): phi {_with_error(pores, 'phi')}, diffusivity "
-                     f"{_with_error(pores, 'diffusivity_mm2_per_s')} mm2/s")
+        lines.append(f"drainage (poroelasticity): phi {_format_with_error(pores, 'phi')}, diffusivity "
+                     f"{_format_with_error(pores, 'diffusivity_mm2_per_s')} mm2/s")
     if hole := summary["puncture"]:
-        lines.append(f"puncture at {_with_error(hole, 'depth_mm')} mm: the force drops by a fraction of "
-                     f"{_with_error(hole, 'drop')}")
+        lines.append(f"puncture at {_format_with_error(hole, 'depth_mm')} mm: the force drops by a fraction of "
+                     f"{_format_with_error(hole, 'drop')}")
     for name, region in (summary["regions"] or {}).items():
-        numbers = [f"{key} {_with_error(parameter, 'value')} {parameter['unit'].replace('1', '')}".strip()
+        numbers = [f"{key} {_format_with_error(parameter, 'value')} {parameter['unit'].replace('1', '')}".strip()
                    for key, parameter in region["parameters"].items()]
         others = [key for key in EFFECTS if region.get(key)]
         lines.append(f"region {name}: {', '.join([region['law'], *numbers])}"
@@ -148,7 +150,7 @@ def describe_effects(summary: dict[str, Any]) -> list[str]:
     return lines
 
 
-def _with_error(entry: dict[str, Any], key: str, absent: float | None = None) -> str:
+def _format_with_error(entry: dict[str, Any], key: str, absent: float | None = None) -> str:
     """Format a value with its standard error, if stated; `absent` is the value of a missing key."""
     error = entry.get("standard_error", entry.get("standard_errors", {}).get(key))
     return f"{entry.get(key, absent):.6g}" + ("" if error is None else f" +- {error:.2g}")

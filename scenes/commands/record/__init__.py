@@ -87,7 +87,7 @@ def run(arguments) -> int:
     if not virtual and len(tests) > 1:
         raise InputError("is required, because only one test can be mounted. Name it: "
                          f"{', '.join(test.name for test in tests)}", field="--test")
-    return _record(arguments, protocol, tests, console, print_run)
+    return _record_tests(arguments, protocol, tests, console, print_run)
 
 
 def _select_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
@@ -104,8 +104,8 @@ def _select_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
     return tests
 
 
-def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
-            show: Callable[[RunFolder, Console], None]) -> int:
+def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: Console,
+                  show: Callable[[RunFolder, Console], None]) -> int:
     """Record the tests into the run folder, then print its state with `show` or as JSON.
 
     Args:
@@ -135,7 +135,7 @@ def _record(arguments, protocol: ProtocolFile, tests: list[Any], console: Consol
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
     live = LiveFile(arguments.output)
-    with (folder, _stop_request(arguments.json) as stop_request, _live_status(arguments.json) as show_status,
+    with (folder, _watch_for_stop_request(arguments.json) as stop_request, _show_status(arguments.json) as show_status,
           live.publish()):
 
         def watch(moment: RunProgress) -> None:
@@ -190,7 +190,7 @@ def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
 
 
 @contextmanager
-def _stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
+def _watch_for_stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
     """Watch for a request of the user to stop the run: Ctrl-C, SIGTERM, or Enter on a terminal.
 
     Args:
@@ -213,7 +213,7 @@ def _stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
 
 
 @contextmanager
-def _live_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
+def _show_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
     """Show position, force and progress of the run on a terminal; elsewhere, or if `quiet`, show nothing.
 
     Yields:

@@ -20,6 +20,7 @@ from haptics.recorder.plan import Plan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
 from tissue_sim.decode import decode, read_toml
 from tissue_sim.errors import InputError, located
+from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import expand_legs
 from tissue_sim.files import read_text
@@ -30,8 +31,6 @@ from tissue_sim.specimen import Specimen
 PROTOCOL_TABLES = ("devices", "virtual", "limits", "record")
 #: Description of the file for error messages.
 _EXPECTED = "a protocol (TOML)"
-#: Speed where a protocol states none, m/s, as in the reference study.
-_SPEED = 0.248e-3
 
 
 class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -307,7 +306,7 @@ def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, numbe
     # A plate that is bonded to the specimen is in contact from the start.
     bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
     contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
-    return Plan(test.name, tuple(expand_legs(parse_protocol(test.protocol), _SPEED)), record.replicates, contact,
+    return Plan(test.name, tuple(expand_legs(parse_protocol(test.protocol), STUDY_SPEED)), record.replicates, contact,
                 record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
                 record.preconditioning, record.rest_s, record.sign, record.axis, lag,
                 {key: value for key, value in about.items() if value is not None})

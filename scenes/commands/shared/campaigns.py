@@ -5,7 +5,7 @@ from __future__ import annotations
 from argparse import Namespace
 from pathlib import Path
 
-from scenes.commands.shared.parsing import Parser, at_least
+from scenes.commands.shared.parsing import Parser, make_integer_type
 
 
 def add_workers(parser: Parser, tasks: str) -> None:
@@ -16,7 +16,7 @@ def add_workers(parser: Parser, tasks: str) -> None:
         tasks: tasks that the processes share, in words for the help.
     """
     group = parser.add_mutually_exclusive_group()
-    group.add_argument("--workers", type=at_least(1), default=1, metavar="N",
+    group.add_argument("--workers", type=make_integer_type(1), default=1, metavar="N",
                        help=f"number of processes that share {tasks} (default: 1)")
     group.add_argument("--dask", metavar="ADDRESS",
                        help="share the tasks on a running dask cluster: tcp://HOST:PORT, or its scheduler file")

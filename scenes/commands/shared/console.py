@@ -7,11 +7,11 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from scenes.commands.shared.text_table import TABLES
+
 if TYPE_CHECKING:
     from rich.console import Console
 
-#: Width of tables that go to a file or a pipe, characters.
-PIPE_WIDTH = 132
 
 
 def print_json(content: dict[str, Any]) -> None:
@@ -41,7 +41,7 @@ def results_console(*, quiet: bool = False) -> Console:
         def on_broken_pipe(self) -> None:
             raise BrokenPipeError
 
-    width = None if sys.stdout.isatty() else PIPE_WIDTH
+    width = None if sys.stdout.isatty() else TABLES.pipe_width
     return ResultsConsole(quiet=quiet, width=width, highlight=False, soft_wrap=False)
 
 

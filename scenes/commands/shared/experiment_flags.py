@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
-from scenes.commands.shared.parsing import Parser, at_least, between, interface, not_negative, positive
+from scenes.commands.shared.parsing import (
+    Parser,
+    make_integer_type,
+    make_range_type,
+    parse_interface,
+    parse_non_negative,
+    parse_positive,
+)
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
@@ -66,15 +73,16 @@ def add_experiment_flags(parser: Parser, *, motion: bool = True) -> None:
 def _add_motion(parser: Parser) -> None:
     """Add the flags of the motion."""
     motion = parser.add_argument_group("motion")
-    motion.add_argument("--depth-mm", type=positive, metavar="N",
+    motion.add_argument("--depth-mm", type=parse_positive, metavar="N",
                         help=f"largest tool displacement of a single ramp (default: {MOTION_FLAGS.depth_mm:g})")
     motion.add_argument("--protocol", metavar="TEXT",
                         help="motion in segments instead of --depth-mm, such as 'approach 2mm; ramp 10mm @0.248mm/s; "
                              "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'")
-    motion.add_argument("--points", type=at_least(2, MOTION_FLAGS.max_points), metavar="N", default=MOTION_FLAGS.points,
+    motion.add_argument("--points", type=make_integer_type(2, MOTION_FLAGS.max_points), metavar="N",
+                        default=MOTION_FLAGS.points,
                         help="number of samples of the ramp, or of each moving segment, its first one included "
                              "(default: 21)")
-    motion.add_argument("--speed-mm-s", type=positive, metavar="N", default=0.248,
+    motion.add_argument("--speed-mm-s", type=parse_positive, metavar="N", default=0.248,
                         help="speed of the tool where the protocol states none (default: 0.248)")
 
 
@@ -92,7 +100,7 @@ def _add_specimen(parser: Parser, needs: str) -> None:
     for key, (declaration, name, shapes) in specimen_sizes().items():
         size = DEFAULT_CYLINDER_SIZES.get(key)
         default = "" if size is None else f" (default of the cylinder: {size:g})"
-        specimen.add_argument(f"--{key.replace('_', '-')}", type=_size_type(declaration), metavar="N",
+        specimen.add_argument(f"--{key.replace('_', '-')}", type=_make_size_type(declaration), metavar="N",
                               help=f"{name.replace('_', ' ')} of a specimen of shape {' or '.join(shapes)}{default}")
     specimen.add_argument("--mesh", type=Path, metavar="FILE",
                           help="mesh of a specimen of any shape: .msh, .vtu, .vtk or .inp file of tetrahedra or "
@@ -107,7 +115,7 @@ def _add_specimen(parser: Parser, needs: str) -> None:
                                "highest plane, or all faces that point upwards)")
     specimen.add_argument("--gravity", action="store_true",
                           help="apply self-weight; the specimen settles before the test")
-    specimen.add_argument("--density-kg-m3", type=positive, metavar="N",
+    specimen.add_argument("--density-kg-m3", type=parse_positive, metavar="N",
                           help="density of the specimen with --gravity (default: density of the material file)")
     specimen.add_argument("--height-is", choices=("moulded", "placed"),
                           help="with --gravity: whether --height-mm is the height before (moulded) or after (placed) "
@@ -120,28 +128,28 @@ def _add_tool(parser: Parser, needs: str) -> None:
     tool.add_argument("--tool", metavar="SHAPE",
                       help=f"{', '.join(shapes_without_file())}, or a file with the columns r and z of its profile")
     for key, (declaration, name, shapes) in tool_sizes().items():
-        tool.add_argument(f"--{key.replace('_', '-')}", type=_size_type(declaration), metavar="N",
+        tool.add_argument(f"--{key.replace('_', '-')}", type=_make_size_type(declaration), metavar="N",
                           help=f"{name.replace('_', ' ')} of a tool of shape {' or '.join(shapes)}")
-    tool.add_argument("--friction", type=interface, metavar="CONTACT",
+    tool.add_argument("--friction", type=parse_interface, metavar="CONTACT",
                       help="contact at the face of the tool: bonded, stick (no slip, can lift off), frictionless or a "
                            "friction coefficient such as 0.7")
-    tool.add_argument("--friction-wall", type=interface, metavar="CONTACT",
+    tool.add_argument("--friction-wall", type=parse_interface, metavar="CONTACT",
                       help="contact at the shaft of the tool, as for --friction")
-    tool.add_argument("--friction-base", type=interface, metavar="CONTACT",
+    tool.add_argument("--friction-base", type=parse_interface, metavar="CONTACT",
                       help="contact at the base of the specimen, as for --friction (default between two plates: the "
                            "contact at the face of the tool)")
-    tool.add_argument("--adhesion-N", type=positive, metavar="N", help="pull-off force of the face of the tool")
-    tool.add_argument("--adhesion-length-mm", type=positive, metavar="N", help="gap over which the adhesion acts")
+    tool.add_argument("--adhesion-N", type=parse_positive, metavar="N", help="pull-off force of the face of the tool")
+    tool.add_argument("--adhesion-length-mm", type=parse_positive, metavar="N", help="gap over which the adhesion acts")
     tool.add_argument("--contact-law", action="append", default=[], metavar="NAME:KEY=N,...",
                       help="additional contact law from an installed package; may be given several times")
-    tool.add_argument("--tilt-mm", type=positive, metavar="N",
+    tool.add_argument("--tilt-mm", type=parse_positive, metavar="N",
                       help="height difference across the face of a tilted tool; corrects the force curve")
-    tool.add_argument("--offset-mm", type=between(-1e3, 1e3), metavar="N",
+    tool.add_argument("--offset-mm", type=make_range_type(-1e3, 1e3), metavar="N",
                       help=f"distance of the needle from the axis of the specimen{needs}")
-    tool.add_argument("--tilt-deg", type=between(-80.0, 80.0), metavar="N",
+    tool.add_argument("--tilt-deg", type=make_range_type(-80.0, 80.0), metavar="N",
                       help="angle between the needle and the axis of the specimen; the needle moves along its own "
                            f"axis{needs}")
-    tool.add_argument("--slip", type=between(0.0, 1.0), metavar="N",
+    tool.add_argument("--slip", type=make_range_type(0.0, 1.0), metavar="N",
                       help="fraction of the bonded faces that slips: interpolates between the bonded and the "
                            "frictionless test")
 
@@ -281,10 +289,12 @@ def _read_contact_law(text: str) -> ContactLaw:
     return from_keys(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
 
 
-def _size_type(declaration: Declaration):
+def _make_size_type(declaration: Declaration):
     """Return the argument type of a size of a specimen or a tool, in the unit of its flag."""
     low, high = (bound / declaration.factor for bound in declaration.bounds)
-    return not_negative if declaration.absent == 0 else positive if declaration.unit == "m" else between(low, high)
+    if declaration.absent == 0:
+        return parse_non_negative
+    return parse_positive if declaration.unit == "m" else make_range_type(low, high)
 
 
 def _make_tool(arguments, shape: str, profile: Path | None, scene_tool: Tool) -> Tool:

@@ -44,44 +44,44 @@ def add_overwrite(parser: Parser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="replace existing output")
 
 
-def positive(text: str) -> float:
+def parse_positive(text: str) -> float:
     """Convert an argument to a finite number above zero."""
-    value = _number(text)
+    value = _parse_number_or_nan(text)
     if not value > 0:
         raise argparse.ArgumentTypeError(f"must be a positive number; got {text!r}")
     return value
 
 
-def not_negative(text: str) -> float:
+def parse_non_negative(text: str) -> float:
     """Convert an argument to a finite number of zero or more."""
-    value = _number(text)
+    value = _parse_number_or_nan(text)
     if not value >= 0:
         raise argparse.ArgumentTypeError(f"must be zero or a positive number; got {text!r}")
     return value
 
 
-def between(lowest: float, highest: float):
+def make_range_type(lowest: float, highest: float):
     """Return an argument type for numbers above `lowest` and below `highest`."""
     def number_between(text: str) -> float:
-        value = _number(text)
+        value = _parse_number_or_nan(text)
         if not lowest < value < highest:
             raise argparse.ArgumentTypeError(f"must be between {lowest:.3g} and {highest:.3g}; got {text!r}")
         return value
     return number_between
 
 
-def interface(text: str) -> str | float:
+def parse_interface(text: str) -> str | float:
     """Convert an argument to an interface of a face: a word of `INTERFACES` or a Coulomb friction coefficient."""
     if text in INTERFACES:
         return text
-    value = _number(text)
+    value = _parse_number_or_nan(text)
     if not value >= 0:
         raise argparse.ArgumentTypeError(f"must be {', '.join(INTERFACES)} or a friction coefficient such as 0.7; got "
                                          f"{text!r}")
     return value
 
 
-def _number(text: str) -> float:
+def _parse_number_or_nan(text: str) -> float:
     """Convert text to a finite number, or to NaN where that fails."""
     try:
         value = float(text)
@@ -90,7 +90,7 @@ def _number(text: str) -> float:
     return value if math.isfinite(value) else math.nan
 
 
-def at_least(lowest: int, highest: int | None = None):
+def make_integer_type(lowest: int, highest: int | None = None):
     """Return an argument type for whole numbers from `lowest` to `highest` (None: without upper limit)."""
     def whole_number(text: str) -> int:
         try:

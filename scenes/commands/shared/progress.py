@@ -130,7 +130,7 @@ class CampaignProgress:
                      Text(format_duration(seconds)), Text(self._remaining_time(now)),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(number, 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
-        parts: list[RenderableType] = [self._table()] if self._rows else []
+        parts: list[RenderableType] = [self._make_iteration_table()] if self._rows else []
         parts += [Text(self._sentence), line]
         has_result = self._solves or self._has_finished_task
         if not has_result and now - self._last_report > _SETTINGS.compile_notice_after:
@@ -145,7 +145,7 @@ class CampaignProgress:
         remaining = elapsed * (self._total - self._done) / self._done - (now - self._last_report)
         return f"about {format_duration(max(round(remaining), 1))} remaining in this part"
 
-    def _table(self) -> Table:
+    def _make_iteration_table(self) -> Table:
         """Return the iteration table of the current fit; parameters in SI units."""
         law = find_law(self._campaign_and_law[1])
         names = list(self._rows[-1].parameters)

@@ -2,11 +2,33 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
+
+
+@dataclass(frozen=True)
+class TableSettings:
+    """Sizes of printed tables. The JSON objects and reports contain all rows.
+
+    Attributes:
+        pipe_width: width of tables that go to a file or a pipe, characters.
+        max_effects: largest number of effects in the table of a diagnosis.
+        max_recordings: largest number of recordings in the table of an import.
+        max_curve_rows: largest number of rows of a printed curve; longer curves are thinned.
+    """
+
+    pipe_width: int = 132
+    max_effects: int = 8
+    max_recordings: int = 40
+    max_curve_rows: int = 60
+
+
+#: Sizes of all printed tables.
+TABLES = TableSettings()
 
 
 def text_table(*headings: str, text: int = 1) -> Table:

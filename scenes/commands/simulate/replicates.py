@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.parsing import Parser, at_least, not_negative
+from scenes.commands.shared.parsing import Parser, make_integer_type, parse_non_negative
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,12 +22,12 @@ def add_rig_flags(parser: Parser) -> None:
     rig = parser.add_argument_group("rig")
     rig.add_argument("--rig", type=Path, metavar="FILE",
                      help="rig file NAME.rig.json with the properties of load frame and sensor (default: an ideal rig)")
-    rig.add_argument("--noise-N", type=not_negative, metavar="N",
+    rig.add_argument("--noise-N", type=parse_non_negative, metavar="N",
                      help="standard deviation of the force noise (default: value of the rig file, or 0)")
-    rig.add_argument("--replicates", type=at_least(1, MAX_REPLICATES), metavar="N",
+    rig.add_argument("--replicates", type=make_integer_type(1, MAX_REPLICATES), metavar="N",
                      help="number of recordings with independent noise; -o CURVE.csv writes CURVE_1.csv, "
                           "CURVE_2.csv, ...")
-    rig.add_argument("--seed", type=at_least(0), metavar="N",
+    rig.add_argument("--seed", type=make_integer_type(0), metavar="N",
                      help="seed of the noise; equal seeds give equal files (default: value of the rig file, or 0)")
 
 

@@ -6,14 +6,14 @@ import math
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING, Any
 
+from scenes.commands.shared.text_table import TABLES
+
 if TYPE_CHECKING:
     import numpy as np
     from rich.console import Console
 
     from tissue_sim import Recording
 
-#: Largest number of rows of a printed curve; longer curves are thinned.
-MAX_ROWS = 60
 #: Entries of the solver report that appear in the JSON object only if they apply to the test.
 OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
 
@@ -90,7 +90,7 @@ def print_curve(recording: Recording, title: str, console: Console) -> None:
 
 
 def select_rows(recording: Recording) -> np.ndarray:
-    """Return the indices of the printed samples, at most `MAX_ROWS`.
+    """Return the indices of the printed samples, at most `TableSettings.max_curve_rows`.
 
     A short curve is printed completely. Of a long one the last sample of each segment is printed (unless the segments
     would take more than half of the rows), and evenly spaced samples.
@@ -98,13 +98,13 @@ def select_rows(recording: Recording) -> np.ndarray:
     import numpy as np
 
     samples = len(recording)
-    if samples <= MAX_ROWS:
+    if samples <= TABLES.max_curve_rows:
         return np.arange(samples)
     changes = [labels[1:] != labels[:-1] for labels in recording.labels.values()]
     ends = np.flatnonzero(np.any(changes, axis=0)) if changes else np.array([], dtype=int)
-    if ends.size > MAX_ROWS // 2:
+    if ends.size > TABLES.max_curve_rows // 2:
         ends = ends[:0]
-    return np.union1d(ends, np.linspace(0, samples - 1, MAX_ROWS - ends.size).round().astype(int))
+    return np.union1d(ends, np.linspace(0, samples - 1, TABLES.max_curve_rows - ends.size).round().astype(int))
 
 
 def print_solver(recording: Recording, console: Console) -> None:

@@ -11,13 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from haptics.recorder.live import UPDATE_INTERVAL
 from scenes.stop_signals import stopped_by_signals
 from scenes.viewer.bench.sources import BenchSource, BenchView
 from scenes.viewer.plots import curve_options, settled_range
-from scenes.viewer.web_server import ViewerServer, exposure, open_server
-
-#: Time between two updates, s.
-_INTERVAL = 0.2
+from scenes.viewer.web_server import ViewerServer, describe_exposure, open_server
 
 
 class BenchPage:
@@ -72,10 +70,11 @@ class BenchPage:
         waited = 0.0
         while not stop.is_set() and (seconds is None or waited < seconds):
             self.show(self.source.read())
-            stop.wait(_INTERVAL)
-            waited += _INTERVAL
+            stop.wait(UPDATE_INTERVAL)
+            waited += UPDATE_INTERVAL
 
     def close(self) -> None:
+        """Stop the web server and close the source."""
         self.server.stop()
         self.source.close()
 
@@ -120,7 +119,7 @@ def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float 
         address = shown.server.address()
         print(json_format.dumps({"url": address}) if json else f"{address}   (Ctrl-C stops)", flush=True)
         if page["exposed"]:
-            print(f"tissue-sim: warning: {exposure(page['host'], shown.server.get_port())}", file=sys.stderr)
+            print(f"tissue-sim: warning: {describe_exposure(page['host'], shown.server.get_port())}", file=sys.stderr)
         if page["open"]:
             webbrowser.open_new_tab(address)
         stop = threading.Event()

@@ -85,6 +85,7 @@ class RunSource(BenchSource):
         self._read = 0
 
     def read(self) -> BenchView:
+        """Return the state of the run, its newest recording and the live readings of the recorder."""
         state, live = self._read_json(RUN_FILE), self._read_json(LIVE_FILE)
         if state is None:
             return BenchView(f"No run in {self._folder} yet", "Start the run with: tissue-sim record PROTOCOL.toml -o "
@@ -159,13 +160,14 @@ class DevicesSource(BenchSource):
         self._axis = sensor.channels.index(axis) if axis in sensor.channels else 0
 
     def read(self) -> BenchView:
+        """Read the new samples of the sensor and the position of the stage, and return their view."""
         message, position = "", np.nan
         try:
             samples = self._sensor.read()
             if self._stage is not None:
                 position = 1e3 * self._stage.position().position
         except DeviceError as error:
-            return self._view(str(error))
+            return self._make_view(str(error))
         self._rows.extend((sample.received, position, sample.values[self._axis]) for sample in samples)
         while self._rows and self._rows[-1][0] - self._rows[0][0] > CURVE.time_span:
             self._rows.popleft()
@@ -173,9 +175,9 @@ class DevicesSource(BenchSource):
             message = "The sensor is at the limit of its range. Reduce the force."
         elif any(sample.status & SampleStatus.FAULT for sample in samples):
             message = "The sensor reports a fault. Check the sensor and its cable."
-        return self._view(message)
+        return self._make_view(message)
 
-    def _view(self, message: str) -> BenchView:
+    def _make_view(self, message: str) -> BenchView:
         rows = np.array(list(self._rows)[:: max(1, len(self._rows) // CURVE.points)]).reshape(-1, 3)
         last = self._rows[-1] if self._rows else None
         return BenchView("sensor" if self._stage is None else "sensor and stage", message or (
@@ -184,6 +186,7 @@ class DevicesSource(BenchSource):
             rows[:, 0] - (last[0] if last else 0.0), rows[:, 1], rows[:, 2])
 
     def close(self) -> None:
+        """Stop stage and sensor."""
         if self._stage is not None:
             self._stage.stop()
         self._sensor.stop()

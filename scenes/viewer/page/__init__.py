@@ -66,12 +66,12 @@ class Page:
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
         self.server = server = open_server(host, port, exposed=exposed, token=token)
         try:
-            self._lay_out(session, frame, materials, low_graphics, dark)
+            self._add_controls(session, frame, materials, low_graphics, dark)
         except BaseException:
             server.stop()
             raise
 
-    def _lay_out(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
+    def _add_controls(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
         server, gui = self.server, self.server.gui
         self._solid = SolidPicture(server, frame.scene, low_graphics=low_graphics)
         self._solid.on_drag(lambda depth, across, reply: session.post(

@@ -79,36 +79,36 @@ class CurvePlots:
         grid = depth_grid(frame.scene.deepest)
         x = (0.0, frame.scene.deepest * 1e3)
         measured, trace = curves.measurement, curves.trace
-        model = self._branches("model", curves.model, grid)
-        compared = self._branches("compared", None if curves.compared is None else curves.compared[1], grid)
+        model = self._cached_branches("model", curves.model, grid)
+        compared = self._cached_branches("compared", None if curves.compared is None else curves.compared[1], grid)
         live = trace.newest_passes(grid) if trace is not None and len(trace) else None
         late = None if trace is None else late_forces(trace, grid)
         columns, extent = force_depth(grid, measured=measured, model=model, compared=compared, live=live, late=late,
                                       now=current)
-        self._write(self._force, columns, ("force", x, settled_range(extent, self._ranges.get("force"))),
-                    lambda y: force_depth_options(x, y, dark=self._dark))
+        self._send_if_changed(self._force, columns, ("force", x, settled_range(extent, self._ranges.get("force"))),
+                              lambda y: force_depth_options(x, y, dark=self._dark))
         columns, extent = residual_depth(curves.residual, measured, grid)
         self._residual.visible = measured is not None
-        self._write(self._residual, columns,
-                    ("residual", x, settled_range(extent, self._ranges.get("residual"), about_zero=True)),
-                    lambda y: residual_depth_options(x, y, dark=self._dark))
+        self._send_if_changed(self._residual, columns,
+                              ("residual", x, settled_range(extent, self._ranges.get("residual"), about_zero=True)),
+                              lambda y: residual_depth_options(x, y, dark=self._dark))
         time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
         hand = trace.rendered_force if trace is not None and curves.has_hand_force else None
         columns, extent = force_time(time, force, now, measured=curves.replayed, hand=hand)
-        self._write(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
-                    lambda y: force_time_options(y, dark=self._dark))
-        _set(self._legend, "content", legend_html(
+        self._send_if_changed(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
+                              lambda y: force_time_options(y, dark=self._dark))
+        _set_if_changed(self._legend, "content", legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
             compared=None if curves.compared is None else curves.compared[0], live=live is not None,
             hand=curves.has_hand_force, dark=self._dark))
-        _set(self._agreement, "content", agreement_html(frame))
+        _set_if_changed(self._agreement, "content", agreement_html(frame))
         gap = None
         if trace is not None and live is not None and model is not None:
             gap = live_gap(trace, grid, live, model)
-        _set(self._live_gap, "content", live_gap_html(gap))
+        _set_if_changed(self._live_gap, "content", live_gap_html(gap))
 
-    def _branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
+    def _cached_branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
         """Return `branches_on_grid` of a curve, from the cache if neither the curve nor the grid has changed."""
         if recording is None:
             return None
@@ -117,18 +117,19 @@ class CurvePlots:
             self._branch_cache[name] = cached = (recording, grid, branches_on_grid(recording, grid))
         return cached[2]
 
-    def _write(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple, options) -> None:
+    def _send_if_changed(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple,
+                         options) -> None:
         """Send the options if a range, (name, x range, y range), has changed, and the data if they have changed."""
         name, x, y = ranges
         if self._ranges.get(name) != y or self._written.get(name) != (x, self._dark):
             self._ranges[name], self._written[name] = y, (x, self._dark)
             for key, value in options(y).items():
-                _set(handle, key, value)
+                _set_if_changed(handle, key, value)
         if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(columns, handle.data, strict=True)):
             handle.data = columns
 
 
-def _set(handle: Any, key: str, value: Any) -> None:
+def _set_if_changed(handle: Any, key: str, value: Any) -> None:
     """Assign a property only if its value differs, because each assignment sends a message."""
     if getattr(handle, key) != value:
         setattr(handle, key, value)

@@ -23,7 +23,7 @@ PROTOCOLS = {
 }
 
 
-def _example(name: str, scene: Scene) -> str:
+def _example_protocol(name: str, scene: Scene) -> str:
     """Return an example protocol for a scene, without the parts that lift the tool if the scene forbids lifting."""
     parts = PROTOCOLS[name].format(depth=f"{scene.deepest * 1e3:g}").split("; ")
     return "; ".join(part for part in parts if scene.highest < 0.0 or not part.startswith(("approach", "retract")))
@@ -89,7 +89,7 @@ class MotionControls:
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui, deepest = server.gui, frame.scene.deepest
-        examples = {name: _example(name, frame.scene) for name in PROTOCOLS}
+        examples = {name: _example_protocol(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
         #: Number of positions that users have entered, and number of them that the session has answered.
         self._entered = self._answered = 0
@@ -111,7 +111,7 @@ class MotionControls:
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
                                               hint="keys: P plays or pauses, N steps one frame, R resets; Ctrl+K lists "
                                                    "all keys")
-        self._source = gui.add_dropdown("motion", self._sources(frame), initial_value="protocol")
+        self._source = gui.add_dropdown("motion", self._list_motion_sources(frame), initial_value="protocol")
         self._named = gui.add_dropdown("example", tuple(PROTOCOLS), initial_value="press and release")
         self._text = gui.add_text("protocol", examples["press and release"],
                                   hint="approach 2mm; ramp 10mm @5mm/s; hold 60s; unload; repeat 3 (ramp 5mm; unload)")
@@ -136,13 +136,14 @@ class MotionControls:
         for key, step, words in (("pagedown", 0.1, "deeper"), ("pageup", -0.1, "up")):
             self._add_key(gui, f"0.1 mm {words}", key, partial(self._move_by, step))
             self._add_key(gui, f"1 mm {words}", key, partial(self._move_by, 10 * step), modifier="shift")
-        self._add_key(gui, "Play or pause", "P", lambda event: self._press("Pause" if self._plays else "Play", event))
-        self._add_key(gui, "Step", "N", lambda event: self._press("Step", event))
-        self._add_key(gui, "Reset", "R", lambda event: self._press("Reset", event))
+        self._add_key(gui, "Play or pause", "P",
+                      lambda event: self._post_command("Pause" if self._plays else "Play", event))
+        self._add_key(gui, "Step", "N", lambda event: self._post_command("Step", event))
+        self._add_key(gui, "Reset", "R", lambda event: self._post_command("Reset", event))
 
         @self._buttons.on_click
         def _(event: viser.GuiEvent) -> None:
-            self._press(self._buttons.value, event)
+            self._post_command(self._buttons.value, event)
 
         @self._named.on_update
         def _(event: viser.GuiEvent) -> None:
@@ -190,10 +191,10 @@ class MotionControls:
         self._session.post("aim", reply=reply, **position)
 
     @staticmethod
-    def _sources(frame: Frame) -> tuple[str, ...]:
+    def _list_motion_sources(frame: Frame) -> tuple[str, ...]:
         return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
-    def _press(self, button: str, event: viser.GuiEvent) -> None:
+    def _post_command(self, button: str, event: viser.GuiEvent) -> None:
         """Post the command of a button."""
         reply = reply_to(event)
         if button == "Play" and self._paused:
@@ -210,7 +211,7 @@ class MotionControls:
         """Update the sliders to the position of the tool, which another browser, a protocol or a device may move."""
         self._paused = frame.phase is Phase.PAUSED
         self._plays = not self._paused and frame.motion in ("protocol", "recording")
-        sources = self._sources(frame)
+        sources = self._list_motion_sources(frame)
         if self._source.options != sources:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth

@@ -73,7 +73,7 @@ _GREY = "#777777"
 _NAMED_FRACTION = 0.0005
 
 
-def _badge(word: str, meaning: str, colour: str) -> str:
+def _badge_html(word: str, meaning: str, colour: str) -> str:
     """Highlighted word with a tooltip."""
     return (f'<div data-testid="badge" title="{escape(meaning, quote=True)}" style="display:inline-block;'
             f'margin-top:0.2em;padding:0 0.6em;border-radius:0.3em;color:white;font-weight:600;'
@@ -83,9 +83,10 @@ def _badge(word: str, meaning: str, colour: str) -> str:
 def readouts_html(frame: Frame) -> str:
     """Show force and depth in large digits and the other read-outs in a table, as HTML."""
     now, stale = frame.readouts, frame.phase is Phase.DIED
-    large = [("force", "force", "–" if now is None else _number(now.force, 3), "N"),
-             ("depth", "depth", "–" if now is None else _number(now.depth * 1e3, 2), "mm")]
-    small = [("stiffness", "tissue stiffness", "–" if now is None else f"{_number(now.stiffness * 1e-3, 3)} N/mm"),
+    large = [("force", "force", "–" if now is None else _format_number(now.force, 3), "N"),
+             ("depth", "depth", "–" if now is None else _format_number(now.depth * 1e3, 2), "mm")]
+    small = [("stiffness", "tissue stiffness",
+              "–" if now is None else f"{_format_number(now.stiffness * 1e-3, 3)} N/mm"),
              ("step-time", "step time", "–" if now is None else f"{now.step_time * 1e3:.2f} ms"),
              ("iterations", "iterations", "–" if now is None else f"{now.iterations:.1f} per tick"),
              ("rate", "loop rate", "–" if now is None else f"{now.rate:.0f} Hz"),
@@ -95,12 +96,12 @@ def readouts_html(frame: Frame) -> str:
              ("mesh", "mesh", "–" if now is None else now.mesh or "–")]
     if frame.snapshot is not None and frame.snapshot.in_space:
         small.insert(0, ("across", "force along x and y", "–" if now is None else
-                         " and ".join(f"{_number(part, 3)} N" for part in now.across)))
+                         " and ".join(f"{_format_number(part, 3)} N" for part in now.across)))
     badge = ""
     if stale and now is not None:
-        badge = _badge("old", "The simulation has stopped. These are its last numbers.", _GREY)
+        badge = _badge_html("old", "The simulation has stopped. These are its last numbers.", _GREY)
     elif now is not None and now.warning:
-        badge = _badge(now.status.upper(), now.warning, _RED)
+        badge = _badge_html(now.status.upper(), now.warning, _RED)
     cells = "".join(f'<div style="flex:1" title="{_MEANING[key]}">'
                     f'<div style="font-size:0.75em;opacity:0.7">{label}</div>'
                     f'<div style="font-size:1.7em;font-weight:600;font-variant-numeric:tabular-nums">'
@@ -152,11 +153,11 @@ def live_gap_html(gap: LiveGap | None) -> str:
         reasons.append(f"at {gap.speed * 1e3:.2g} mm/s the inertia of the tissue contributes")
     if gap.late > _NAMED_FRACTION:
         reasons.append(f"{gap.late:.1%} of the points are extrapolated by late ticks (grey)")
-    words = f"live \u2212 model: up to {_number(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
+    words = f"live \u2212 model: up to {_format_number(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
     return ('<div data-testid="live-gap" title="The live force is computed on a coarser mesh than the model curve." '
             f'style="padding:0 0.75em;font-size:0.75em">{escape("; ".join([words, *reasons]))}</div>')
 
 
-def _number(value: float, decimals: int) -> str:
+def _format_number(value: float, decimals: int) -> str:
     """Format a number with fixed decimals, without a minus sign before zero."""
     return f"{round(value, decimals) + 0.0:.{decimals}f}"

@@ -75,7 +75,7 @@ class SceneControls:
         @self._scene.on_update
         def _(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self._set_interface(SCENES[self._titles[self._scene.value]].face.usual)
+                self._display_interface(SCENES[self._titles[self._scene.value]].face.usual)
                 self._make_consistent()
             self._update_visibility()
 
@@ -102,7 +102,7 @@ class SceneControls:
 
     def _make_consistent(self) -> None:
         """Adapt the interface and the edge radius to the tool: only flat faces bond, and sliding needs a round edge."""
-        tool = self._valid_tool()
+        tool = self._make_chosen_tool()
         if tool is None:
             return
         if tool.face_radius == 0 and self._interface.value == "bonded":
@@ -114,7 +114,7 @@ class SceneControls:
 
     def _update_visibility(self) -> None:
         """Show only the controls and interfaces that apply to the chosen scene and tool."""
-        tool = self._valid_tool()
+        tool = self._make_chosen_tool()
         flat = tool is None or tool.face_radius != 0
         self._interface.options = _INTERFACES if flat else tuple(each for each in _INTERFACES if each != "bonded")
         needle = not SCENES[self._titles[self._scene.value]].require_tool().is_plate
@@ -123,7 +123,7 @@ class SceneControls:
             self._sizes[key].visible = needle and self._shape.value in shapes
         self._friction.visible = self._interface.value == "friction"
 
-    def _valid_tool(self) -> ts.Tool | None:
+    def _make_chosen_tool(self) -> ts.Tool | None:
         """Return the chosen tool; None for plates and for invalid sizes, which Apply reports."""
         try:
             return self._build_tool(self._titles[self._scene.value])
@@ -143,10 +143,10 @@ class SceneControls:
             for key, (declaration, name, shapes) in self._declared_sizes.items():
                 if tool.shape in shapes:
                     set_value(self._sizes[key], getattr(tool, name) / declaration.factor)
-        self._set_interface(friction)
+        self._display_interface(friction)
         self._update_visibility()
 
-    def _set_interface(self, friction: str | float) -> None:
+    def _display_interface(self, friction: str | float) -> None:
         """Display an interface: its name, or "friction" and the coefficient."""
         set_value(self._interface, friction if isinstance(friction, str) else "friction")
         if not isinstance(friction, str):

@@ -10,7 +10,7 @@ import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.viewer.bodies import Body, drawable, make_body
+from scenes.viewer.bodies import Body, is_drawable, make_body
 from scenes.viewer.colours import PALETTE, field_range, steady_levels
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.notices import Reply, reply_to
@@ -174,12 +174,12 @@ class SolidPicture:
                 self._drawn_static = static
             return changed
         # Solvers of plug-ins may give fields of an unknown kind.
-        fields: Any = snapshot.fields if drawable(snapshot.fields) else None
+        fields: Any = snapshot.fields if is_drawable(snapshot.fields) else None
         surface, self._in_space = frame.surface, snapshot.in_space
         if fields is not None and fields.mesh is not self._mesh_drawn:
             changed = True
         if changed:
-            body = self._body_of(_undeformed_mesh(frame.scene) if fields is None else fields.mesh)
+            body = self._get_body(_undeformed_mesh(frame.scene) if fields is None else fields.mesh)
             self._draw_static_parts(body, frame.scene, opening, options)
             self._drawn_static = static
         to_draw = snapshot.pose, None if fields is None else fields.material, options
@@ -195,12 +195,12 @@ class SolidPicture:
                 self._draw_fields(fields, snapshot, frame.scene, opening, options)
             self._move_frames(snapshot, frame.scene)
             self._drawn, self._state, changed = to_draw, state, True
-        return self._update_arrow(_force_on_tool(frame), frame.scene) or changed
+        return self._update_arrow(_read_newest_force(frame), frame.scene) or changed
 
     def _draw_fields(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: Opening,
                      options: ViewOptions) -> None:
         """Draw the tissue in the colours of a field, with contact lines and element edges."""
-        body, positions = self._body_of(fields.mesh), snapshot.node_positions
+        body, positions = self._get_body(fields.mesh), snapshot.node_positions
         wedge = Wedge(opening, snapshot.pose, 1e-3 * options.ahead)
         _, factor = LABELS[options.field]
         values, at_points, sampled = body.values(fields, options.field, positions, wedge)
@@ -234,7 +234,7 @@ class SolidPicture:
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
 
-    def _body_of(self, mesh: Any) -> Body:
+    def _get_body(self, mesh: Any) -> Body:
         """Return the drawable body of a mesh, and keep it until the mesh changes."""
         if self._body is None or self._mesh_drawn is not mesh:
             self._body, self._mesh_drawn, self._drawn = make_body(mesh), mesh, None
@@ -243,7 +243,7 @@ class SolidPicture:
     def _draw_undeformed(self, scene: Scene, opening: Opening, options: ViewOptions) -> None:
         """Draw the undeformed specimen while the simulation starts."""
         mesh = _undeformed_mesh(scene)
-        body, positions = self._body_of(mesh), mesh.nodes
+        body, positions = self._get_body(mesh), mesh.nodes
         wedge = Wedge(opening, Pose.at_depth(0.0))
         surfaces = body.bands(positions, np.zeros(len(positions)), np.arange(len(self._bands) + 1.0), wedge)
         for handle, surface in zip(self._bands, surfaces, strict=True):
@@ -282,7 +282,7 @@ class SolidPicture:
         """Draw the arrow and the label of a force (x, y, z), N, shape (3,); return whether either has changed."""
         magnitude = float(np.linalg.norm(force))
         while magnitude > self._full_force:
-            self._full_force = _next_round(self._full_force)
+            self._full_force = _round_up_scale(self._full_force)
         signed = magnitude if force[2] >= 0.0 else -magnitude
         directions = RESOLUTION.arrow_directions
         lateral = tuple((np.round(force[:2] / max(magnitude, 1e-300) * directions) / directions).tolist())
@@ -366,7 +366,7 @@ def _intersect_height(camera: np.ndarray, point: np.ndarray, height: float) -> n
     return camera + descent / ray[2] * ray
 
 
-def _force_on_tool(frame: Frame) -> np.ndarray:
+def _read_newest_force(frame: Frame) -> np.ndarray:
     """Newest force on the tool (x, y, z), N, shape (3,); zero before the first tick."""
     now = frame.readouts
     return np.zeros(3) if now is None else np.array([*now.across, now.force])
@@ -387,7 +387,7 @@ def _set_visible(handle: viser.SceneNodeHandle, visible: bool) -> None:
         handle.visible = visible
 
 
-def _next_round(number: float) -> float:
+def _round_up_scale(number: float) -> float:
     """Return the smallest element of `_ROUND` times a power of ten that is larger than a number."""
     decade = 10.0 ** np.floor(np.log10(number) + 1e-9)
     return next(float(step * decade) for step in (*_ROUND, 10.0) if step * decade > number * (1 + 1e-9))

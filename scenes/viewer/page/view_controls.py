@@ -67,7 +67,7 @@ class ViewControls:
             self.on_dark(dark.value)
 
         self._dark = dark
-        pose = self._pose("iso", 1.0)
+        pose = self._preset_camera_pose("iso", 1.0)
         initial = server.initial_camera
         initial.up, initial.fov = (0.0, 0.0, 1.0), FIELD_OF_VIEW
         initial.position, initial.look_at = pose
@@ -98,13 +98,13 @@ class ViewControls:
 
     def place_camera(self, client: viser.ClientHandle, preset: str) -> None:
         """Move the camera of one browser to a preset view, a key of `scenes.viewer.camera.PRESETS`."""
-        position, look_at = self._pose(preset, client.camera.aspect)
+        position, look_at = self._preset_camera_pose(preset, client.camera.aspect)
         with client.atomic():
             client.camera.fov = FIELD_OF_VIEW
             client.camera.up_direction = (0.0, 0.0, 1.0)
             client.camera.position, client.camera.look_at = position, look_at
 
-    def _pose(self, preset: str, aspect: float):
+    def _preset_camera_pose(self, preset: str, aspect: float):
         experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         tool_pose = experiment.tool_pose(0.0) if snapshot is None else snapshot.pose
         above = picture_height(experiment.tool, experiment.specimen)

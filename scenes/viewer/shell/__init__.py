@@ -27,13 +27,13 @@ def inject_shell(page: bytes, title: str) -> bytes:
     """
     if _TITLE not in page or _BODY not in page:
         return page
-    head = f"<title>{html.escape(title)}</title>\n<style>{_read('shell.css')}</style>\n"
+    head = f"<title>{html.escape(title)}</title>\n<style>{_read_page_file('shell.css')}</style>\n"
     settings = json.dumps({"title": title, "largestUpload": LARGEST_UPLOAD}).replace("<", "\\u003c")
-    body = (f"<body>\n{_read('loading.html').replace('TITLE', html.escape(title))}\n"
-            f"<script>window.__shell = {settings};</script>\n<script>{_read('shell.js')}</script>")
+    body = (f"<body>\n{_read_page_file('loading.html').replace('TITLE', html.escape(title))}\n"
+            f"<script>window.__shell = {settings};</script>\n<script>{_read_page_file('shell.js')}</script>")
     return page.replace(_TITLE, head.encode(), 1).replace(_BODY, body.encode(), 1)
 
 
 @cache
-def _read(name: str) -> str:
+def _read_page_file(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")

@@ -148,7 +148,7 @@ def test_unread_samples_are_lost_and_marked_as_a_gap():
     sensor, board = started((0.0,) * 6)
     board.now = 10.0
     samples = sensor.read()
-    assert len(samples) == ati_daq.BUFFER and samples[0].sequence == 10_000 - ati_daq.BUFFER
+    assert len(samples) == ati_daq.SAMPLE_BUFFER and samples[0].sequence == 10_000 - ati_daq.SAMPLE_BUFFER
     assert [sample.status for sample in samples[:2]] == [SampleStatus.GAP, SampleStatus.GOOD]
 
 

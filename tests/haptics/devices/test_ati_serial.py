@@ -122,15 +122,15 @@ def test_the_baud_rate_limits_the_rate_of_the_records(monkeypatch):
         emulator.begin()
         clock[0] += 0.1
         monkeypatch.setattr(emulator, "_has_matching_baud", lambda: True)
-        emulator.received(mode + b"\rQS\r")
+        emulator.answer_bytes(mode + b"\rQS\r")
         sent = []
         for _ in range(200):
             clock[0] += 1e-3
-            sent += emulator.due()
+            sent += emulator.take_due_messages()
         records = []
         for _ in range(1000):
             clock[0] += 1e-3
-            records += emulator.due()
+            records += emulator.take_due_messages()
         assert len(records) == pytest.approx(wanted, abs=1)
         decode = decode_binary if mode == b"CD B" else lambda line: decode_ascii(line.removesuffix(b"\r\n"))
         assert {decode(record) for record in records} == {Record(0, COUNTS)}
@@ -149,7 +149,7 @@ def test_a_count_at_the_end_of_its_range_is_saturated(emulator, monkeypatch):
     """A count at the end of its range is saturated even if the controller does not set its flag."""
     sensor = open_sensor(emulator.address)
     sensor.start()
-    monkeypatch.setattr(emulator, "_record", lambda: b"0,  -102,-32768,  -225,   -20,    39,   -39\r\n")
+    monkeypatch.setattr(emulator, "_encode_next_record", lambda: b"0,  -102,-32768,  -225,   -20,    39,   -39\r\n")
     sample = wait_until(lambda: [each for each in sensor.read() if each.counts != COUNTS])[0]
     sensor.stop()
     assert sample.counts[1] == -32768 and sample.status == SampleStatus.SATURATED
@@ -161,9 +161,9 @@ def test_a_truncated_record_is_a_gap(emulator, monkeypatch, mode):
     sensor = open_sensor(emulator.address.replace("ascii", mode))
     sensor.start()
     read_records(sensor)
-    whole, turn = emulator._record, iter(range(10**6))
+    whole, turn = emulator._encode_next_record, iter(range(10**6))
     # Every third record lacks one byte, each time at another position.
-    monkeypatch.setattr(emulator, "_record", lambda: (
+    monkeypatch.setattr(emulator, "_encode_next_record", lambda: (
         lambda record, number: record if number % 3 else record[:number % 11] + record[number % 11 + 1:])(
             whole(), next(turn)))
     samples = read_records(sensor, 20)
@@ -201,7 +201,7 @@ def first_garbled(seed):
     line = FaultyLine(Faults(garble=0.3, seed=seed), 0.0)
     for number in range(100):
         line.put(b"x" * 45, 0.0)
-        if line.take(0.0) != [b"x" * 45]:
+        if line.take_due(0.0) != [b"x" * 45]:
             return number
     return 100
 
@@ -303,10 +303,10 @@ class Talker(TerminalEmulator):
     def end(self):
         return
 
-    def received(self, data):
+    def answer_bytes(self, data):
         return [self._answer] * data.count(b"\r") if self._answer else []
 
-    def due(self):
+    def take_due_messages(self):
         unasked, self._unasked = self._unasked, []
         return unasked
 
@@ -341,8 +341,8 @@ def test_another_device_at_the_port_raises(answer, unasked, sentence, mode, pati
 
 def test_an_answer_without_a_prompt_raises(emulator, monkeypatch, patience):
     patience(1.0)
-    answer = emulator._answer
-    monkeypatch.setattr(emulator, "_answer", lambda command: None if command == b"CD R" else answer(command))
+    answer = emulator._execute_command
+    monkeypatch.setattr(emulator, "_execute_command", lambda command: None if command == b"CD R" else answer(command))
     with pytest.raises(DeviceError, match=r"did not end its answer to 'CD R' \(nothing arrived\) with its prompt '>'; "
                                           r"switch it off and on"):
         sensor_at(emulator.path).start()
@@ -355,7 +355,7 @@ def test_a_silent_controller_raises(emulator, monkeypatch, mode):
     sensor.start()
     assert read_records(sensor)
     sensor._receiver._silence = 1.0
-    monkeypatch.setattr(emulator, "due", lambda: [])
+    monkeypatch.setattr(emulator, "take_due_messages", lambda: [])
     with pytest.raises(DeviceError, match=r"has sent nothing for 1 s; check its power, its sensor and the cable, and"):
         wait_until(lambda: sensor.read() and None)
     with pytest.raises(DeviceError, match="has sent nothing"):
@@ -369,7 +369,7 @@ def test_text_instead_of_records_raises_and_is_quoted(emulator, monkeypatch):
     sensor.start()
     assert read_records(sensor)
     sensor._receiver._silence = 1.0
-    monkeypatch.setattr(emulator, "_record", lambda: b"saturation error\r\n")
+    monkeypatch.setattr(emulator, "_encode_next_record", lambda: b"saturation error\r\n")
     with pytest.raises(DeviceError, match=r"has sent no complete record \('saturation error'\) for 1 s; check its "
                                           r"power"):
         wait_until(lambda: sensor.read() and None)

@@ -227,10 +227,10 @@ def test_a_refused_jog_raises_once_and_ends_the_motion(emulator, clock):
 
 def test_a_restart_of_the_controller_raises(emulator, clock):
     stage = homed(emulator, clock)
-    emulator.due, due = lambda: [b"Grbl 1.1h ['$' for help]\r\n"], emulator.due
+    emulator.take_due_messages, due = lambda: [b"Grbl 1.1h ['$' for help]\r\n"], emulator.take_due_messages
     with pytest.raises(DeviceError, match="has restarted and lost its zero; check its supply, and home it again"):
         wait_until(lambda: not stage.position())
-    emulator.due = due
+    emulator.take_due_messages = due
     wait_until(lambda: not stage.position().homed)
     with pytest.raises(DeviceError, match="home it first"):
         stage.move(0.001, 0.001)

@@ -148,7 +148,7 @@ def test_a_second_client_takes_over_the_stream(emulated):
     received(second, 50)
     first.stop()
     second.stop()
-    assert emulator.describe()["requests"] >= 3
+    wait_until(lambda: emulator.describe()["requests"] >= 3, "the requests of both starts and of the stop")
 
 
 class Page:

@@ -220,10 +220,10 @@ def test_homing_without_a_limit_switch_raises(emulator, clock):
     (lambda stage: stage.move(0.004, 0.001), InputState.POSITION), (lambda stage: stage.halt(), InputState.VELOCITY)])
 def test_the_input_state_is_that_of_the_requested_motion(emulator, clock, request_motion, state):
     """Values of the variable at 0x4C: 2 halt, 3 target position, 4 target velocity (section 7)."""
-    assert emulator._variables()[Variable.INPUT_STATE] == InputState.HALT == 2
+    assert emulator._pack_variables()[Variable.INPUT_STATE] == InputState.HALT == 2
     stage = homed(emulator, clock)
     request_motion(stage)
-    wait_until(lambda: emulator._variables()[Variable.INPUT_STATE] == state, event="the requested motion")
+    wait_until(lambda: emulator._pack_variables()[Variable.INPUT_STATE] == state, event="the requested motion")
     stage.stop()
 
 
@@ -242,7 +242,7 @@ def test_endless_homing_raises_and_stops(clock, monkeypatch):
 
 def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, clock, monkeypatch):
     stage = homed(emulator, clock)
-    set_number = stage._set
+    set_number = stage._send_and_verify
 
     def halted_meanwhile(*arguments):
         set_number(*arguments)
@@ -250,7 +250,7 @@ def test_a_halt_from_another_thread_stops_a_move_during_transmission(emulator, c
         thread.start()
         thread.join()
 
-    monkeypatch.setattr(stage, "_set", halted_meanwhile)
+    monkeypatch.setattr(stage, "_send_and_verify", halted_meanwhile)
     stage.move(0.008, 0.004)
     clock.now += 1.0
     assert stage.position().position == pytest.approx(0.0, abs=2e-6)

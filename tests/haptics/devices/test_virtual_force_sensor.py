@@ -6,8 +6,8 @@ import pytest
 from device_contracts import ForceSensorContract
 
 from haptics.devices.back_ends import FORCE_SENSORS, open_sensor
-from haptics.devices.contracts import SampleStatus
-from haptics.devices.virtual.force_sensor import BUFFER, VirtualForceSensor
+from haptics.devices.contracts import SAMPLE_BUFFER, SampleStatus
+from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from tissue_sim.errors import InputError
 
 
@@ -96,7 +96,7 @@ def test_unread_samples_are_lost_and_marked_as_a_gap(clock):
     assert sensor.read()[0].status == SampleStatus.GOOD
     clock.now += 10.0
     samples = sensor.read()
-    assert len(samples) == BUFFER and samples[0].sequence == 11_000 - BUFFER
+    assert len(samples) == SAMPLE_BUFFER and samples[0].sequence == 11_000 - SAMPLE_BUFFER
     assert [sample.status for sample in samples[:2]] == [SampleStatus.GAP, SampleStatus.GOOD]
 
 

@@ -8,7 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.viewer.measurement import branches_on_grid, build_measurement, motion, read_measurement, residual
+from scenes.viewer.measurement import (
+    branches_on_grid,
+    build_measurement,
+    make_motion_protocol,
+    read_measurement,
+    residual,
+)
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.recording.segmentation import load_and_unload
 
@@ -130,7 +136,7 @@ def test_a_model_that_reaches_no_measured_depth_is_refused():
 def test_the_motion_has_few_samples_and_keeps_its_corners(hold):
     runs = [tried(lambda d, k=k: k * stiff(d), soft, points=1001, hold=hold, seed=i)
             for i, k in enumerate((0.8, 1.0, 1.2))]
-    found = motion(build_measurement(runs))
+    found = make_motion_protocol(build_measurement(runs))
     assert 40 <= found.time.size <= 50
     assert found.displacement[0] == 0 and found.depth == DEPTH and found.displacement[-1] == 0
     assert found.time[-1] == runs[0].time[-1]
@@ -142,7 +148,7 @@ def test_motion_ends_after_the_first_unloading():
     one = tried(stiff, soft)
     both = ts.Recording({"time": np.arange(2 * len(one)) * 0.05,
                          "displacement": np.tile(one.displacement, 2), "force": np.tile(one.force, 2)})
-    assert motion(build_measurement([both])).time[-1] == pytest.approx(one.time[-1])
+    assert make_motion_protocol(build_measurement([both])).time[-1] == pytest.approx(one.time[-1])
 
 
 def test_a_recording_without_time_uses_the_stated_speed():
@@ -151,11 +157,11 @@ def test_a_recording_without_time_uses_the_stated_speed():
         return build_measurement([ts.Recording({name: run.channel(name) for name in ("displacement", "force")},
                                          metadata=run.metadata)])
 
-    assert motion(bare(speed_mm_s=2.0)).time[-1] == pytest.approx(5.0)
-    assert motion(bare(speed_mm_s=2.0), speed=4e-3).time[-1] == pytest.approx(2.5)
-    assert motion(bare()).time[-1] == pytest.approx(10 / 0.248)
+    assert make_motion_protocol(bare(speed_mm_s=2.0)).time[-1] == pytest.approx(5.0)
+    assert make_motion_protocol(bare(speed_mm_s=2.0), speed=4e-3).time[-1] == pytest.approx(2.5)
+    assert make_motion_protocol(bare()).time[-1] == pytest.approx(10 / 0.248)
     with pytest.raises(ts.InputError, match=r"speed: must be positive and finite; got 0 m/s"):
-        motion(bare(), speed=0.0)
+        make_motion_protocol(bare(), speed=0.0)
 
 
 @pytest.mark.slow
@@ -167,7 +173,8 @@ def test_thinning_the_motion_adds_less_error_than_the_noise():
                            viscoelastic=ts.Prony((ts.PronyTerm(0.3, 2.0),)))
     true = ts.simulate(ts.Model(experiment, material), resolution="fast")
     measured = build_measurement([ts.Rig(force_noise=0.02, seed=seed).measure(true) for seed in range(3)])
-    short = ts.simulate(ts.Model(replace(experiment, protocol=motion(measured)), material), resolution="fast")
+    model = ts.Model(replace(experiment, protocol=make_motion_protocol(measured)), material)
+    short = ts.simulate(model, resolution="fast")
     assert len(short) <= 50
     assert residual(short, measured).rmse == pytest.approx(0.02, rel=0.05)
     assert residual(short, build_measurement([true])).rmse < 5e-4
@@ -208,7 +215,7 @@ def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
     assert min(at) * 0.97 < measured.load.mean[i] < max(at) * 1.03
     assert np.isfinite(measured.load.mean[5:190]).all()
     assert 0 < measured.noise < 0.1 * max(at)
-    found = motion(measured)
+    found = make_motion_protocol(measured)
     assert found.time.size <= 50 and found.depth == pytest.approx(20e-3, rel=0.02)
 
 

@@ -10,7 +10,7 @@ import pytest
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.measurement import build_measurement
-from scenes.viewer.reach import within_reach
+from scenes.viewer.reach import limit_to_reach
 from scenes.viewer.scene import Scene, read_measurements
 from tissue_sim.snapshot import Snapshot
 
@@ -114,8 +114,8 @@ def test_reach_of_the_tool(needle):
     np.testing.assert_allclose(of_box.reach, [(4e-3, 8e-3), (-2e-3, 2e-3)])
     assert of_box.highest == 0.0
     snapshot = Snapshot(ts.Pose.at_depth(0.0), 0.0, None)
-    assert within_reach(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
-    assert within_reach(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
+    assert limit_to_reach(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
+    assert limit_to_reach(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
     with pytest.raises(ts.InputError, match="cannot be changed for a reduced solid"):
         of_box.with_scene("bonded_compression")
     # One that leans goes aside by half a millimetre on its way down, or by more than the box is wide.

@@ -19,7 +19,7 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
 from scenes.viewer.frame import FRAMES, NullViewer, Phase
-from scenes.viewer.measurement import build_measurement, motion, residual
+from scenes.viewer.measurement import build_measurement, make_motion_protocol, residual
 from scenes.viewer.scene import CLEARANCE
 from scenes.viewer.session import COMMANDS, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
@@ -81,7 +81,7 @@ def at_rest(depth):
 
 def curve_of(material, measured):
     """Simulate the whole test with another material, for comparison with the plots."""
-    model = ts.Model(replace(measured.experiment, protocol=motion(measured.measurement)), material)
+    model = ts.Model(replace(measured.experiment, protocol=make_motion_protocol(measured.measurement)), material)
     return ts.simulate(model, resolution=MESH)
 
 
@@ -208,7 +208,7 @@ def test_reset_clears_trace_and_deformation(session, until):
 
 def test_replay_repeats_the_measured_motion(session, measured, until):
     assert done(session, "replay") is None
-    way = motion(measured.measurement)
+    way = make_motion_protocol(measured.measurement)
 
     def over(frame):
         trace = frame.curves.trace

@@ -21,7 +21,7 @@ from websockets.server import ServerProtocol
 from websockets.sync.client import connect
 
 from scenes.viewer import web_server
-from scenes.viewer.web_server import VISER_VERSION, ViewerServer, exposure, open_server, refuse
+from scenes.viewer.web_server import VISER_VERSION, ViewerServer, describe_exposure, find_refusal_reason, open_server
 from tissue_sim.errors import InputError, MissingBackendError
 
 PROTOCOL = f"viser-v{VISER_VERSION}"
@@ -174,21 +174,21 @@ def test_handshake_under_a_foreign_name_is_refused(server):
 def test_spellings_of_a_server_name_are_equivalent(name, upper, dot, port, shift):
     place = f"{name.upper() if upper else name}{'' if name[0] == '[' else dot}:{port + shift}"
     accepted = shift == 0
-    assert (refuse([place], [], NAMES, port) is None) == accepted
-    assert (refuse([place], [f"http://{place}"], NAMES, port) is None) == accepted
-    assert refuse([place], [f"https://{place}"], NAMES, port) is not None
+    assert (find_refusal_reason([place], [], NAMES, port) is None) == accepted
+    assert (find_refusal_reason([place], [f"http://{place}"], NAMES, port) is None) == accepted
+    assert find_refusal_reason([place], [f"https://{place}"], NAMES, port) is not None
     if accepted and port != 80:
-        assert refuse([place.rpartition(":")[0]], [], NAMES, port) is not None
+        assert find_refusal_reason([place.rpartition(":")[0]], [], NAMES, port) is not None
 
 
 @given(st.text() | st.from_regex(r"(localhost|127\.0\.0\.1|\[::1\]|[a-z.]+)[.@:/ ,\\#?%]*(80)?[^\n]?", fullmatch=True))
 def test_other_texts_are_no_server_names(text):
     known = {f"{name}{dot}{port}" for name in ("localhost", "127.0.0.1") for dot in ("", ".") for port in ("", ":80")}
     known |= {"[::1]", "[::1]:80"}
-    assert (refuse([text], [], NAMES, 80) is None) == (text.lower() in known)
+    assert (find_refusal_reason([text], [], NAMES, 80) is None) == (text.lower() in known)
     own = {f"http://{place}" for place in ("localhost", "localhost.", "localhost:80", "localhost.:80")}
     for origin in (text, f"http://{text}"):
-        assert (refuse(["localhost"], [origin], NAMES, 80) is None) == (origin.lower() in own)
+        assert (find_refusal_reason(["localhost"], [origin], NAMES, 80) is None) == (origin.lower() in own)
 
 
 def requests_of_sharing(server):
@@ -267,9 +267,10 @@ def test_other_computers_need_the_word(host):
 
 
 def test_exposure_describes_who_has_access():
-    assert exposure("0.0.0.0", 8080).startswith("anyone who can reach any address of this computer at port 8080 can ")
-    assert exposure("10.0.0.7", 0).startswith("anyone who can reach 10.0.0.7 at the chosen port can ")
-    assert exposure("127.0.0.1", 8080) == "only programs of this computer can reach 127.0.0.1"
+    everywhere = describe_exposure("0.0.0.0", 8080)
+    assert everywhere.startswith("anyone who can reach any address of this computer at port 8080 can ")
+    assert describe_exposure("10.0.0.7", 0).startswith("anyone who can reach 10.0.0.7 at the chosen port can ")
+    assert describe_exposure("127.0.0.1", 8080) == "only programs of this computer can reach 127.0.0.1"
 
 
 def test_an_exposed_server_checks_its_names():
@@ -372,8 +373,8 @@ def test_protocol_errors_are_not_logged_but_own_errors_are():
 
     protocol = ServerProtocol()
     protocol.send_eof()
-    assert not web_server._is_relevant(record_of(protocol.send_eof))
-    assert web_server._is_relevant(record_of(ours))
+    assert not web_server._is_relevant_record(record_of(protocol.send_eof))
+    assert web_server._is_relevant_record(record_of(ours))
 
 
 def test_the_server_prints_nothing():
