@@ -112,8 +112,8 @@ def _find_in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
                             NamedTest(match[0], hint.where, kind, unknown, is_short)))
     entry = None if matches else _TEST_ENTRIES.match(text)
     if entry is not None:
-        yield from (NamedTest(match[0], hint.where, unknown=unknown) for unknown in _unregistered(_registered_kinds())
-                    for word in unknown.alone if (match := re.search(rf"\b{word}\b", entry["value"])))
+        yield from (NamedTest(found[0], hint.where, unknown=unknown) for unknown in _unregistered(_registered_kinds())
+                    for word in unknown.alone if (found := re.search(rf"\b{word}\b", entry["value"])))
     # Longest match first; of equal lengths, a registered kind first. A match that overlaps a longer one is ignored.
     matches.sort(key=lambda each: (each[0] - each[1], each[2]))
     kept: list[tuple[int, int, bool, NamedTest]] = []
