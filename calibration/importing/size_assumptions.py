@@ -32,7 +32,8 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
     """Return one assumption for each size of the specimen that the file of a reading states.
 
     Args:
-        reading: of tables. stated: keys of ``[[specimen]]`` that the user states.
+        reading: reading of the tables of a file.
+        stated: keys of ``[[specimen]]`` that the user states.
     """
     if not any(column.channel in ("displacement", "force") for column in reading.columns):
         return ()

@@ -231,7 +231,8 @@ class ChangePointFit:
         The best of the trial places is refined twice between its neighbours.
 
         Args:
-            best: estimate of contact and exponent. places: trial displacements, m; None: around the estimate.
+            best: estimate of contact, m, and exponent.
+            places: trial displacements of contact, m, shape (k,); None: around the estimate.
         """
         if places is None:
             assert best is not None
@@ -313,7 +314,9 @@ class ChangePointFit:
         """Return the standard error of the drift over the part, N; contact and exponent are fitted, too.
 
         Args:
-            variance: of the whitened residual, N2.
+            place: displacement of contact, m.
+            power: exponent of the force after contact.
+            variance: variance of the whitened residual, N2.
         """
         self.coefficients(place, power)
         moved = [each - self._design[2] for each in self._moved(place, power)]
@@ -371,7 +374,8 @@ def _correlation(data: np.ndarray, design: np.ndarray) -> float:
     """Estimate the correlation of the noise of neighbouring samples, at least 0, by the restricted likelihood.
 
     Args:
-        data: (n,). design: columns that are fitted to it, (n, k).
+        data: values, shape (n,).
+        design: columns that are fitted to the values, shape (n, k).
 
     Source: Patterson and Thompson, Biometrika 58 (1971) 545.
     """

@@ -82,7 +82,9 @@ def start_of(recording: Recording, screening: Screening, name: str) -> float | N
     """Return the motion or the load at the first sample; see `tissue_sim.recording.first_sample.first_value`.
 
     Args:
-        recording: with all samples. screening: findings of `clean`. name: channel.
+        recording: recording with all samples.
+        screening: findings of `clean`.
+        name: name of the channel.
     """
     partners = LOADS if name in MOTIONS else MOTIONS
     partner = next((each for each in partners if each in recording), None)
@@ -111,7 +113,8 @@ def counted_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording
     If the other samples do not determine this value, the channels count from the first sample that is kept.
 
     Args:
-        recording: with all samples. zeroed: channels that count from the first sample.
+        recording: recording with all samples.
+        zeroed: channels that count from the first sample.
     """
     named = [name for name in zeroed if name in recording]
     if not named:
@@ -141,9 +144,14 @@ def _of_channel(recording: Recording, kept: np.ndarray, name: str, other: str, v
     """Find the saturation of a channel.
 
     Args:
-        kept: positions of the samples in the file, from 0, shape (n,). other: channel that continues.
-        values: another measure of the channel, with its title; None: the values of the channel.
-        rounding, is_free: see `find_saturation`.
+        recording: recording without outliers.
+        kept: positions of the samples in the file, from 0, shape (n,).
+        name: name of the channel.
+        other: name of the channel that continues.
+        values: values of another measure of the channel, shape (n,); None: the values of the channel.
+        title: name of the other measure.
+        rounding: width of the interval of equal values; see `find_saturation`.
+        is_free: whether the channel is not controlled; see `find_saturation`.
     """
     values = recording.channel(name) if values is None else values
     continuing = "motion" if other in MOTIONS else "load"

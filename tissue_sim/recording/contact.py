@@ -129,7 +129,9 @@ class Contact:
         """Return the displacement from contact, m, and the force without zero and drift, N, shapes (n,).
 
         Args:
-            displacement, force, time: of the recording in which contact was found, m, N and s, shapes (n,).
+            displacement: displacement of the recording in which contact was found, m, shape (n,).
+            force: force, N, shape (n,).
+            time: time, s, shape (n,); None: even steps.
         """
         clock = np.arange(force.size, dtype=float) if time is None else time
         return displacement - self.displacement, force - self.force_zero - self.drift * (clock - clock[0])
@@ -164,8 +166,9 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     The search uses the loading up to the first hold under load, and after contact only the part that the law describes.
 
     Args:
-        displacement, force: m and N (or strain and stress), positive under load, in the order of time, shape (n,).
-        time: s; None: even steps.
+        displacement: displacement, m (or strain), positive under load, in the order of time, shape (n,).
+        force: force, N (or stress, Pa), positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
         exponents: limits of the exponent of the force after contact. A known tool has narrower limits: (1.5, 1.5) for
             a ball.
 
@@ -178,7 +181,7 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     time = np.arange(displacement.size, dtype=float) if time is None else np.asarray(time, float)
     if not displacement.shape == force.shape == time.shape:
         raise InputError(f"displacement {displacement.shape}, force {force.shape} and time {time.shape} differ in "
-                         "shape; give one of each for every sample", field="force")
+                         "shape; give one value of each per sample", field="force")
     if displacement.size < _SETTINGS.fewest:
         raise InputError(f"{displacement.size} samples; contact needs at least {_SETTINGS.fewest}", field="force")
     way = _Loading.of(time, displacement, force)

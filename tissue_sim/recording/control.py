@@ -60,7 +60,9 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
     """Recognise the controlled quantity, and the relaxation or creep of the material in holds.
 
     Args:
-        motion, load: positive under load, in the order of time, shape (n,). time: s, shape (n,); None: even steps.
+        motion: displacement or strain, positive under load, in the order of time, shape (n,).
+        load: force or stress, positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     if motion.size > _SETTINGS.most_samples:
         every = -(-motion.size // _SETTINGS.most_samples)
@@ -111,7 +113,9 @@ def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = 
     """Return first sample (from 0) and end (not included) of each part in which the displacement creeps.
 
     Args:
-        motion, load: positive under load, in the order of time, shape (n,). time: s, shape (n,); None: even steps.
+        motion: displacement or strain, positive under load, in the order of time, shape (n,).
+        load: force or stress, positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     if motion.size > _SETTINGS.most_samples:
         every = -(-motion.size // _SETTINGS.most_samples)
@@ -200,7 +204,11 @@ def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, ra
     the loading. There the motion must slow down clearly, because a motion in air has a constant rate.
 
     Args:
-        rate: mean rate of the motion from sample `first` on.
+        motion: displacement or strain, shape (n,).
+        clock: time, s, shape (n,).
+        first: first sample, from 0.
+        last: end of the samples, not included.
+        rate: mean rate of the motion from sample `first` on, 1/s times the unit of the motion.
     """
     middle = first + int(np.argmax(clock[first:last] >= 0.5 * (clock[first] + clock[last - 1])))
     halves = motion[middle] - motion[first], motion[last - 1] - motion[middle]

@@ -94,8 +94,10 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     Unloading, relaxation in a hold or after a ramp that becomes slower, and noise do not count as failures.
 
     Args:
-        displacement, force: m and N (or strain and stress), positive under load, in the order of time, shape (n,).
-        time: s; None: even steps. least_drop: least fraction of the force that is lost.
+        displacement: displacement, m (or strain), positive under load, in the order of time, shape (n,).
+        force: force, N (or stress, Pa), positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
+        least_drop: least fraction of the force that is lost in a failure.
 
     Returns:
         The failure; None for an intact specimen.
@@ -108,7 +110,7 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     time = np.asarray(time, float) if time is not None else np.arange(displacement.size, dtype=float)
     if not displacement.shape == force.shape == time.shape:
         raise InputError(f"displacement {displacement.shape}, force {force.shape} and time {time.shape} differ in "
-                         "shape; give one of each for every sample", field="force")
+                         "shape; give one value of each per sample", field="force")
     if displacement.size < 5 or not np.ptp(displacement) > 0:
         return None
     noise = _noise_of(force)

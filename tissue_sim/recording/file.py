@@ -122,7 +122,8 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":
-        raise InputError("a recording is written as CSV; give a name that ends in .csv", file=path)
+        raise InputError("the name of a recording must end in .csv; got "
+                         f"{path.suffix!r}", file=path)
     require_sidecar_place(path)
     data = _as_csv(recording, path).encode("utf-8")
     metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
@@ -154,7 +155,7 @@ def require_sidecar_place(path: Path) -> None:
         found = None
     if not isinstance(found, dict) or "sha256" not in found:
         raise InputError(f"is not the sidecar of a recording (it has no sha256), and {path.name} would replace it with "
-                         "its own; move it away or choose another name", file=sidecar)
+                         "the sidecar of the recording; move the file or choose another name", file=sidecar)
 
 
 def _as_csv(recording: Recording, path: Path) -> str:
@@ -188,6 +189,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
     """Return the metadata of the sidecar; empty without a sidecar.
 
     Args:
+        path: CSV file.
         digest: SHA-256 of the CSV file, which the sidecar must state.
     """
     sidecar = path.with_suffix(".json")
@@ -195,7 +197,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
         return {}
     metadata = read_json(sidecar, f"the sidecar of {path.name} (JSON)")
     if not isinstance(metadata, dict):
-        raise InputError(f"expected an object {{...}} with the metadata of {path.name}; mend or rename this file",
+        raise InputError(f"expected an object {{...}} with the metadata of {path.name}; correct or rename this file",
                          file=sidecar)
     if metadata.get("sha256", digest) != digest:
         raise InputError(f"{path.name} was changed after it was recorded, expected the SHA-256 given here; restore "

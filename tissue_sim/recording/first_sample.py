@@ -48,7 +48,8 @@ class _Extension(NamedTuple):
     """A channel extended to time 0.
 
     Attributes:
-        start: value at time 0. change: change from time 0 to the first sample that is kept.
+        start: value at time 0.
+        change: change from time 0 to the first sample that is kept.
         error: standard error of `start`.
     """
 
@@ -68,8 +69,10 @@ def first_value(recording: Recording, screening: Screening, name: str, partner: 
     specimen is assumed unloaded at the first sample.
 
     Args:
-        recording: with all samples. screening: findings of `tissue_sim.recording.cleaning.clean`.
-        name: channel. partner: the load of a motion, the motion of a load.
+        recording: recording with all samples.
+        screening: findings of `tissue_sim.recording.cleaning.clean`.
+        name: name of the channel.
+        partner: name of the load for a motion, and of the motion for a load.
     """
     values, other = recording.channel(name), recording.channel(partner)
     usable = np.flatnonzero(~np.isin(np.arange(1, len(recording) + 1), screening.samples))
@@ -105,11 +108,12 @@ def _extended(clock: np.ndarray, values: np.ndarray, rounding: float) -> _Extens
     """Extend a channel to time 0 by a line or a parabola through as many first samples as possible.
 
     Args:
-        clock: of the samples that are kept, from the first sample of the recording, s. values: at them.
+        clock: time of the samples that are kept, from the first sample of the recording, s, shape (n,).
+        values: values of the channel in these samples, shape (n,).
         rounding: standard deviation of the rounding of the values.
 
     Returns:
-        None where no curve describes the first samples.
+        None: neither a line nor a parabola describes the first samples.
     """
     noise = max(noise_deviation(values), rounding)
     limit = max(_SETTINGS.residual_range * float(np.ptp(values)), _SETTINGS.residual_noise * noise)

@@ -97,7 +97,8 @@ def find_measure(words: str, role: str) -> str | None:
     """Return the name of the measure in a header, `ENGINEERING` included; None: no word for a measure.
 
     Args:
-        words: words of the header, lower case, separated by single blanks. role: role of the column.
+        words: words of the header, lower case, separated by single blanks.
+        role: role of the column.
     """
     channel = _CHANNEL_OF_ROLE.get(role)
     if channel is None:

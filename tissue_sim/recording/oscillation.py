@@ -46,10 +46,13 @@ class Oscillation:
     """Oscillation of the motion with constant amplitude.
 
     Attributes:
-        first, last: samples from 0, both included. frequency: Hz (1 / samples without time).
-        mean, amplitude: of the motion, in its unit.
+        first: first sample, from 0.
+        last: last sample, included.
+        frequency: frequency, Hz (cycles per sample without a time).
+        mean: mean of the motion, in the unit of the motion.
+        amplitude: amplitude of the motion, in the unit of the motion.
         returns: whether each cycle returns to rest.
-        loss_factor: tangent of the phase by which the load leads; None where the load has no phase.
+        loss_factor: tangent of the phase lead of the load; None: the amplitude of the load is below the noise.
     """
 
     first: int
@@ -65,7 +68,9 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     """Find the oscillation at the end of a recording; None without an oscillation.
 
     Args:
-        motion, load: in the order of time, any unit and sign, shape (n,). time: s, shape (n,); None: even steps.
+        motion: displacement or strain in the order of time, any unit and sign, shape (n,).
+        load: force or stress, any unit and sign, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     reach = float(np.ptp(motion))
     if motion.size < 3 * _SETTINGS.fewest or not reach > 0:
@@ -98,7 +103,9 @@ def _alike(turns: np.ndarray, motion: np.ndarray, time: np.ndarray | None) -> tu
     """Return the first and last sample of the last equal half periods, and the period; None: too few half periods.
 
     Args:
-        turns: samples at which the motion reverses; the last one is the end of the recording.
+        turns: samples at which the motion reverses; the last one is the end of the recording, shape (k,).
+        motion: displacement or strain, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     clock = np.arange(motion.size, dtype=float) if time is None else time
     heights, durations = np.abs(np.diff(motion[turns])), np.diff(clock[turns])
@@ -136,7 +143,7 @@ def _loss_factor(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, 
     (of_motion, _), (of_load, squares) = (fitted(frequency, values[inside]) for values in (motion, load))
     ratio = complex(of_load[2], -of_load[3]) / complex(of_motion[2], -of_motion[3])
     error = np.sqrt(2 * squares / clock.size) / np.sqrt(clock.size)
-    # A load whose amplitude is lost in its noise has no phase.
+    # The phase is unknown if the amplitude of the load is below the noise.
     if abs(complex(of_load[2], of_load[3])) < 10 * error:
         return frequency, None
     return frequency, float(ratio.imag / ratio.real) if ratio.real else None

@@ -147,7 +147,9 @@ class Channel:
         """Return the prediction for sample `first` if samples `first` to `last` (not included) are outliers; else None.
 
         Args:
-            good: samples that are not candidates, sorted.
+            first: first sample of the group, from 0.
+            last: end of the group, not included.
+            good: samples that are not candidates, sorted, shape (k,).
         """
         setting, place = self.settings, int(np.searchsorted(good, first))
         before, after = good[max(place - setting.one_sided, 0):place], good[place:place + setting.one_sided]

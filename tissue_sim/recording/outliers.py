@@ -21,10 +21,11 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     """Find the outliers of motion and load, in the order of the samples.
 
     Args:
-        motion, load: of one recording in the order of time, any unit and sign, shape (n,).
+        motion: displacement or strain in the order of time, any unit and sign, shape (n,).
+        load: force or stress, any unit and sign, shape (n,).
         settings: thresholds.
-        is_counted: whether the motion counts from the first sample. That sample is then zero by definition, which is no
-            evidence that the test starts from rest there.
+        is_counted: whether the motion counts from the first sample. The first value is then zero by definition, and
+            does not show that the test starts from rest.
 
     Returns:
         (``"motion"`` or ``"load"``, numbers of the samples from 0, value that the neighbours predict for the first).
@@ -60,8 +61,9 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
     """Describe outliers, one entry for each channel and group of samples.
 
     Args:
-        outliers: result of `find_outliers`. channels: name of motion and of load, in this order -> values.
-        words: formats a value (SI) of a channel.
+        outliers: result of `find_outliers`.
+        channels: name of the motion and of the load, in this order -> values, shape (n,).
+        words: function that formats a value (SI) of a channel.
 
     Raises:
         InputError: more than a tenth of the samples are outliers.
@@ -180,7 +182,11 @@ def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, 
     """Return whether motion and load step together: from rest, as under a dead weight, or in the last step.
 
     Args:
-        sample: at an end of the recording. next_one: its neighbour inside.
+        sample: sample at an end of the recording.
+        next_one: neighbour of this sample.
+        motion: channel of the motion.
+        load: channel of the load.
+        settings: thresholds.
     """
     jumps = []
     for one in (motion, load):

@@ -39,9 +39,14 @@ _SETTINGS = PreloadSettings()
 
 
 class LoadAtZero(NamedTuple):
-    """Load at the zero of the displacement, its fraction of the range, and the shift of contact that explains it.
+    """Load at zero displacement.
 
-    All three are negative where the load is against the direction of loading.
+    All values are negative for a load against the direction of loading.
+
+    Attributes:
+        load: load, N.
+        fraction: load as a fraction of the range of the load.
+        shift: distance between contact and zero displacement, m, if the load is a preload.
     """
 
     load: float
@@ -53,7 +58,8 @@ def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
     """Estimate the load at the start of the first loading from a polynomial; None if the load starts at zero.
 
     Args:
-        motion, load: positive under load, the motion from its zero, in the order of time, shape (n,).
+        motion: displacement, m, positive under load, in the order of time, shape (n,).
+        load: force, N, positive under load, shape (n,).
     """
     peak = _before_relaxation(motion, load, int(np.argmax(motion)) + 1)
     reach = float(np.ptp(motion))

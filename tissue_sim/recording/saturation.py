@@ -80,11 +80,12 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
     values are not a measurement, and it is sufficient that the other channel continues.
 
     Args:
-        values: of the channel in the order of time, any unit and sign, shape (n,).
-        other: the channel that continues: the motion of a load, the load of a motion, shape (n,).
-        time: s, shape (n,); None: even steps.
-        rounding: width of the interval in which values count as equal, of values that are computed from rounded ones.
-        is_free: whether the channel is known not to be controlled, so that no hold keeps it equal.
+        values: values of the channel in the order of time, any unit and sign, shape (n,).
+        other: values of the other channel, shape (n,): the motion for a load, and the load for a motion.
+        time: time, s, shape (n,); None: even steps.
+        rounding: width of the interval of equal values, for values that were computed from rounded numbers.
+        is_free: whether the channel is known not to be controlled, so that a hold cannot keep it constant.
+        settings: thresholds.
     """
     clock = np.arange(values.size, dtype=float) if time is None else time
     steps = np.abs(np.diff(values))
@@ -183,7 +184,13 @@ def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, cloc
     """Return whether the channel, positive towards its extreme value, would have continued to change.
 
     Args:
-        missing: least change of the channel that is missing. travel: least progress of the other channel.
+        run: samples at the extreme value.
+        values: values of the channel, positive towards the extreme value, shape (n,).
+        other: values of the other channel, shape (n,).
+        clock: time, s, shape (n,).
+        missing: least change that the channel would have made.
+        travel: least progress of the other channel.
+        settings: thresholds.
     """
     first = max(run.first - settings.before, 0)
     if run.first - first < 3 or not clock[run.first - 1] > clock[first]:

@@ -97,9 +97,10 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
     """Label each sample of a motion as ``ramp``, ``hold`` or ``unload``, shape (n,).
 
     Args:
-        time, displacement: s and m.
+        time: time, s, shape (n,).
+        displacement: displacement, m, shape (n,).
         tolerance: half of the hysteresis, m; None: the fraction `STRAIGHT` of the travel, for a machine.
-        shortest_hold: s; a shorter hold belongs to the segment before it.
+        shortest_hold: shortest hold, s; a shorter hold belongs to the previous segment.
     """
     tolerance = STRAIGHT * np.ptp(displacement) if tolerance is None else tolerance
     corners = corners_of(time, displacement, tolerance)

@@ -104,9 +104,10 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     """Find the segments of arrays; see `find_segments`.
 
     Args:
-        displacement, force: positive under load, m and N, shapes (n,); strain and Pa if `stressed`.
-        time: s, shape (n,); None: even steps.
-        labels: segments of the file, shape (n,); None: they are found.
+        displacement: displacement, m (strain if `stressed`), positive under load, shape (n,).
+        force: force, N (stress, Pa, if `stressed`), positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
+        labels: segments of the file, shape (n,); None: the segments are found.
         stressed: whether the arrays are strain and stress.
     """
     clock = np.arange(displacement.size, dtype=float) if time is None else time

@@ -146,7 +146,8 @@ def _plain_end(text: str, start: int, delimiter: str) -> PlainEnd:
     for piece in _pieces(text, start, delimiter):
         if not suffixes:
             quantities = [_split_suffix(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
-            suffixes, units = (tuple(each[i] for each in quantities) for i in (0, 1))
+            suffixes = tuple(suffix for suffix, _ in quantities)
+            units = tuple(unit for _, unit in quantities)
             if len(suffixes) < 2:
                 raise NotPlainError
         numbers = _without_suffixes(piece, suffixes)
