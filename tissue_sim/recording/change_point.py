@@ -185,7 +185,7 @@ class ChangePointFit:
             return np.concatenate([self.squares(places[k:k + together], powers[k:k + together], bounded=bounded)
                                    for k in range(0, places.size, together)])
         columns = [self._project(self._whiten(column)) for column in self._columns(places, powers)]
-        answer, coefficients = _orthogonal(columns, self._data)
+        answer, coefficients = _solve_least_squares(columns, self._data)
         answer, leading = answer.reshape(powers.shape), coefficients[0].reshape(powers.shape)
         if bounded:
             end = ((self.part.displacement[-1] - places) / self._scale)[:, None]
@@ -296,7 +296,7 @@ class ChangePointFit:
         """Estimate the correlation of the noise; all fitted parameters reduce the degrees of freedom."""
         self.coefficients(place, power)
         design = np.vstack([self._design, *self._moved(place, power)]).T
-        return _correlation(self.part.force - self.part.force[0], design)
+        return _estimate_correlation(self.part.force - self.part.force[0], design)
 
     def without_contact(self) -> float:
         """Return the sum of squares of a fit with zero and drift alone, N2."""
@@ -343,7 +343,7 @@ class ChangePointFit:
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
 
-def _orthogonal(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solve_least_squares(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solve m least-squares problems of data (n,) on columns, each (m, n).
 
     Returns:
@@ -370,7 +370,7 @@ def _orthogonal(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray
     return np.einsum("mn,mn->m", rest, rest), coefficients
 
 
-def _correlation(data: np.ndarray, design: np.ndarray) -> float:
+def _estimate_correlation(data: np.ndarray, design: np.ndarray) -> float:
     """Estimate the correlation of the noise of neighbouring samples, at least 0, by the restricted likelihood.
 
     Args:
@@ -383,6 +383,7 @@ def _correlation(data: np.ndarray, design: np.ndarray) -> float:
     freedom, known = data.size - design.shape[1], design.shape[1]
 
     def criterion(trial: float) -> float:
+        """Return -2 times the logarithm of the restricted likelihood for a trial correlation, up to a constant."""
         new = np.vstack([np.sqrt(1 - trial**2) * columns[:1], columns[1:] - trial * columns[:-1]])
         size = np.abs(np.diag(np.linalg.qr(new, mode="r"))).clip(1e-150)
         return 2 * freedom * np.log(size[-1]) + 2 * float(np.log(size[:known]).sum()) - np.log(1 - trial**2)

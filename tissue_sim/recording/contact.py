@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.change_point import ChangePointFit, Part, Profile
-from tissue_sim.recording.resolution import rounding_step
+from tissue_sim.recording.resolution import find_rounding_step
 from tissue_sim.recording.segmentation import label_motion
 
 #: Limits of the exponent of the force after contact: 1 for plates and flat punches, 3/2 for balls, 2 for cones.
@@ -192,23 +192,23 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     parts = way.parts()
     judged = None
     for number, part in enumerate(parts):
-        chance, noise = judged or _judge(part, terms, exponents)
+        chance, noise = judged or _test_misfit(part, terms, exponents)
         has_shorter = chance > _SETTINGS.adequate and part is not parts[-1]
-        judged = _judge(parts[number + 1], terms, exponents) if has_shorter else None
+        judged = _test_misfit(parts[number + 1], terms, exponents) if has_shorter else None
         # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
         if chance > _SETTINGS.adequate and (judged is None or judged[1] > _SETTINGS.smaller_residual * noise):
             break
     fitted = ChangePointFit(part, terms + 1, exponents)
     best = fitted.near(fitted.search())
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.colour(*best))
-    found = _contact(way, fitted, fitted.profile(best), adequate=chance > _SETTINGS.doubtful)
+    found = _build_contact(way, fitted, fitted.profile(best), adequate=chance > _SETTINGS.doubtful)
     each = round(way.step / recorded.step)
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
     return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
                    noise=found.noise * float(np.sqrt(each)))
 
 
-def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
+def _test_misfit(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
     """Return the probability that the misfit of a part is chance, and the standard deviation of its residual, N."""
     from scipy import special
 
@@ -224,7 +224,7 @@ def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[floa
     return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.residual(*best)))
 
 
-def _contact(way: _Loading, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
+def _build_contact(way: _Loading, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
     """Return contact with its status from the fit of one part and the likelihood profile."""
     from scipy import special
 
@@ -296,7 +296,7 @@ class _Loading:
     def of(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _Loading:
         """Return the loading of a recording in s, m and N, shapes (n,)."""
         labels = label_motion(time, displacement)
-        rounding = rounding_step(force) / np.sqrt(12.0)
+        rounding = find_rounding_step(force) / np.sqrt(12.0)
         bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
         noise = max(float(np.median(np.abs(bend))) / 0.6745, rounding, 1e-9 * float(np.abs(force).max()), 1e-300)
         smooth = np.convolve(np.pad(force, 1, mode="edge"), np.full(3, 1 / 3), "valid")

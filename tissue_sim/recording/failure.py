@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.resolution import rounding_step
+from tissue_sim.recording.resolution import find_rounding_step
 from tissue_sim.recording.segmentation import STRAIGHT, corners_of, label_motion
 
 
@@ -113,10 +113,10 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
                          "shape; give one value of each per sample", field="force")
     if displacement.size < 5 or not np.ptp(displacement) > 0:
         return None
-    noise = _noise_of(force)
+    noise = _estimate_noise(force)
     labels = label_motion(time, displacement)
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
-    speed = _speeds(time, displacement) if timed else np.ones(force.size)
+    speed = _compute_speeds(time, displacement) if timed else np.ones(force.size)
     # A relaxed specimen can pull at the tool at the end of an unloading: only the first loading shows the zero.
     first_unloading = int(np.argmax(labels == "unload")) if np.any(labels == "unload") else force.size
     for first, last in pairwise(edges.tolist()):
@@ -129,7 +129,7 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
                      peak is not None]
             if not peaks:
                 break
-            failure, after = _describe(displacement, force, first + min(peaks), zero, labels)
+            failure, after = _describe_failure(displacement, force, first + min(peaks), zero, labels)
             if not (failure.recovered and failure.mode == "softening"):
                 return failure
             # A tissue that relaxes on a plateau of its law loses force for a while without a failure.
@@ -210,7 +210,7 @@ class _Part:
         return int(near[int(np.argmin(steps))])
 
 
-def _describe(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
+def _describe_failure(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
               ) -> tuple[Failure, int]:
     """Return the failure after the sample `index`, and the sample at which the force exceeds the peak again."""
     after = np.flatnonzero(labels[index:] == "unload")
@@ -232,10 +232,10 @@ def _describe(displacement: np.ndarray, force: np.ndarray, index: int, zero: flo
         index + int(np.argmax(beyond))
 
 
-def _noise_of(force: np.ndarray) -> float:
+def _estimate_noise(force: np.ndarray) -> float:
     """Return the standard deviation of the noise, N: white noise, correlated noise or rounding, the largest of them."""
     bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
-    deviations = [np.median(np.abs(bend)) / 0.6745, rounding_step(force) / np.sqrt(12.0)]
+    deviations = [np.median(np.abs(bend)) / 0.6745, find_rounding_step(force) / np.sqrt(12.0)]
     if force.size > 2 * _SETTINGS.smooth_samples:
         # Value of a cubic through the neighbours: Savitzky and Golay, Anal. Chem. 36 (1964) 1627.
         around = np.vander(np.arange(_SETTINGS.smooth_samples) - _SETTINGS.smooth_samples // 2, 4)
@@ -251,7 +251,7 @@ def _median_of_three(values: np.ndarray) -> np.ndarray:
     return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
 
 
-def _speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _compute_speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return the speed at each sample, m/s: the mean speed of its straight part of the motion."""
     corners = corners_of(time, displacement, STRAIGHT * float(np.ptp(displacement)))
     duration = np.diff(time[corners])

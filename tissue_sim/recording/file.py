@@ -89,13 +89,13 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
         pass
     answer = bounded(partial(reader, path, **options), file=path)
     several = answer if isinstance(answer, tuple) else (answer,)
-    recordings = tuple(_finish(each, path, speed, kind) for each in several)
+    recordings = tuple(_add_time_and_metadata(each, path, speed, kind) for each in several)
     if len(recordings) == 1:
         return recordings
     return tuple(each.with_metadata(name=f"{path.stem}_{number}") for number, each in enumerate(recordings, start=1))
 
 
-def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
+def _add_time_and_metadata(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
     """Add time or displacement from the speed, and name, source, SHA-256 and sidecar to the metadata.
 
     Raises:
@@ -125,7 +125,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
         raise InputError("the name of a recording must end in .csv; got "
                          f"{path.suffix!r}", file=path)
     require_sidecar_place(path)
-    data = _as_csv(recording, path).encode("utf-8")
+    data = _format_csv(recording, path).encode("utf-8")
     metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
     metadata["sha256"] = hashlib.sha256(data).hexdigest()
     try:
@@ -158,7 +158,7 @@ def require_sidecar_place(path: Path) -> None:
                          "the sidecar of the recording; move the file or choose another name", file=sidecar)
 
 
-def _as_csv(recording: Recording, path: Path) -> str:
+def _format_csv(recording: Recording, path: Path) -> str:
     """Return the text of the CSV file, with units of `_FILE_UNITS` and all digits."""
     header: list[str] = []
     cells: list[Iterable[str]] = []

@@ -56,7 +56,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     return tuple((name, group, found[name, group]) for name, group in sorted(found, key=lambda each: each[1]))
 
 
-def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
+def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
              words: Callable[[str, float], str]) -> tuple[LeftOut, ...]:
     """Describe outliers, one entry for each channel and group of samples.
 
@@ -81,7 +81,7 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
             "the samples that follow point to" if group[0] == 0 else "the samples before point to")
         found.append(LeftOut(tuple(sample + 1 for sample in group), name,
                              f"the {name} reads {shown}, and {where} {words(name, predicted)}"
-                             f"{_at_the_end(which, group, total, values, predicted)}"))
+                             f"{_explain_load_drop(which, group, total, values, predicted)}"))
     if len(seen) > SETTINGS.most * total and len(seen) > SETTINGS.longest:
         samples = numbered(tuple(sample + 1 for sample in sorted(seen)))
         raise InputError(f"{len(seen)} of {total} samples are outliers ({samples}): the sensor or the reading of the "
@@ -89,7 +89,7 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
     return tuple(found)
 
 
-def _at_the_end(which: str, group: tuple[int, ...], total: int, values: np.ndarray, predicted: float) -> str:
+def _explain_load_drop(which: str, group: tuple[int, ...], total: int, values: np.ndarray, predicted: float) -> str:
     """Return the possible reason of a load that falls at the end of a recording; else an empty text."""
     falls = which == "load" and group[-1] == total - 1 and bool(np.all(np.abs(values) < 0.5 * abs(predicted)))
     return " (a rupture at the end, or lost values)" if falls else ""
@@ -159,7 +159,7 @@ def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], set
     not a response of the specimen, and neither is an overshoot beyond `OutlierSettings.overshoot`. The direction is
     unknown if motion and load are hardly correlated.
     """
-    correlation = _correlation(channels)
+    correlation = _correlate_channels(channels)
     motion, load = channels["motion"], channels["load"].values
     first, last = group[0], group[-1] + 1
     if np.any(np.abs(load[first:last] - channels["load"].smooth[first:last]) > settings.overshoot *
@@ -172,7 +172,7 @@ def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], set
     return bool(np.all(direction * load[first:last] >= neighbours.min() - channels["load"].least[first]))
 
 
-def _correlation(channels: Mapping[str, Channel]) -> float:
+def _correlate_channels(channels: Mapping[str, Channel]) -> float:
     """Return the correlation of motion and load without their outliers."""
     away = [channels[name].smooth - channels[name].smooth.mean() for name in ("motion", "load")]
     return float(np.sum(away[0] * away[1])) / (float(np.sqrt(np.sum(away[0]**2) * np.sum(away[1]**2))) or 1.0)
@@ -194,7 +194,7 @@ def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, 
         if abs(jump) <= 0.05 * one.range:
             return False
         jumps.append(jump)
-    correlation = _correlation({"motion": motion, "load": load})
+    correlation = _correlate_channels({"motion": motion, "load": load})
     together = jumps[0] * jumps[1] * correlation >= 0 or abs(correlation) < settings.correlated
     largest = [float(np.abs(one.smooth).max()) for one in (motion, load)]
     rests = [abs(one.values[sample]) <= settings.rest * most for one, most in zip((motion, load), largest, strict=True)]

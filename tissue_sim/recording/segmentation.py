@@ -52,6 +52,7 @@ class Reversals:
             self._turn(-1, self._high[1], (depth, index))
 
     def _turn(self, direction: int, start: int, here: tuple[float, int]) -> None:
+        """Begin a branch at point `start`; `here` is the newest point (depth in m, index)."""
         self.direction = direction
         self.starts.append(start)
         self._low = self._high = here
@@ -107,13 +108,13 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
     way = np.diff(displacement[corners])
     names = np.where(np.abs(way) <= 2 * tolerance, "hold", np.where(way > 0, "ramp", "unload"))
     for part in np.flatnonzero(names == "hold") if shortest_hold else ():
-        if _stays(time, displacement, corners[part], corners[part + 1], 2 * tolerance) >= shortest_hold:
+        if _duration_within(time, displacement, corners[part], corners[part + 1], 2 * tolerance) >= shortest_hold:
             continue
         names[part] = names[part - 1] if part else "ramp" if way[part] > 0 else "unload"
     return names[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, names.size - 1)]
 
 
-def _stays(time: np.ndarray, displacement: np.ndarray, first: int, last: int, reach: float) -> float:
+def _duration_within(time: np.ndarray, displacement: np.ndarray, first: int, last: int, reach: float) -> float:
     """Return how long a motion stays within `reach` (m) of its value at sample `first`, around `first` to `last`, s."""
     away = np.flatnonzero(np.abs(displacement - displacement[first]) > reach)
     before, after = away[away < first], away[away > last]
@@ -160,13 +161,14 @@ def load_and_unload(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         Two arrays; the second one is empty without an unloading.
     """
     depth = recording.displacement
-    load, unload = _labelled(recording.labels["segment"]) if "segment" in recording.labels else _turned(depth)
+    has_labels = "segment" in recording.labels
+    load, unload = _split_by_labels(recording.labels["segment"]) if has_labels else _split_at_turns(depth)
     if not load.size:  # labels of another vocabulary
-        load, unload = _turned(depth)
+        load, unload = _split_at_turns(depth)
     return load[one_way(depth[load], 1)], unload[one_way(depth[unload], -1)]
 
 
-def _labelled(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_by_labels(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples of the first run of loading segments, and of the first run of unloading segments."""
     kinds = np.where(np.isin(segment, _LOADING_LABELS), 1, np.where(np.isin(segment, _UNLOADING_LABELS), -1, 0))
     kinds[segment == "reload"] = 2
@@ -180,7 +182,7 @@ def _labelled(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return load, np.concatenate([[unload[0] - 1], unload]) if unload.size and unload[0] > 0 else unload
 
 
-def _turned(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_at_turns(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples of the first branch that loads, and of the next branch."""
     reach = float(depth.max() - depth.min())
     # The tremor is at most that of a hand, and smaller in a small test.
