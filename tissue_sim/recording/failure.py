@@ -125,8 +125,8 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
             test = _Part(displacement[first:last], force[first:last], speed[first:last],
                          speed[max(first - _SETTINGS.samples_before, 0):first], zero, float(np.ptp(force)), noise,
                          least_drop, STRAIGHT * float(np.ptp(displacement)))
-            peaks = [peak for peak in (test.peak_of_ramp() if labels[first] == "ramp" else None, test.sudden()) if
-                     peak is not None]
+            candidates = (test.find_peak_of_ramp() if labels[first] == "ramp" else None, test.find_sudden_drop())
+            peaks = [peak for peak in candidates if peak is not None]
             if not peaks:
                 break
             failure, after = _describe_failure(displacement, force, first + min(peaks), zero, labels)
@@ -163,20 +163,20 @@ class _Part:
     least: float
     tremor: float
 
-    def _enough(self, peak: np.ndarray) -> np.ndarray:
+    def _least_losses(self, peak: np.ndarray) -> np.ndarray:
         """Return the least loss of force after each peak, N; infinite for a peak that is too low."""
         risen = peak - min(self.zero, float(self.force[0]))
         return np.where(risen > max(_SETTINGS.least_rise * self.range, 2 * _SETTINGS.least_noise * self.noise),
                         np.maximum(self.least * risen, _SETTINGS.least_noise * self.noise), np.inf)
 
-    def peak_of_ramp(self) -> int | None:
+    def find_peak_of_ramp(self) -> int | None:
         """Return the peak before a sample with lower force, larger displacement and the same speed; None: no peak."""
         if self.force.size < 4:
             return None
         smooth = _median_of_three(self.force)
         highest = np.maximum.accumulate(smooth)
         peak = np.maximum.accumulate(np.where(smooth >= highest, np.arange(smooth.size), 0))
-        lower = (highest - smooth > self._enough(highest)) & (self.displacement >= self.displacement[peak])
+        lower = (highest - smooth > self._least_losses(highest)) & (self.displacement >= self.displacement[peak])
         speed = np.append(self.before, self.speed)
         for place in np.flatnonzero(lower).tolist():
             last = self.before.size + peak[place]
@@ -186,7 +186,7 @@ class _Part:
                                key=lambda k: self.force[k], default=peak[place]))
         return None
 
-    def sudden(self) -> int | None:
+    def find_sudden_drop(self) -> int | None:
         """Return the sample before the first sudden drop; None without a drop.
 
         A sudden drop is faster than the loss before; the rate of a relaxation decreases.
@@ -201,7 +201,7 @@ class _Part:
         # A tissue that relaxes loses force as soon as the motion slows down.
         after, speed = self.speed[at + _SETTINGS.sudden_samples], self.speed[at - _SETTINGS.sudden_samples]
         forward &= (after >= _SETTINGS.same_speed * speed) | (speed <= 0)
-        drops = np.flatnonzero((lost > self._enough(self.force[at])) & forward
+        drops = np.flatnonzero((lost > self._least_losses(self.force[at])) & forward
                                & (lost > _SETTINGS.sudden_ratio * before + _SETTINGS.least_noise * self.noise))
         if not drops.size:
             return None
