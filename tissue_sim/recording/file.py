@@ -122,8 +122,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":
-        raise InputError("the name of a recording must end in .csv; got "
-                         f"{path.suffix!r}", file=path)
+        raise InputError(f"the name of a recording must end in .csv; got {path.suffix!r}", file=path)
     require_sidecar_place(path)
     data = _format_csv(recording, path).encode("utf-8")
     metadata = {key: value for key, value in recording.metadata.items() if key != "source"}

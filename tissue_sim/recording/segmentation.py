@@ -7,18 +7,35 @@ A displacement of no more than the hysteresis is ignored. A motion reverses when
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tissue_sim.recording.recording import Recording
 
-#: Hysteresis of a motion by hand, m; larger than the tremor of a hand.
-HYSTERESIS = 0.05e-3
-#: Least duration of a hold of a motion by hand, s.
-HOLD_TIME = 1.0
-#: Largest distance of the motion of a machine from its polyline, as a fraction of the travel.
-STRAIGHT = 3e-3
-#: Hysteresis of a motion of unknown origin, as a fraction of the travel, if it is larger than `HYSTERESIS`.
-_HYSTERESIS_FRACTION = 0.01
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Settings of the division of a motion into segments.
+
+    Attributes:
+        hysteresis: hysteresis of a motion by hand, m; larger than the tremor of a hand. A larger value ignores more
+            reversals.
+        hold_time: least duration of a hold of a motion by hand, s. A larger value finds fewer holds.
+        straightness: largest distance of the motion of a machine from its polyline, as a fraction of the travel. A
+            larger value finds fewer segments.
+        hysteresis_fraction: hysteresis of a motion of unknown origin, as a fraction of the travel, if the result is
+            larger than `hysteresis`.
+    """
+
+    hysteresis: float = 0.05e-3
+    hold_time: float = 1.0
+    straightness: float = 3e-3
+    hysteresis_fraction: float = 0.01
+
+
+#: Settings that the functions of this module use.
+MOTION_SETTINGS = MotionSettings()
 #: Labels of segments that load.
 _LOADING_LABELS = ("approach", "ramp", "load")
 #: Labels of segments that unload.
@@ -33,7 +50,7 @@ class Reversals:
         direction: direction of the last branch: 1 loads, -1 unloads, 0 before the first motion.
     """
 
-    def __init__(self, hysteresis: float = HYSTERESIS):
+    def __init__(self, hysteresis: float = MOTION_SETTINGS.hysteresis):
         self._hysteresis = hysteresis
         self.starts: list[int] = []
         self.direction = 0
@@ -100,10 +117,11 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
     Args:
         time: time, s, shape (n,).
         displacement: displacement, m, shape (n,).
-        tolerance: half of the hysteresis, m; None: the fraction `STRAIGHT` of the travel, for a machine.
+        tolerance: half of the hysteresis, m; None: the fraction
+            `MotionSettings.straightness` of the travel, for a machine.
         shortest_hold: shortest hold, s; a shorter hold belongs to the previous segment.
     """
-    tolerance = STRAIGHT * np.ptp(displacement) if tolerance is None else tolerance
+    tolerance = MOTION_SETTINGS.straightness * np.ptp(displacement) if tolerance is None else tolerance
     corners = corners_of(time, displacement, tolerance)
     way = np.diff(displacement[corners])
     names = np.where(np.abs(way) <= 2 * tolerance, "hold", np.where(way > 0, "ramp", "unload"))
@@ -186,7 +204,8 @@ def _split_at_turns(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples of the first branch that loads, and of the next branch."""
     reach = float(depth.max() - depth.min())
     # The tremor is at most that of a hand, and smaller in a small test.
-    reversals = Reversals(min(max(HYSTERESIS, _HYSTERESIS_FRACTION * reach), 0.1 * reach))
+    hysteresis = max(MOTION_SETTINGS.hysteresis, MOTION_SETTINGS.hysteresis_fraction * reach)
+    reversals = Reversals(min(hysteresis, 0.1 * reach))
     for index, value in enumerate(depth.tolist()):
         reversals.add(index, value)
     branches = reversals.branches(depth.size - 1)
