@@ -11,7 +11,7 @@ from calibration.campaign.campaign import Campaign, Test
 from tissue_sim.errors import InputError
 from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.control import find_control
-from tissue_sim.recording.preload import LoadAtZero, load_at_zero
+from tissue_sim.recording.preload import LoadAtZero, estimate_load_at_zero
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Preload, Screening
 
@@ -92,7 +92,7 @@ def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, cam
         can_pull: whether the test can load the specimen in the opposite direction.
         stressed: whether strain and stress were recorded.
     """
-    found = load_at_zero(motion, load)
+    found = estimate_load_at_zero(motion, load)
     if found is None:
         return screening
     fit = campaign.fit

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 from calibration.forward.difference_steps import DIFFERENCES
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import STRAIGHT, corners_of
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, corners_of
 from tissue_sim.rig.rig import Rig
 
 
@@ -193,10 +193,10 @@ class TimedMotion:
             steps: number of steps per travel.
         """
         travel = float(np.ptp(displacement))
-        corners = corners_of(time, displacement, STRAIGHT * travel)
+        corners = corners_of(time, displacement, MOTION_SETTINGS.straightness * travel)
         corners = np.array(_without_hold_corners(displacement, corners, MOTION_STEPS.hold_fraction * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
-        if d[0] > STRAIGHT * travel and d.size > 1 and d[1] > d[0]:
+        if d[0] > MOTION_SETTINGS.straightness * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
         knots_t, knots_d, legs = [t[:1]], [d[:1]], []
         for i in range(t.size - 1):
@@ -240,10 +240,10 @@ class TimedMotion:
         return curve(self.time, self.displacement, 0.0)[0]
 
     def is_equivalent(self, other: TimedMotion) -> bool:
-        """Return whether two motions agree within the tolerance of straight parts (`STRAIGHT`)."""
+        """Return whether two motions agree within the tolerance of straight parts (`MotionSettings.straightness`)."""
         if self.legs != other.legs:
             return False
-        tolerance = STRAIGHT * np.ptp(self.displacement)
+        tolerance = MOTION_SETTINGS.straightness * np.ptp(self.displacement)
         speed = np.abs(np.diff(self.displacement) / np.diff(self.time)).max()
         return bool(np.abs(self.displacement - other.displacement).max() <= tolerance
                     and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= tolerance / speed)

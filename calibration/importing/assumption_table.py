@@ -59,18 +59,20 @@ def assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
         of = [name for name, assumption in found if assumption == each]
         names = "" if len(of) == len(files) else of[0] if len(of) == 1 else f"{of[0]} and {len(of) - 1} more"
         rows.append(AssumptionRow(
-            names, each.subject, _plain(each.value), "stated" if each.is_stated else _plain("; ".join(each.evidence)),
-            _plain("; ".join(each.against)), _plain("; ".join(
-                f"{other.value}{_ratio(other.modulus_ratio)}" for other in each.alternatives)), _plain(each.flag),
-            each.is_question))
+            names, each.subject, _to_one_line(each.value),
+            "stated" if each.is_stated else _to_one_line("; ".join(each.evidence)),
+            _to_one_line("; ".join(each.against)), _to_one_line("; ".join(
+                f"{other.value}{_format_ratio(other.modulus_ratio)}" for other in each.alternatives)),
+            _to_one_line(each.flag), each.is_question))
     return rows
 
 
-def _ratio(modulus_ratio: float | None) -> str:
+def _format_ratio(modulus_ratio: float | None) -> str:
+    """Return the factor of the modulus in brackets; empty for an unknown factor."""
     return "" if modulus_ratio is None else f" (modulus x {modulus_ratio:.3g})"
 
 
-def _plain(text: str) -> str:
+def _to_one_line(text: str) -> str:
     """Return the text on one line, with ``?`` for control characters."""
     return " ".join("".join(each if each.isprintable() or each.isspace() else "?" for each in text).split())
 
@@ -89,13 +91,13 @@ def campaign_comment(tests: Sequence[ImportedTest]) -> str:
         said = "; ".join(filter(None, details))
         lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: {shortened(value, _SETTINGS.longest_value)}"
                      f"{f' ({said})' if said else ''}")
-    lines += [f"Columns not used: {each}" for each in unused_columns(tests)]
+    lines += [f"Columns not used: {each}" for each in list_unused_columns(tests)]
     return "\n".join(textwrap.fill(line, _SETTINGS.campaign_width, initial_indent="# ", subsequent_indent="#     ",
                                    break_long_words=False, break_on_hyphens=False) for line in lines)
 
 
-def picture_lines(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
-    """The table in lines of `width` characters, at most `most` of them: subject, value, evidence and alternatives."""
+def wrap_assumptions(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
+    """Return the table as at most `most` lines of `width` characters: subject, value, evidence and alternatives."""
     rows = assumption_rows(tests)
     sizes = (36, 26, width - 36 - 26 - 4)
     lines = []
@@ -111,11 +113,11 @@ def picture_lines(tests: Sequence[ImportedTest], width: int, most: int) -> list[
     return lines
 
 
-def unused_columns(tests: Sequence[ImportedTest]) -> list[str]:
+def list_unused_columns(tests: Sequence[ImportedTest]) -> list[str]:
     """``file: 'column', ...`` of each file that has columns which are not read."""
     found: dict[str, dict[str, None]] = {}
     for test in tests:
         for part in test.parts:
             if part.reading.unused:
-                found.setdefault(part.file.name, {}).update(dict.fromkeys(map(_plain, part.reading.unused)))
+                found.setdefault(part.file.name, {}).update(dict.fromkeys(map(_to_one_line, part.reading.unused)))
     return [f"{name}: {', '.join(map(repr, columns))}" for name, columns in found.items()]

@@ -10,11 +10,11 @@ from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 
 
-def same_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding]:
-    """Files whose decimal mark need not be stated get that of the others, where it is their own.
+def share_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding]:
+    """State the decimal mark of some files for all files with the same mark.
 
-    A file with thousands separators states its decimal mark in the campaign. Its replicates with smaller numbers have
-    no separators; with the same option they stay replicates.
+    A file with thousands separators states its decimal mark in the campaign. Replicates with smaller numbers have no
+    separators; with the same option, they remain replicates.
     """
     stated = {reading.options["decimal"] for each in understood for reading in each.readings
               if "decimal" in reading.options}
@@ -22,7 +22,8 @@ def same_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding
         return list(understood)
     mark, = stated
 
-    def with_mark(each: Understanding, reading: Reading) -> Reading:
+    def set_decimal_mark(each: Understanding, reading: Reading) -> Reading:
+        """Return the reading of a file with the common mark among its options, if the file has this mark."""
         if "decimal" in reading.options or "columns" not in reading.options or each.decimal_mark != mark or any(
                 assumption.is_question for assumption in each.assumptions):
             return reading
@@ -30,7 +31,7 @@ def same_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding
         columns = options.pop("columns")
         return replace(reading, options=read_only({**options, "decimal": mark, "columns": columns}))
 
-    return [replace(each, readings=tuple(with_mark(each, reading) for reading in each.readings))
+    return [replace(each, readings=tuple(set_decimal_mark(each, reading) for reading in each.readings))
             for each in understood]
 
 

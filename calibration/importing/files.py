@@ -12,13 +12,13 @@ from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.importing.afm import is_afm, understand_afm
 from calibration.importing.campaign_text import FILL_IN, format_campaign
-from calibration.importing.decimal_marks import decimal_reason, same_decimal_mark
-from calibration.importing.flags import applies, check_options, require_used
-from calibration.importing.grouping import group, same_motion
+from calibration.importing.decimal_marks import decimal_reason, share_decimal_mark
+from calibration.importing.flags import applies_to_kind, check_options, require_used
+from calibration.importing.grouping import group_into_tests, has_same_motion
 from calibration.importing.imported import Imported, ImportedTest, ImportOptions, Line, Part, Zero, questions_of
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
-from calibration.importing.sidecar import kind_said, read_sidecar, with_sidecar
+from calibration.importing.sidecar import find_stated_kind, read_sidecar, with_sidecar
 from calibration.importing.signal_lines import (
     format_left_out_samples,
     format_offset_settings,
@@ -69,27 +69,28 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     """
     wishes, paths = wishes or ImportOptions(), [Path(file) for file in files]
     output = None if output is None else Path(output)
-    _check(paths, output, overwrite)
+    _check_paths(paths, output, overwrite)
     check_options(wishes)
-    understood = same_decimal_mark([with_sizes_compared(with_size_assumptions(each, wishes), wishes)
-                                    for each in _understand(paths, wishes)])
+    understood = share_decimal_mark([with_sizes_compared(with_size_assumptions(each, wishes), wishes)
+                                    for each in _understand_files(paths, wishes)])
     controlled = wishes.test.get("control")
     parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind, controlled)
                                        for recording in reading.recordings))
              for each in understood for reading in each.readings]
-    groups = [(name, *_with_zero(alike, wishes), reason) for name, alike, reason in group(parts)]
+    groups = [(name, *_add_zero(alike, wishes), reason) for name, alike, reason in group_into_tests(parts)]
     parts = [part for _, alike, *_ in groups for part in alike]
-    tests, specimens, missing = _tests(groups, wishes)
+    tests, specimens, missing = _build_tests(groups, wishes)
     require_used(wishes, understood, tests)
-    fit = _fit(tests, wishes)
+    fit = _fit_lines(tests, wishes)
 
     def text_in(folder: Path, questions: Sequence[str] = ()) -> str:
+        """Return the text of the campaign with paths relative to `folder`."""
         return format_campaign(tests, specimens, fit, folder, questions)
 
     text = text_in(Path() if output is None else output.parent, questions_of(tests))
-    imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _warnings(parts, tests))
+    imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _collect_warnings(parts, tests))
     if not missing:
-        imported = replace(imported, problem=_problem(text_in))
+        imported = replace(imported, problem=_find_problem(text_in))
     if output is None:
         return imported
     picture = output.with_suffix(".png")
@@ -99,7 +100,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     return replace(imported, output=output, picture=picture)
 
 
-def _check(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
+def _check_paths(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
     """Raise an `InputError` for repeated inputs, and for an output that cannot be written."""
     if not paths:
         raise InputError("give at least one file", field="files")
@@ -119,7 +120,7 @@ def _check(paths: Sequence[Path], output: Path | None, overwrite: bool) -> None:
                              file=each)
 
 
-def _understand(paths: Sequence[Path], wishes: ImportOptions) -> list[Understanding]:
+def _understand_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Understanding]:
     """Interpret all files.
 
     Raises:
@@ -147,13 +148,13 @@ def _understand_file(path: Path, wishes: ImportOptions) -> Understanding:
         return understand_afm(path)
     said = read_sidecar(path)
     speed, height = wishes.test.get("speed_mm_s"), wishes.specimen.get("height_mm")
-    stated = replace(stated, kind=stated.kind or kind_said(said), speed=None if speed is None else 1e-3 * speed,
+    stated = replace(stated, kind=stated.kind or find_stated_kind(said), speed=None if speed is None else 1e-3 * speed,
                      height=None if height is None else 1e-3 * float(height))
     found = with_sidecar(bounded(understand, path, stated, file=path), said,
                          kind_stated=wishes.stated.kind is not None)
     # Without the size of the specimen a force gives no modulus; stress and strain in the file give one.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= set(
-        reading.recordings[0].channels) and not _has_sizes(_sizes(reading, wishes))]
+        reading.recordings[0].channels) and not _has_sizes(_merge_sizes(reading, wishes))]
     if lacking and not stated.columns:
         direct = bounded(understand, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
@@ -161,7 +162,7 @@ def _understand_file(path: Path, wishes: ImportOptions) -> Understanding:
     return found
 
 
-def _sizes(reading: Reading, wishes: ImportOptions) -> dict[str, Size]:
+def _merge_sizes(reading: Reading, wishes: ImportOptions) -> dict[str, Size]:
     """Return key -> size of the specimen; the user overrides the sidecar, and the sidecar overrides the file."""
     found = find_sizes(reading.stated, reading.kind.kind)
     found |= {key: Size(key, float(value), "in the sidecar of the recording") for key, value in reading.specimen.items()
@@ -176,14 +177,14 @@ def _has_sizes(sizes: Mapping[str, Size]) -> bool:
     return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
 
-def _with_zero(parts: Sequence[Part], wishes: ImportOptions) -> tuple[tuple[Part, ...], Zero | None]:
+def _add_zero(parts: Sequence[Part], wishes: ImportOptions) -> tuple[tuple[Part, ...], Zero | None]:
     """Add the meaning of a load at zero displacement to the replicates of a test."""
-    sizes = {key: size.value for key, size in _sizes(parts[0].reading, wishes).items()}
+    sizes = {key: size.value for key, size in _merge_sizes(parts[0].reading, wishes).items()}
     laws = select_linear_laws(wishes.laws or _LAWS["analytical"])
     return add_zero_assumption(parts, sizes, laws, wishes.zero)
 
 
-def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wishes: ImportOptions
+def _build_tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wishes: ImportOptions
            ) -> tuple[tuple[ImportedTest, ...], dict[str, tuple[Line, ...]], tuple[str, ...]]:
     """Return the tests, their specimens (equal ones once), and the missing information."""
     tests: list[ImportedTest] = []
@@ -195,18 +196,18 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wis
         needs = "displacement" in reading.recordings[0] or (kind is not None and kind.closed_form is None)
         specimen = None
         if needs:
-            lines, lacks = _specimen(reading, wishes, kind)
+            lines, lacks = _specimen_lines(reading, wishes, kind)
             missing += [what for what in lacks if what not in missing]
             values = [(line.key, line.value) for line in lines]
             # An equal test of another name has another specimen; a different test may share a specimen.
             others = {test.specimen for test in tests if test.kind == reading.kind.kind
-                      and same_motion(test.parts[0], parts[0])}
+                      and has_same_motion(test.parts[0], parts[0])}
             specimen = next((known for known, other in specimens.items() if known not in others
                              and [(line.key, line.value) for line in other] == values), None)
             if specimen is None:
                 specimen = name if specimens else "specimen"
                 specimens[specimen] = lines
-        keys, lacks = _keys(parts, wishes)
+        keys, lacks = _test_lines(parts, wishes)
         missing += [what for what in lacks if what not in missing]
         columns = tuple(Line(column.channel, column.entry(),
                              f"{FILL_IN}: {column.missing}; {column.reason}" if column.missing else column.reason)
@@ -221,14 +222,15 @@ def _tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]], wis
     return tuple(tests), specimens, tuple(missing)
 
 
-def _specimen(reading: Reading, wishes: ImportOptions, kind: TestKind | None) -> tuple[tuple[Line, ...], list[str]]:
+def _specimen_lines(reading: Reading, wishes: ImportOptions, kind: TestKind | None
+                    ) -> tuple[tuple[Line, ...], list[str]]:
     """Return the lines of the specimen of a reading, and the missing sizes."""
-    sizes = _sizes(reading, wishes)
+    sizes = _merge_sizes(reading, wishes)
     shape, reason = wishes.specimen.get("shape"), "stated"
     if not wishes.specimen and reading.specimen.get("shape") in SPECIMENS:
         shape, reason = reading.specimen["shape"], "in the sidecar of the recording"
     if shape is not None:
-        return _of_shape(str(shape), sizes, reason)
+        return _shape_lines(str(shape), sizes, reason)
     lines, missing = [], []
     flat = "area_mm2" in sizes or (kind is not None and kind.gripped and "radius_mm" not in sizes)
     lines.append(Line("shape", "prism" if flat else "cylinder"))
@@ -246,7 +248,7 @@ def _specimen(reading: Reading, wishes: ImportOptions, kind: TestKind | None) ->
     return tuple(lines), missing
 
 
-def _of_shape(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple[Line, ...], list[str]]:
+def _shape_lines(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple[Line, ...], list[str]]:
     """Return the lines of a specimen with a stated shape, and the missing sizes."""
     lines, missing = [Line("shape", shape, reason)], []
     for key, declared in sizes_of(shape).items():
@@ -259,7 +261,7 @@ def _of_shape(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple
     return tuple(lines), missing
 
 
-def _keys(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line], list[str]]:
+def _test_lines(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line], list[str]]:
     """Return the lines of a ``[[test]]`` without name, specimen, recordings and columns, and missing information."""
     reading, missing = parts[0].reading, []
     lines = [Line("kind", reading.kind.kind, reading.kind.reason if reading.kind.kind else
@@ -273,19 +275,19 @@ def _keys(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line], lis
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     test = dict(wishes.test)
     if kind is not None and kind.tool_stated:
-        more, lacks = _tool(test, reading)
+        more, lacks = _tool_lines(test, reading)
         lines, missing = [*lines, *more], [*missing, *lacks]
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
-    lines += _found(parts)
+    lines += _air_and_failure_lines(parts)
     lines += format_left_out_samples(parts)
-    lines += _speed(parts, test.pop("speed_mm_s", None))
-    lines += [Line(key, value, "stated") for key, value in test.items() if applies(key, value, kind)]
+    lines += _speed_lines(parts, test.pop("speed_mm_s", None))
+    lines += [Line(key, value, "stated") for key, value in test.items() if applies_to_kind(key, value, kind)]
     return lines, missing
 
 
-def _speed(parts: Sequence[Part], stated: float | None) -> list[Line]:
+def _speed_lines(parts: Sequence[Part], stated: float | None) -> list[Line]:
     """Return the line ``speed_mm_s`` for recordings without displacement or without time."""
     reading = parts[0].reading
     if reading.speed is not None:
@@ -301,7 +303,7 @@ def _speed(parts: Sequence[Part], stated: float | None) -> list[Line]:
     return [] if found is None else [Line("speed_mm_s", found.value, f"no clock; {found.reason}")]
 
 
-def _tool(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
+def _tool_lines(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
     """Return the lines of the tool of an indentation and of its friction, and the missing information."""
     lines: list[Line] = []
     missing: list[str] = []
@@ -322,7 +324,7 @@ def _tool(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[s
     return lines, missing
 
 
-def _found(parts: Sequence[Part]) -> list[Line]:
+def _air_and_failure_lines(parts: Sequence[Part]) -> list[Line]:
     """Return the lines for air before contact, and for samples after a failure."""
     lines = []
     motions = [(part.file.name, motion) for part in parts for motion in part.motions]
@@ -343,7 +345,7 @@ def _flag_name(channel: str) -> str:
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def _fit(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[Line]:
+def _fit_lines(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[Line]:
     """Return the lines of ``[fit]``."""
     kinds = [KINDS[test.kind] for test in tests if test.kind]
     closed = all(kind.closed_form is not None for kind in kinds)
@@ -357,7 +359,7 @@ def _fit(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[Line]:
     return [*lines, *format_offset_settings(tests, bounded=closed), *format_viscoelastic_start(tests)]
 
 
-def _problem(text_in: Callable[[Path], str]) -> str | None:
+def _find_problem(text_in: Callable[[Path], str]) -> str | None:
     """Return the reason why the campaign cannot be calibrated; None: it can.
 
     Args:
@@ -374,7 +376,7 @@ def _problem(text_in: Callable[[Path], str]) -> str | None:
     return None
 
 
-def _warnings(parts: Sequence[Part], tests: Sequence[ImportedTest]) -> tuple[str, ...]:
+def _collect_warnings(parts: Sequence[Part], tests: Sequence[ImportedTest]) -> tuple[str, ...]:
     """Return the warnings of all files, each once."""
     found: dict[str, None] = {}
     for kind in dict.fromkeys(test.kind for test in tests if test.kind):

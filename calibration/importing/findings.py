@@ -9,20 +9,23 @@ from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.screening import EQUAL_LOAD, Screening, numbered
 
 
-def assumptions_of(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
+def list_recording_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
                    controlled: str | None = None) -> tuple[Assumption, ...]:
     """Return the assumptions about one recording.
 
     Args:
-        screening: with its controlled quantity. contact: None where it was not looked for.
-        has_air: whether there is air before contact; None: unknown. stressed: recorded as strain and stress.
-        controlled: quantity that the user states; None: found in the signals.
+        screening: findings on the recording, with the controlled quantity.
+        contact: contact of the tool; None: not searched.
+        has_air: whether motion in air precedes contact; None: unknown.
+        stressed: whether the recording has strain and stress.
+        controlled: controlled quantity as the user states; None: found in the signals.
     """
-    return tuple(_assumptions(screening, contact, has_air=has_air, stressed=stressed, controlled=controlled))
+    return tuple(_list_assumptions(screening, contact, has_air=has_air, stressed=stressed, controlled=controlled))
 
 
-def _assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
-                 controlled: str | None) -> Iterator[Assumption]:
+def _list_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
+                      controlled: str | None) -> Iterator[Assumption]:
+    """Yield the assumptions about one recording; see `list_recording_assumptions`."""
     control = screening.control
     if screening.samples:
         sentences = [*(each.sentence for each in screening.left_out), *(each.sentence for each in screening.saturation)]

@@ -45,13 +45,13 @@ def require_used(wishes: ImportOptions, files: Sequence[Understanding], tests: S
     Raises:
         InputError: with the flag and the reason.
     """
-    problem = next(_unused(wishes, files, tests), None)
+    problem = next(_find_unused(wishes, files, tests), None)
     if problem is not None:
         flag, reason = problem
         raise InputError(f"{reason}. Leave the flag out", field=flag)
 
 
-def applies(key: str, value: Any, kind: TestKind | None) -> bool:
+def applies_to_kind(key: str, value: Any, kind: TestKind | None) -> bool:
     """Return whether a test of this kind (None: not known yet) has the key of ``[[test]]`` with this value."""
     if kind is None:
         return True
@@ -63,18 +63,19 @@ def applies(key: str, value: Any, kind: TestKind | None) -> bool:
 
 
 def _is_plate(shape: Any) -> bool:
+    """Return whether a tool shape is a plate."""
     name = read_shape(shape)[0]
     return name in TOOLS and TOOLS[name].is_plate
 
 
-def _unused(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]
+def _find_unused(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]
             ) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of each option without effect."""
-    yield from _unused_for_files(wishes, files)
-    yield from _unused_for_columns(wishes, files)
+    yield from _find_unused_for_files(wishes, files)
+    yield from _find_unused_for_columns(wishes, files)
     kinds = [KINDS[test.kind] if test.kind else None for test in tests]
     for key, value in wishes.test.items():
-        if not any(applies(key, value, kind) for kind in kinds):
+        if not any(applies_to_kind(key, value, kind) for kind in kinds):
             names = ", ".join(dict.fromkeys(kind.name for kind in kinds if kind is not None))
             yield f"--{key.replace('_', '-')}", f"{names} has no {key.removesuffix('_mm').replace('_', ' ')} to state"
     if "speed_mm_s" in wishes.test and not any(line.key == "speed_mm_s" for test in tests for line in test.lines):
@@ -88,7 +89,7 @@ def _unused(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequen
                "displacement and force are read if all sizes are stated")
 
 
-def _unused_for_files(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _find_unused_for_files(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options that do not apply to this kind of file."""
     stated, kinds = wishes.stated, {each.kind_of_file for each in files}
     if stated.sheet is not None and not kinds & {"workbook", "container"}:
@@ -102,7 +103,7 @@ def _unused_for_files(wishes: ImportOptions, files: Sequence[Understanding]) -> 
             yield "--column", "files of an AFM name their channels"
 
 
-def _unused_for_columns(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _find_unused_for_columns(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options for channels that are not read."""
     columns: list[ColumnGuess] = [column for each in files for reading in each.readings for column in reading.columns]
     read = {name for column in columns for name in (column.channel, column.role)}

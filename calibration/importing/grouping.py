@@ -15,7 +15,7 @@ from tissue_sim.recording.formats.sizes import size_signature
 _NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
 
 
-def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
+def group_into_tests(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
     """Group files into tests, and return (name, replicates, reason) of each test.
 
     The names of replicates differ only in the number at their end. Replicates have equal columns, an equal kind of
@@ -23,7 +23,7 @@ def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
     failure, so that only the speed of its motion is compared.
     """
     alike: dict[tuple, list[list[Part]]] = {}
-    counted = _numbered(list(dict.fromkeys(part.file for part in parts)))
+    counted = _names_without_numbers(list(dict.fromkeys(part.file for part in parts)))
     for part in parts:
         reading = part.reading
         stem = counted[part.file]
@@ -31,7 +31,7 @@ def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
                size_signature(reading.stated, reading.kind.kind), repr(sorted(reading.specimen.items())),
                tuple((column.channel, column.header, column.unit) for column in reading.columns))
         clusters = alike.setdefault(key, [])
-        cluster = next((each for each in clusters if same_motion(each[0], part)), None)
+        cluster = next((each for each in clusters if has_same_motion(each[0], part)), None)
         if cluster is None:
             clusters.append([part])
         else:
@@ -41,12 +41,12 @@ def group(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...], str]]:
         for cluster in clusters:
             one = len(cluster) == 1
             parts_of_name = [cluster[0].file.stem if one else stem, name]
-            title = _unique("_".join(filter(None, parts_of_name)), [each for each, *_ in groups])
-            groups.append((title, tuple(cluster), _reason(cluster, len(clusters))))
+            title = _unique_name("_".join(filter(None, parts_of_name)), [each for each, *_ in groups])
+            groups.append((title, tuple(cluster), _describe_replicates(cluster, len(clusters))))
     return groups
 
 
-def _numbered(files: Sequence[Path]) -> dict[Path, str]:
+def _names_without_numbers(files: Sequence[Path]) -> dict[Path, str]:
     """Return file -> name without the number of the replicate.
 
     Numbers that differ widely, such as in ``gel_10`` and ``gel_50``, are part of the name of the specimen.
@@ -62,7 +62,7 @@ def _numbered(files: Sequence[Path]) -> dict[Path, str]:
     return found
 
 
-def same_motion(first: Part, second: Part) -> bool:
+def has_same_motion(first: Part, second: Part) -> bool:
     """Return whether speed and reach of two motions are equal within `REPLICATE_TOLERANCE`."""
     kind = KINDS[first.reading.kind.kind] if first.reading.kind.kind else None
     pairs = []
@@ -74,7 +74,7 @@ def same_motion(first: Part, second: Part) -> bool:
     return all(max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair) for pair in pairs)
 
 
-def _reason(cluster: Sequence[Part], clusters: int) -> str:
+def _describe_replicates(cluster: Sequence[Part], clusters: int) -> str:
     """Return the evidence that the parts of a cluster are replicates, in one sentence."""
     replicates = sum(len(part.motions) for part in cluster)
     apart = "; files of the same name that move otherwise are tests of their own" if clusters > 1 else ""
@@ -86,7 +86,7 @@ def _reason(cluster: Sequence[Part], clusters: int) -> str:
     return f"one recording{apart}"
 
 
-def _unique(name: str, taken: Sequence[str]) -> str:
+def _unique_name(name: str, taken: Sequence[str]) -> str:
     """Return the name, with a number if other tests have the name."""
     number = 2
     found = name

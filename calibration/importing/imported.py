@@ -53,6 +53,7 @@ class Part:
 
     @property
     def file(self) -> Path:
+        """Path of the file."""
         return self.understanding.file
 
 
@@ -171,7 +172,7 @@ def to_json(imported: Imported) -> dict[str, Any]:
     return {
         "campaign": None if imported.output is None else str(imported.output),
         "picture": None if imported.picture is None else str(imported.picture),
-        "files": [_file(each, imported) for each in imported.files],
+        "files": [_file_to_json(each, imported) for each in imported.files],
         "tests": [{"name": test.name, "kind": test.kind, "recordings": [str(part.file) for part in test.parts],
                    "replicates": sum(len(part.motions) for part in test.parts), "reason": test.reason}
                   for test in imported.tests],
@@ -180,9 +181,10 @@ def to_json(imported: Imported) -> dict[str, Any]:
         "warnings": list(imported.warnings)}
 
 
-def _file(understanding: Understanding, imported: Imported) -> dict[str, Any]:
+def _file_to_json(understanding: Understanding, imported: Imported) -> dict[str, Any]:
+    """Return the entry of a file in ``files`` of `to_json`."""
     parts = [part for test in imported.tests for part in test.parts if part.understanding is understanding]
-    recordings = [_recording(motion, recording.name or part.reading.name, len(recording))
+    recordings = [_recording_to_json(motion, recording.name or part.reading.name, len(recording))
                   for part in parts for motion, recording in zip(part.motions, part.reading.recordings, strict=True)]
     first = recordings[0]
     return {"file": str(understanding.file), "format": understanding.format, "delimiter": understanding.delimiter,
@@ -197,7 +199,8 @@ def _file(understanding: Understanding, imported: Imported) -> dict[str, Any]:
                          *(warning for part in parts for motion in part.motions for warning in motion.warnings)]}
 
 
-def _recording(motion: Motion, name: str, points: int) -> dict[str, Any]:
+def _recording_to_json(motion: Motion, name: str, points: int) -> dict[str, Any]:
+    """Return the entry of a recording in ``recordings`` of its file; lengths in mm."""
     contact = motion.contact
     channel, in_mm = ("displacement_mm", 1e3) if motion.channel == "displacement" else ("strain", 1.0)
     return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.importing.findings import assumptions_of
+from calibration.importing.findings import list_recording_assumptions
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.contact import Contact
@@ -124,22 +124,23 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
     if rate is None and abs(way[0]) > abs(way[-1]):
         # A table without a clock has no order; starting from rest, the table is a loading.
         recording = recording.select(slice(None, None, -1))
-    control = _control(recording, kind)
+    control = _find_control(recording, kind)
     screening = replace(screening, control=control if controlled is None else replace(control, equal_samples=0))
     motion = Motion(channel, (float(way.max()), float(way.min())), rate, duration, speed,
                     find_segments(recording, kind), screening=screening, kept=None if kept.size == size else kept)
-    assumptions = assumptions_of(screening, motion.contact, has_air=motion.air, stressed=motion.found.stressed,
-                                 controlled=controlled)
-    return replace(motion, warnings=tuple(_warnings(recording, motion)), assumptions=assumptions)
+    assumptions = list_recording_assumptions(screening, motion.contact, has_air=motion.air,
+                                             stressed=motion.found.stressed, controlled=controlled)
+    return replace(motion, warnings=tuple(_list_warnings(recording, motion)), assumptions=assumptions)
 
 
-def _control(recording: Recording, kind: str | None) -> Control:
+def _find_control(recording: Recording, kind: str | None) -> Control:
     """Return the controlled quantity of a recording."""
     motion, load, _ = loading_of(recording, KINDS.get(kind) if kind else None)
     return find_control(motion, load, recording.time if "time" in recording and np.ptp(recording.time) > 0 else None)
 
 
-def _warnings(recording: Recording, motion: Motion) -> Iterator[str]:
+def _list_warnings(recording: Recording, motion: Motion) -> Iterator[str]:
+    """Yield the warnings about one recording: screening, contact, segments."""
     contact = motion.contact
     said = "" if contact is None else contact.in_words(stressed=motion.found.stressed)
     yield from motion.screening.remarks

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.importing.assumption_table import picture_lines
+from calibration.importing.assumption_table import wrap_assumptions
 from calibration.importing.imported import Imported, ImportedTest
 from calibration.report.drawing import COLOURS, STYLE, new_figure, thinning_slice
 from calibration.report.png import render_png
@@ -52,19 +52,19 @@ def draw_imported(imported: Imported) -> bytes:
 
     tests = imported.tests[:_SETTINGS.most_tests]
     with matplotlib.rc_context(STYLE):
-        lines = picture_lines(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
+        lines = wrap_assumptions(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
         heights = [_SETTINGS.row_height] * len(tests) + [max(len(lines), 1) * _SETTINGS.line_height]
         figure = new_figure(10.0, sum(heights))
         axes = figure.subplots(len(heights), 2, gridspec_kw={"height_ratios": heights})
         for row, test in zip(axes[:-1], tests, strict=True):
-            _draw(row[0], row[1], test)
-        _write(axes[-1], lines)
+            _draw_curves(row[0], row[1], test)
+        _write_assumptions(axes[-1], lines)
         if len(imported.tests) > len(tests):
             figure.supxlabel(f"the first {len(tests)} of {len(imported.tests)} tests", fontsize=9)
         return render_png(figure, 110)
 
 
-def _write(axes, lines: Sequence[str]) -> None:
+def _write_assumptions(axes, lines: Sequence[str]) -> None:
     """Write the table of assumptions below the axes."""
     for each in axes:
         each.set_axis_off()
@@ -73,7 +73,8 @@ def _write(axes, lines: Sequence[str]) -> None:
                  clip_on=False)
 
 
-def _draw(left, right, test: ImportedTest) -> None:
+def _draw_curves(left, right, test: ImportedTest) -> None:
+    """Draw the recordings of a test: motion over time in the left axes, load over motion in the right axes."""
     number = 0
     for part in test.parts:
         raw = {column.channel for column in part.reading.columns if column.missing}
@@ -83,7 +84,7 @@ def _draw(left, right, test: ImportedTest) -> None:
             name = part.file.name if len(part.motions) == 1 else f"{part.file.name} {number + 1}"
             kept = np.arange(len(recording)) if motion.kept is None else motion.kept
             every = kept[thinning_slice(kept.size)]
-            ways, loads = (_values(recording, channel, raw) for channel in (motion.channel, load))
+            ways, loads = (_plotted_values(recording, channel, raw) for channel in (motion.channel, load))
             clocks = recording.time if motion.rate is not None else np.arange(len(recording))
             left.plot(clocks[every], ways[every], **style)
             right.plot(ways[every], loads[every], **style, label=name if number < _SETTINGS.most_names else None)
@@ -91,11 +92,11 @@ def _draw(left, right, test: ImportedTest) -> None:
                 _mark_left_out(left, right, clocks, ways, loads, kept, motion.screening)
             if motion.failure is not None:
                 at = motion.sample(motion.failure.index)
-                right.plot(*(_values(recording, channel, raw)[at] for channel in (motion.channel, load)), "x",
+                right.plot(*(_plotted_values(recording, channel, raw)[at] for channel in (motion.channel, load)), "x",
                            color="k", ms=7, label="failure" if number == 0 else None)
             if number == 0:
-                _label(left, right, motion.channel, load, raw, timed=motion.rate is not None)
-                _shade(left, recording, motion)
+                _label_axes(left, right, motion.channel, load, raw, timed=motion.rate is not None)
+                _shade_segments(left, recording, motion)
             number += 1
     kind = test.kind.replace("_", " ") if test.kind else "kind not known"
     left.set_title(f"{test.name}: {kind}", loc="left", fontsize=10)
@@ -104,13 +105,14 @@ def _draw(left, right, test: ImportedTest) -> None:
         right.legend(fontsize=7, title=more, title_fontsize=7)
 
 
-def _values(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
+def _plotted_values(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
+    """Return the values of a channel in the unit of the picture; channels in `raw` have no known unit."""
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
 
 
 def _mark_left_out(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.ndarray, kept: np.ndarray,
                    screening: Screening) -> None:
-    """Mark samples that are left out; those beyond the kept ones are drawn at the edge of these."""
+    """Mark the omitted samples; samples outside of the range of the kept ones are drawn at its edge."""
     saturated = [sample - 1 for each in screening.saturation for sample in each.samples]
     outliers = np.setdiff1d(np.setdiff1d(np.arange(ways.size), kept), saturated)
     for samples, style, name in ((outliers, {"marker": "x", "color": "r", "ms": 6}, "left out: outlier"),
@@ -125,7 +127,7 @@ def _mark_left_out(left, right, clocks: np.ndarray, ways: np.ndarray, loads: np.
             right.plot(way, load, ls="", **style, label=name)
 
 
-def _label(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:
+def _label_axes(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> None:
     def words(channel: str) -> str:
         return f"{channel}, unit not known" if channel in raw else _SHOWN[channel][0]
 
@@ -135,8 +137,8 @@ def _label(left, right, way: str, load: str, raw: set[str], *, timed: bool) -> N
     right.set_ylabel(words(load))
 
 
-def _shade(axes, recording: Recording, motion) -> None:
-    """Segments other than the first loading, behind the curve."""
+def _shade_segments(axes, recording: Recording, motion) -> None:
+    """Shade the segments other than the first loading."""
     for segment in motion.segments:
         if segment.name in _SHADES:
             ends = ((recording.time[segment.first], recording.time[segment.last]) if motion.rate is not None

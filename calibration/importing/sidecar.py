@@ -30,7 +30,7 @@ def read_sidecar(path: Path) -> Mapping[str, Any]:
     return {}
 
 
-def kind_said(said: Mapping[str, Any]) -> str | None:
+def find_stated_kind(said: Mapping[str, Any]) -> str | None:
     """Return the kind of test in a sidecar; None without a known kind."""
     kind = said.get("kind")
     return kind if isinstance(kind, str) and kind in KINDS else None
@@ -46,7 +46,7 @@ def with_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: 
     """
     if not said:
         return found
-    reason, kind = f"in {found.file.with_suffix('.json').name}", kind_said(said)
+    reason, kind = f"in {found.file.with_suffix('.json').name}", find_stated_kind(said)
     specimen = said.get("specimen")
     sizes = {key: value for key, value in specimen.items() if key == "shape" or isinstance(value, int | float)} \
         if isinstance(specimen, Mapping) else {}
@@ -56,6 +56,7 @@ def with_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: 
     about = {key: value for key, value in about.items() if value is not None}
 
     def complete(reading: Reading) -> Reading:
+        """Return a reading with the kind, the sizes and the metadata of the sidecar."""
         guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
         return replace(reading, kind=guess, specimen=read_only(sizes),
                        recordings=tuple(each.with_metadata(**about) for each in reading.recordings))

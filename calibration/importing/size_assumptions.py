@@ -32,7 +32,8 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
     """Return one assumption for each size of the specimen that the file of a reading states.
 
     Args:
-        reading: of tables. stated: keys of ``[[specimen]]`` that the user states.
+        reading: reading of the tables of a file.
+        stated: keys of ``[[specimen]]`` that the user states.
     """
     if not any(column.channel in ("displacement", "force") for column in reading.columns):
         return ()
@@ -46,7 +47,7 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
         assumptions.append(Assumption(
             f"size of the specimen ({name})", f"{first.value:g} {unit}", (first.reason,), (),
             tuple(Alternative(f"{each.value:g} {unit} ({each.reason})", _modulus_ratio(key, first, each, reading),
-                              _flag(each)) for each in others), _flag(first), is_stated))
+                              _size_flag(each)) for each in others), _size_flag(first), is_stated))
     return tuple(assumptions)
 
 
@@ -60,12 +61,13 @@ def unclear_statement(reading: Reading, key: str) -> str:
     return f"the file states {product!r}, which does not name the sizes" if product else ""
 
 
-def _flag(size: Size) -> str:
+def _size_flag(size: Size) -> str:
+    """Return the flag of the command line that states a size."""
     return f"--{size.key.replace('_', '-')} {size.value:g}"
 
 
 def _modulus_ratio(key: str, first: Size, other: Size, reading: Reading) -> float | None:
-    """Modulus with the other size over that with the first one, for a homogeneous deformation; None: unknown."""
+    """Return the ratio of the moduli with the other and the first size (homogeneous deformation); None: unknown."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     if kind is None or kind.closed_form is None:
         return None

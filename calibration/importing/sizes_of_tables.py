@@ -33,8 +33,8 @@ def with_sizes_compared(found: Understanding, wishes: ImportOptions) -> Understa
     if len(sized) < len(found.readings):
         return found
     sizes = [size for _, size in sized]
-    stiffnesses = _stiffnesses([reading.recordings[0] for reading, _ in sized])
-    apart, together = _range(sizes), _range(stiffnesses)
+    stiffnesses = _secant_stiffnesses([reading.recordings[0] for reading, _ in sized])
+    apart, together = _logarithmic_range(sizes), _logarithmic_range(stiffnesses)
     if apart <= np.log1p(MODULUS_TOLERANCE) or together >= _LEAST_RANGE_RATIO * apart:
         return found
     question = Assumption(
@@ -48,7 +48,7 @@ def with_sizes_compared(found: Understanding, wishes: ImportOptions) -> Understa
 
 
 def _area_over_height(reading: Reading) -> float | None:
-    """Cross-section over height, mm; None where the file does not state both, or no force and displacement is read."""
+    """Return cross-section over height, mm; None: an unknown size, or a reading without force and displacement."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     read = {column.channel for column in reading.columns if not column.missing}
     if kind is None or kind.closed_form is None or "force" not in read or any(
@@ -59,8 +59,8 @@ def _area_over_height(reading: Reading) -> float | None:
     return None if area is None or "height_mm" not in sizes else area / sizes["height_mm"]
 
 
-def _stiffnesses(recordings: Sequence[Recording]) -> list[float]:
-    """Secant stiffness of each first loading up to the displacement that all recordings reach, N/m; 0: unknown."""
+def _secant_stiffnesses(recordings: Sequence[Recording]) -> list[float]:
+    """Return the secant stiffness of each first loading up to the common displacement, N/m; 0: unknown."""
     loadings = []
     for each in recordings:
         try:
@@ -78,6 +78,6 @@ def _stiffnesses(recordings: Sequence[Recording]) -> list[float]:
     return found
 
 
-def _range(values: Sequence[float]) -> float:
-    """Logarithm of the largest over the smallest value; infinite where a value is not positive."""
+def _logarithmic_range(values: Sequence[float]) -> float:
+    """Return the logarithm of the largest over the smallest value; infinite if a value is not positive."""
     return float(np.log(max(values) / min(values))) if min(values) > 0 else float("inf")

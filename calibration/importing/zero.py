@@ -21,7 +21,7 @@ from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS, find_law
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.preload import LoadAtZero, load_at_zero
+from tissue_sim.recording.preload import LoadAtZero, estimate_load_at_zero
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import loading_of
 from tissue_sim.units import quantity_of, to_si
@@ -99,7 +99,7 @@ def add_zero_assumption(parts: Sequence[Part], sizes: Mapping[str, float], laws:
     found = [(curve, start) for part in parts for recording, motion in zip(part.reading.recordings, part.motions,
                                                                           strict=True)
              if (curve := _first_loading(recording, motion, kind)) is not None
-             and (start := load_at_zero(*curve)) is not None]
+             and (start := estimate_load_at_zero(*curve)) is not None]
     if not found or any(column.missing for column in reading.columns):
         return tuple(parts), None
     shift, load = (float(np.mean([getattr(start, name) for _, start in found])) for name in ("shift", "load"))

@@ -15,7 +15,7 @@ from haptics.loop.ring import PAUSED
 from tissue_sim.errors import InputError
 from tissue_sim.recording.file import write_recording
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import HOLD_TIME, HYSTERESIS, Reversals, count_cycles, label_motion, one_way
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, Reversals, count_cycles, label_motion, one_way
 from tissue_sim.tool_force import ForceStatus
 
 
@@ -268,7 +268,7 @@ class Trace:
             raise InputError("must have at least two equilibrium points. Push the tool into the tissue first, and "
                              "slowly if many ticks are late.", field="trace")
         time, depth, wrench = self.time[in_equilibrium], self.depth[in_equilibrium], self.wrench[in_equilibrium]
-        labels = label_motion(time, depth, 0.5 * HYSTERESIS, shortest_hold=HOLD_TIME)
+        labels = label_motion(time, depth, 0.5 * MOTION_SETTINGS.hysteresis, shortest_hold=MOTION_SETTINGS.hold_time)
         segment, cycle = count_cycles(labels)
         channels = {"time": time - time[0], "displacement": depth, "force": self.force[in_equilibrium]}
         if wrench[:, [0, 1, 3, 4, 5]].any():

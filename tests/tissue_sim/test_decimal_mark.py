@@ -132,7 +132,7 @@ def test_columns_that_contradict_each_other_are_a_question(tmp_path):
 def test_separators_below_the_beginning_of_a_long_text_count(tmp_path, style, places):
     """The first lines hold no value of 1000: only all lines together show what the mark means."""
     rows = [(0.5 * i, 0.4 * i, 2.5 * i) for i in range(1000)]
-    with mock.patch.object(long_text, "BEGINNING", 50):
+    with mock.patch.object(long_text, "_SETTINGS", long_text.LongTextSettings(beginning=50)):
         recording = read(tmp_path, table(rows, style, places))
     assert recording.force[-1] == pytest.approx(2.498, rel=1e-3)
 

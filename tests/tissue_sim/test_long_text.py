@@ -1,5 +1,6 @@
 """Long texts, whose plain end is read at once: always the recording, or the sentence, of the way cell by cell."""
 
+from dataclasses import replace
 from pathlib import Path
 from unittest import mock
 
@@ -52,7 +53,7 @@ def both(reader, text, folder, beginning=8):
     """The outcomes with a plain end below so few lines, and without one."""
     path = Path(folder) / "long.csv"
     path.write_bytes(text.encode())
-    with mock.patch.object(long_text, "BEGINNING", beginning):
+    with mock.patch.object(long_text, "_SETTINGS", replace(long_text._SETTINGS, beginning=beginning)):
         at_once = outcome(reader, path)
     return at_once, outcome(reader, path)
 
@@ -97,7 +98,7 @@ def test_separators_that_do_not_make_groups_of_three_are_refused_as_ever(cell, t
 
 def test_the_plain_end_is_what_is_read(tmp_path):
     text = "# made by hand\n" + foreign(ROWS, header="time [s],displacement [mm],force [N]")
-    with mock.patch.object(long_text, "BEGINNING", 4):
+    with mock.patch.object(long_text, "_SETTINGS", long_text.LongTextSettings(beginning=4)):
         beginning, end = split_long(text)
         assert beginning.count("\n") == 4 and (end.cells, end.delimiter, end.marks) == (3, ",", ".")
         np.testing.assert_allclose(end.numbers([2, 0], "."), [[0.1 * i**2, 0.5 * i] for i in range(2, 16)], atol=1e-12)

@@ -239,7 +239,7 @@ def test_header_of_a_written_file(tmp_path):
 
 
 @pytest.mark.parametrize(("labels", "metadata", "name", "message"), [
-    ({}, {}, "r.txt", "ends in .csv"),
+    ({}, {}, "r.txt", "must end in .csv"),
     ({}, {"scores": [1.0, float("nan")]}, "r.csv", r"metadata\.scores\[1\]: nan is not a finite number"),
     ({}, {"device": "\ud800"}, "r.csv", r"metadata\.device: .* surrogate"),
     ({}, {"object": object()}, "r.csv", "no equivalent in JSON"),

@@ -10,8 +10,8 @@ from tissue_sim.recording.control import find_control
 from tissue_sim.recording.measures import MEASURES, convert_measures
 from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.outliers import find_outliers
-from tissue_sim.recording.preload import load_at_zero
-from tissue_sim.recording.saturation import last_digit
+from tissue_sim.recording.preload import estimate_load_at_zero
+from tissue_sim.recording.saturation import find_last_digit
 
 TIME = np.arange(126) * 0.2
 WAY = 1e-4 * TIME
@@ -170,10 +170,10 @@ class TestSaturationOfStress:
 
     def test_the_last_digit_of_a_column_in_any_unit(self):
         column = np.round(np.random.default_rng(6).normal(0.0, 30.0, 100), 3)
-        assert last_digit(column) == pytest.approx(1e-3)
-        assert last_digit(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
-        assert last_digit(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
-        assert last_digit(np.full(5, 3.0)) == 0.0
+        assert find_last_digit(column) == pytest.approx(1e-3)
+        assert find_last_digit(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
+        assert find_last_digit(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
+        assert find_last_digit(np.full(5, 3.0)) == 0.0
 
 
 class TestControl:
@@ -228,20 +228,20 @@ class TestControl:
 class TestPreload:
     @pytest.mark.parametrize("shift", [0.1e-3, 0.4e-3, 1e-3])
     def test_a_displacement_zeroed_at_a_preload(self, shift):
-        found = load_at_zero(WAY, force(WAY + shift) + NOISE)
+        found = estimate_load_at_zero(WAY, force(WAY + shift) + NOISE)
         assert found.load == pytest.approx(float(force(np.array([shift]))[0]), abs=0.02)
         assert found.shift == pytest.approx(shift, rel=0.15)
 
     @pytest.mark.parametrize("offset", [-0.3, -1.0])
     def test_a_load_against_the_direction_of_loading(self, offset):
-        found = load_at_zero(WAY, FORCE + offset + NOISE)
+        found = estimate_load_at_zero(WAY, FORCE + offset + NOISE)
         assert found.load == pytest.approx(offset, abs=0.02)
         assert found.fraction < 0 and found.shift < 0
 
     def test_loads_that_start_from_zero_or_elsewhere_are_none(self):
-        assert load_at_zero(WAY, FORCE) is None
-        assert load_at_zero(WAY + 1e-3, force(WAY + 1e-3)) is None
-        assert load_at_zero(WAY, np.full(WAY.size, 2.0)) is None
+        assert estimate_load_at_zero(WAY, FORCE) is None
+        assert estimate_load_at_zero(WAY + 1e-3, force(WAY + 1e-3)) is None
+        assert estimate_load_at_zero(WAY, np.full(WAY.size, 2.0)) is None
 
 
 def test_the_loading_from_rest_before_creep_is_kept():
@@ -283,5 +283,5 @@ class TestFirstSample:
 
 def test_a_coarse_force_hides_no_preload():
     load = np.round(force(WAY + 0.2e-3) / 0.5) * 0.5
-    assert load_at_zero(WAY, load).load == pytest.approx(force(np.array([0.2e-3]))[0], rel=0.3)
-    assert load_at_zero(WAY, np.round(force(WAY) / 0.5) * 0.5) is None
+    assert estimate_load_at_zero(WAY, load).load == pytest.approx(force(np.array([0.2e-3]))[0], rel=0.3)
+    assert estimate_load_at_zero(WAY, np.round(force(WAY) / 0.5) * 0.5) is None

@@ -5,8 +5,8 @@ import pytest
 
 from tissue_sim.recording.failure import find_failure
 from tissue_sim.recording.outliers import find_outliers
-from tissue_sim.recording.preload import load_at_zero
-from tissue_sim.recording.resolution import rounding_step
+from tissue_sim.recording.preload import estimate_load_at_zero
+from tissue_sim.recording.resolution import find_rounding_step
 from tissue_sim.recording.saturation import find_saturation
 
 TIME = np.arange(0.0, 80.0, 0.5)
@@ -42,8 +42,8 @@ def test_the_overshoot_of_a_relaxing_load_in_a_step_is_kept():
 @pytest.mark.parametrize("decimals", [3, 5])
 def test_the_step_of_a_coarse_sensor_is_found_in_printed_numbers(step, decimals):
     load = np.round(np.round(np.linspace(0.0, 20 * step, 400) / step) * step, decimals)
-    assert rounding_step(load) == pytest.approx(step, rel=1e-3)
-    assert rounding_step(np.linspace(0.0, 1.0, 400)) == 0.0
+    assert find_rounding_step(load) == pytest.approx(step, rel=1e-3)
+    assert find_rounding_step(np.linspace(0.0, 1.0, 400)) == 0.0
 
 
 @pytest.mark.parametrize("levels", [15, 22, 30])
@@ -62,7 +62,7 @@ def test_the_load_at_zero_is_judged_before_the_load_relaxes(preload):
     way = 4e-3 * (number + np.minimum(within / 8.0, 1.0))
     relaxed = 1.0 - 0.35 * (1 - np.exp(-np.maximum(time - 4.0, 0.0) / 6.0))
     load = (60.0 * way + preload) * relaxed + np.random.default_rng(1).normal(0.0, 1e-3, time.size)
-    found = load_at_zero(way, load)
+    found = estimate_load_at_zero(way, load)
     assert (found is not None) == (preload > 0)
     assert found is None or found.load == pytest.approx(preload, rel=0.1)
 

@@ -53,16 +53,16 @@ class Part:
     step: float
     start: float
 
-    def until(self, end: int) -> Part:
+    def cut_at(self, end: int) -> Part:
         """Return the samples before index `end`."""
         return Part(self.time[:end], self.displacement[:end], self.force[:end], self.rounding, self.step, self.start)
 
     @cached_property
     def coarse(self) -> Part:
         """Averaged samples for a coarse search."""
-        return self.at_most(_SETTINGS.coarse_samples)
+        return self.average_to(_SETTINGS.coarse_samples)
 
-    def at_most(self, samples: int) -> Part:
+    def average_to(self, samples: int) -> Part:
         """Return means of neighbouring samples, at most `samples` of them."""
         each = -(-self.time.size // samples)
         if each == 1:
@@ -185,7 +185,7 @@ class ChangePointFit:
             return np.concatenate([self.squares(places[k:k + together], powers[k:k + together], bounded=bounded)
                                    for k in range(0, places.size, together)])
         columns = [self._project(self._whiten(column)) for column in self._columns(places, powers)]
-        answer, coefficients = _orthogonal(columns, self._data)
+        answer, coefficients = _solve_least_squares(columns, self._data)
         answer, leading = answer.reshape(powers.shape), coefficients[0].reshape(powers.shape)
         if bounded:
             end = ((self.part.displacement[-1] - places) / self._scale)[:, None]
@@ -194,7 +194,7 @@ class ChangePointFit:
             answer[after & (leading <= _SETTINGS.leading_fraction * np.maximum(force, 0.0))] = np.inf
         return answer
 
-    def least(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def minimize_over_exponent(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the smallest sum of squares over the exponent at each place, and the exponent; shapes (places,)."""
         low, high = self.exponents
         rows, count = np.arange(places.size), 9 if high > low else 1
@@ -218,27 +218,28 @@ class ChangePointFit:
                       + half * np.arange(-reach, reach + 1))
         return found, best
 
-    def search(self) -> tuple[float, float]:
+    def search_coarsely(self) -> tuple[float, float]:
         """Return contact, m, and exponent of the best fit of the averaged samples."""
         coarse = ChangePointFit(self.part.coarse, self.terms, self.exponents)
         low, high = coarse.part.start, max(coarse.latest, coarse.part.start + coarse.part.step)
         samples = np.quantile(coarse.part.displacement, np.linspace(0, 1, 22), method="nearest").clip(low, high)
-        return coarse.near(None, np.union1d(np.linspace(low, high, 22), samples))
+        return coarse.refine_fit(None, np.union1d(np.linspace(low, high, 22), samples))
 
-    def near(self, best: tuple[float, float] | None, places: np.ndarray | None = None) -> tuple[float, float]:
+    def refine_fit(self, best: tuple[float, float] | None, places: np.ndarray | None = None) -> tuple[float, float]:
         """Return contact, m, and exponent of the best fit near an estimate.
 
         The best of the trial places is refined twice between its neighbours.
 
         Args:
-            best: estimate of contact and exponent. places: trial displacements, m; None: around the estimate.
+            best: estimate of contact, m, and exponent.
+            places: trial displacements of contact, m, shape (k,); None: around the estimate.
         """
         if places is None:
             assert best is not None
             step = self.part.coarse.step
             places = np.unique((best[0] + step * np.linspace(-2, 2, 9)).clip(self.part.start, self.latest))
         for level in range(3):
-            squares, powers = self.least(places)
+            squares, powers = self.minimize_over_exponent(places)
             at = int(np.argmin(squares))
             answer = float(places[at]), float(powers[at])
             gap = places[min(at + 1, places.size - 1)] - places[max(at - 1, 0)]
@@ -254,7 +255,7 @@ class ChangePointFit:
         start, latest, step = self.part.start, max(self.latest, self.part.start + self.part.step), self.part.step
         places = np.unique((best[0] + step * np.array([-3, -1, -0.3, 0, 0.3, 1, 3])).clip(start, latest))
         places = np.union1d(places, start)
-        squares, powers = self.least(places)
+        squares, powers = self.minimize_over_exponent(places)
         for _ in range(14):
             at = int(np.argmin(squares))
             variance = max(squares[at] / self.freedom, self.part.rounding**2, 1e-300)
@@ -280,7 +281,7 @@ class ChangePointFit:
             new = np.setdiff1d(np.concatenate(wanted).clip(start, latest), places) if wanted else np.zeros(0)
             if not new.size:
                 break
-            more, of_more = self.least(new)
+            more, of_more = self.minimize_over_exponent(new)
             order = np.argsort(np.append(places, new))
             places, squares, powers = (np.append(old, added)[order] for old, added in (
                 (places, new), (squares, more), (powers, of_more)))
@@ -291,13 +292,13 @@ class ChangePointFit:
         """Effective degrees of freedom of correlated samples, from the variance of their mean."""
         return max(self.freedom * (1 - self.correlation) / (1 + self.correlation), 5.0)
 
-    def colour(self, place: float, power: float) -> float:
+    def estimate_noise_correlation(self, place: float, power: float) -> float:
         """Estimate the correlation of the noise; all fitted parameters reduce the degrees of freedom."""
         self.coefficients(place, power)
-        design = np.vstack([self._design, *self._moved(place, power)]).T
-        return _correlation(self.part.force - self.part.force[0], design)
+        design = np.vstack([self._design, *self._shifted_terms(place, power)]).T
+        return _estimate_correlation(self.part.force - self.part.force[0], design)
 
-    def without_contact(self) -> float:
+    def squares_without_contact(self) -> float:
         """Return the sum of squares of a fit with zero and drift alone, N2."""
         return float(self._data @ self._data)
 
@@ -313,10 +314,12 @@ class ChangePointFit:
         """Return the standard error of the drift over the part, N; contact and exponent are fitted, too.
 
         Args:
-            variance: of the whitened residual, N2.
+            place: displacement of contact, m.
+            power: exponent of the force after contact.
+            variance: variance of the whitened residual, N2.
         """
         self.coefficients(place, power)
-        moved = [each - self._design[2] for each in self._moved(place, power)]
+        moved = [each - self._design[2] for each in self._shifted_terms(place, power)]
         weighed = self._whiten(np.vstack([self._design, *moved]))
         size = np.linalg.norm(weighed, axis=1).clip(1e-150)
         covariance = np.linalg.pinv((weighed / size[:, None]) @ (weighed / size[:, None]).T)
@@ -329,7 +332,7 @@ class ChangePointFit:
         wanted = self._whiten(self.part.force - self.part.force[0])
         return float(np.linalg.lstsq(self._whiten(design).T, wanted, rcond=None)[0][0])
 
-    def _moved(self, place: float, power: float) -> list[np.ndarray]:
+    def _shifted_terms(self, place: float, power: float) -> list[np.ndarray]:
         """Return the leading term with a shifted contact, and with a shifted exponent, shapes (n,)."""
         return [self._columns(np.array([place - _SETTINGS.difference_step * self._scale]), np.array([[power]]))[0][0],
                 self._columns(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
@@ -340,7 +343,7 @@ class ChangePointFit:
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
 
-def _orthogonal(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _solve_least_squares(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Solve m least-squares problems of data (n,) on columns, each (m, n).
 
     Returns:
@@ -367,11 +370,12 @@ def _orthogonal(columns: list[np.ndarray], data: np.ndarray) -> tuple[np.ndarray
     return np.einsum("mn,mn->m", rest, rest), coefficients
 
 
-def _correlation(data: np.ndarray, design: np.ndarray) -> float:
+def _estimate_correlation(data: np.ndarray, design: np.ndarray) -> float:
     """Estimate the correlation of the noise of neighbouring samples, at least 0, by the restricted likelihood.
 
     Args:
-        data: (n,). design: columns that are fitted to it, (n, k).
+        data: values, shape (n,).
+        design: columns that are fitted to the values, shape (n, k).
 
     Source: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
@@ -379,6 +383,7 @@ def _correlation(data: np.ndarray, design: np.ndarray) -> float:
     freedom, known = data.size - design.shape[1], design.shape[1]
 
     def criterion(trial: float) -> float:
+        """Return -2 times the logarithm of the restricted likelihood for a trial correlation, up to a constant."""
         new = np.vstack([np.sqrt(1 - trial**2) * columns[:1], columns[1:] - trial * columns[:-1]])
         size = np.abs(np.diag(np.linalg.qr(new, mode="r"))).clip(1e-150)
         return 2 * freedom * np.log(size[-1]) + 2 * float(np.log(size[:known]).sum()) - np.log(1 - trial**2)

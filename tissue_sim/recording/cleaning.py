@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.first_sample import LOADS, first_value
+from tissue_sim.recording.first_sample import LOADS, estimate_first_value
 from tissue_sim.recording.measures import Measure, stated_measures
-from tissue_sim.recording.outliers import find_outliers, left_out
+from tissue_sim.recording.outliers import describe_outliers, find_outliers
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
-from tissue_sim.recording.saturation import find_saturation, last_digit
+from tissue_sim.recording.saturation import find_last_digit, find_saturation
 from tissue_sim.recording.screening import LeftOut, Saturation, Screening
 
 #: Channels of the motion. The first one in a recording is examined, and so is the first channel of the load.
@@ -44,7 +44,7 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
     channels = {name: recording.channel(name) for name in (motion, load)}
     try:
         outliers = find_outliers(channels[motion], channels[load], is_counted=motion in zeroed)
-        found = left_out(outliers, channels, in_words)
+        found = describe_outliers(outliers, channels, format_value)
     except InputError:
         # A list in the campaign states that all other samples are valid.
         if leave_out is None:
@@ -52,7 +52,7 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         found = ()
     suspected: tuple[LeftOut, ...] = ()
     if leave_out is not None:
-        found, suspected = _as_stated(recording, leave_out, found)
+        found, suspected = _split_stated_outliers(recording, leave_out, found)
     is_kept = np.ones(len(recording), bool)
     is_kept[np.array([number - 1 for each in found for number in each.samples], int)] = False
     kept = np.flatnonzero(is_kept)
@@ -60,10 +60,10 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         raise InputError(f"only {kept.size} of {len(recording)} samples are kept; at least {MIN_POINTS} are needed",
                          field="leave_out")
     rest = recording if kept.size == len(recording) else recording.select(kept)
-    saturation = () if controlled == "force" else _of_measured_load(rest, kept, load, motion,
+    saturation = () if controlled == "force" else _find_load_saturation(rest, kept, load, motion,
                                                                     is_free=controlled == "displacement")
     if controlled != "displacement":
-        saturation += _of_channel(rest, kept, motion, load, is_free=controlled == "force")
+        saturation += _find_channel_saturation(rest, kept, motion, load, is_free=controlled == "force")
     if saturation:
         is_kept[[number - 1 for each in saturation for number in each.samples]] = False
         kept = np.flatnonzero(is_kept)
@@ -73,29 +73,33 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
         rest = recording.select(kept)
     screening = Screening(found, saturation, suspected=suspected)
     if kept.size and kept[0] > 0:
-        rest = rest.with_channels(**{name: rest.channel(name) - _start(recording, screening, name)
+        rest = rest.with_channels(**{name: rest.channel(name) - _require_start_value(recording, screening, name)
                                      for name in zeroed if name in channels})
     return rest, screening
 
 
-def start_of(recording: Recording, screening: Screening, name: str) -> float | None:
-    """Return the motion or the load at the first sample; see `tissue_sim.recording.first_sample.first_value`.
+def find_start_value(recording: Recording, screening: Screening, name: str) -> float | None:
+    """Return the motion or the load at the first sample; see `tissue_sim.recording.first_sample.estimate_first_value`.
 
     Args:
-        recording: with all samples. screening: findings of `clean`. name: channel.
+        recording: recording with all samples.
+        screening: findings of `clean`.
+        name: name of the channel.
     """
     partners = LOADS if name in MOTIONS else MOTIONS
     partner = next((each for each in partners if each in recording), None)
-    return float(recording.channel(name)[0]) if partner is None else first_value(recording, screening, name, partner)
+    if partner is None:
+        return float(recording.channel(name)[0])
+    return estimate_first_value(recording, screening, name, partner)
 
 
-def _start(recording: Recording, screening: Screening, name: str) -> float:
-    """Return the value at the first sample for a channel that is counted from it; see `start_of`.
+def _require_start_value(recording: Recording, screening: Screening, name: str) -> float:
+    """Return the value at the first sample for a channel that is counted from it; see `find_start_value`.
 
     Raises:
         InputError: the samples that are kept do not determine the value.
     """
-    found = start_of(recording, screening, name)
+    found = find_start_value(recording, screening, name)
     if found is None:
         reason = "sample 1 is left out, and the other channel does not show where the " + name + " started"
         if not any(1 in each.samples and each.channel in LOADS for each in screening.left_out) and name in MOTIONS:
@@ -105,25 +109,26 @@ def _start(recording: Recording, screening: Screening, name: str) -> float:
     return found
 
 
-def counted_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording:
+def count_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording:
     """Count channels from their value at the first sample, also if the first sample is an outlier.
 
     If the other samples do not determine this value, the channels count from the first sample that is kept.
 
     Args:
-        recording: with all samples. zeroed: channels that count from the first sample.
+        recording: recording with all samples.
+        zeroed: channels that count from the first sample.
     """
     named = [name for name in zeroed if name in recording]
     if not named:
         return recording
     rest, screening = clean(recording)
-    starts = {name: start_of(recording, screening, name) for name in named}
+    starts = {name: find_start_value(recording, screening, name) for name in named}
     return recording.with_channels(**{
         name: recording.channel(name) - (float(rest.channel(name)[0]) if start is None else start)
         for name, start in starts.items()})
 
 
-def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOut, ...]
+def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOut, ...]
                ) -> tuple[tuple[LeftOut, ...], tuple[LeftOut, ...]]:
     """Return the samples that the campaign lists, and the outliers that are not listed, with reasons."""
     for number in leave_out:
@@ -136,30 +141,36 @@ def _as_stated(recording: Recording, leave_out: Sequence[int], found: tuple[Left
     return (*confirmed, *stated), tuple(each for each in found if not listed.issuperset(each.samples))
 
 
-def _of_channel(recording: Recording, kept: np.ndarray, name: str, other: str, values: np.ndarray | None = None,
-                title: str = "", rounding: float = 0.0, *, is_free: bool = False) -> tuple[Saturation, ...]:
+def _find_channel_saturation(recording: Recording, kept: np.ndarray, name: str, other: str,
+                             values: np.ndarray | None = None, title: str = "", rounding: float = 0.0, *,
+                             is_free: bool = False) -> tuple[Saturation, ...]:
     """Find the saturation of a channel.
 
     Args:
-        kept: positions of the samples in the file, from 0, shape (n,). other: channel that continues.
-        values: another measure of the channel, with its title; None: the values of the channel.
-        rounding, is_free: see `find_saturation`.
+        recording: recording without outliers.
+        kept: positions of the samples in the file, from 0, shape (n,).
+        name: name of the channel.
+        other: name of the channel that continues.
+        values: values of another measure of the channel, shape (n,); None: the values of the channel.
+        title: name of the other measure.
+        rounding: width of the interval of equal values; see `find_saturation`.
+        is_free: whether the channel is not controlled; see `find_saturation`.
     """
     values = recording.channel(name) if values is None else values
     continuing = "motion" if other in MOTIONS else "load"
     found = []
-    for run in find_saturation(values, recording.channel(other), _clock(recording), rounding=rounding,
+    for run in find_saturation(values, recording.channel(other), _time_or_none(recording), rounding=rounding,
                                is_free=is_free):
         level = float(values[run.first])
         samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
         found.append(Saturation(name, level, samples,
-                                f"the {title or name} stays at {in_words(name, level)} over {run.count} samples while "
-                                f"the {continuing} continues: a saturated sensor; samples {samples[0]} to "
+                                f"the {title or name} stays at {format_value(name, level)} over {run.count} samples "
+                                f"while the {continuing} continues: a saturated sensor; samples {samples[0]} to "
                                 f"{samples[-1]} are left out"))
     return tuple(found)
 
 
-def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion: str, *, is_free: bool
+def _find_load_saturation(recording: Recording, kept: np.ndarray, load: str, motion: str, *, is_free: bool
                       ) -> tuple[Saturation, ...]:
     """Find the saturation of the load in the measure of the file, or in the nominal stress.
 
@@ -168,17 +179,18 @@ def _of_measured_load(recording: Recording, kept: np.ndarray, load: str, motion:
     """
     measure = stated_measures(recording).get(load)
     if measure is None or "stretch" not in recording:
-        return _of_channel(recording, kept, load, motion, is_free=is_free)
+        return _find_channel_saturation(recording, kept, load, motion, is_free=is_free)
     stretch = recording.channel("stretch")
     stated = measure.invert(recording.channel(load), stretch)
     # A product and its quotient differ in the last bits.
     bits = _PRODUCT_ERROR * np.finfo(float).eps * float(np.abs(stated).max())
-    return (_of_channel(recording, kept, load, motion, stated, measure.title, bits, is_free=is_free)
-            or _of_channel(recording, kept, load, motion, None, f"nominal stress that follows from the {measure.title}",
-                           _rounding_of_nominal(recording, measure), is_free=is_free))
+    return (_find_channel_saturation(recording, kept, load, motion, stated, measure.title, bits, is_free=is_free)
+            or _find_channel_saturation(recording, kept, load, motion, None,
+                                        f"nominal stress that follows from the {measure.title}",
+                                        _nominal_stress_rounding(recording, measure), is_free=is_free))
 
 
-def _rounding_of_nominal(recording: Recording, measure: Measure) -> float:
+def _nominal_stress_rounding(recording: Recording, measure: Measure) -> float:
     """Return the width of the interval of nominal stresses, Pa, with the same digits in the columns of the file.
 
     The width is the last digit of each column times the derivative of the nominal stress, at large stresses.
@@ -189,21 +201,21 @@ def _rounding_of_nominal(recording: Recording, measure: Measure) -> float:
     strain_measure = stated_measures(recording).get("stretch")
     strain = recording.channel("stretch") if strain_measure is None else strain_measure.invert(
         recording.channel("stretch"))
-    step = last_digit(strain)
+    step = find_last_digit(strain)
     strain = strain[large]
     moved = strain + step if strain_measure is None else strain_measure.convert(strain + step)
     stress = measure.invert(nominal, stretch)
-    digit = last_digit(measure.invert(recording.channel("nominal stress"), recording.channel("stretch")))
+    digit = find_last_digit(measure.invert(recording.channel("nominal stress"), recording.channel("stretch")))
     return float((np.abs(measure.convert(stress + digit, stretch) - nominal)
                   + np.abs(measure.convert(stress, moved) - nominal)).max())
 
 
-def _clock(recording: Recording) -> np.ndarray | None:
+def _time_or_none(recording: Recording) -> np.ndarray | None:
     """Return the time, s, shape (n,); None for a recording without a time."""
     return recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
 
 
-def in_words(channel: str, value: float) -> str:
+def format_value(channel: str, value: float) -> str:
     """Format a value (SI) of a channel with its unit, for sentences: ``"2.35 mm"``."""
     unit, factor = _SHOWN[CHANNELS[channel]]
     return f"{factor * value:.4g}{unit}"

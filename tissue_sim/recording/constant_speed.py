@@ -16,8 +16,9 @@ def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recor
     """Add the time from the path length, or the displacement since the first sample, to a recording.
 
     Args:
-        recording: without time or without displacement; a recording with both is returned without a change.
-        speed: m/s. path: for messages.
+        recording: recording without time or without displacement; a recording with both is returned without a change.
+        speed: speed of the test, m/s.
+        path: file name for messages.
 
     Raises:
         InputError: not a positive speed; neither time nor displacement.

@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.change_point import ChangePointFit, Part, Profile
-from tissue_sim.recording.resolution import rounding_step
+from tissue_sim.recording.resolution import find_rounding_step
 from tissue_sim.recording.segmentation import label_motion
 
 #: Limits of the exponent of the force after contact: 1 for plates and flat punches, 3/2 for balls, 2 for cones.
@@ -129,7 +129,9 @@ class Contact:
         """Return the displacement from contact, m, and the force without zero and drift, N, shapes (n,).
 
         Args:
-            displacement, force, time: of the recording in which contact was found, m, N and s, shapes (n,).
+            displacement: displacement of the recording in which contact was found, m, shape (n,).
+            force: force, N, shape (n,).
+            time: time, s, shape (n,); None: even steps.
         """
         clock = np.arange(force.size, dtype=float) if time is None else time
         return displacement - self.displacement, force - self.force_zero - self.drift * (clock - clock[0])
@@ -164,8 +166,9 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     The search uses the loading up to the first hold under load, and after contact only the part that the law describes.
 
     Args:
-        displacement, force: m and N (or strain and stress), positive under load, in the order of time, shape (n,).
-        time: s; None: even steps.
+        displacement: displacement, m (or strain), positive under load, in the order of time, shape (n,).
+        force: force, N (or stress, Pa), positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
         exponents: limits of the exponent of the force after contact. A known tool has narrower limits: (1.5, 1.5) for
             a ball.
 
@@ -178,42 +181,43 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     time = np.arange(displacement.size, dtype=float) if time is None else np.asarray(time, float)
     if not displacement.shape == force.shape == time.shape:
         raise InputError(f"displacement {displacement.shape}, force {force.shape} and time {time.shape} differ in "
-                         "shape; give one of each for every sample", field="force")
+                         "shape; give one value of each per sample", field="force")
     if displacement.size < _SETTINGS.fewest:
         raise InputError(f"{displacement.size} samples; contact needs at least {_SETTINGS.fewest}", field="force")
-    way = _Loading.of(time, displacement, force)
-    if (latest := way.rises_at_once()) is not None:
-        return Contact("before", way.start, (-np.inf, latest), way.zero, noise=way.noise, step=way.step)
-    recorded, way = way, way.fewer
-    part, terms, chance = way.whole, _SETTINGS.terms, 0.0
-    parts = way.parts()
+    loading = _Loading.from_arrays(time, displacement, force)
+    if (latest := loading.rises_at_once()) is not None:
+        return Contact("before", loading.start, (-np.inf, latest), loading.zero, noise=loading.noise, step=loading.step)
+    recorded, loading = loading, loading.averaged
+    part, terms, chance = loading.whole, _SETTINGS.terms, 0.0
+    parts = loading.parts()
     judged = None
     for number, part in enumerate(parts):
-        chance, noise = judged or _judge(part, terms, exponents)
+        chance, noise = judged or _test_misfit(part, terms, exponents)
         has_shorter = chance > _SETTINGS.adequate and part is not parts[-1]
-        judged = _judge(parts[number + 1], terms, exponents) if has_shorter else None
+        judged = _test_misfit(parts[number + 1], terms, exponents) if has_shorter else None
         # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
         if chance > _SETTINGS.adequate and (judged is None or judged[1] > _SETTINGS.smaller_residual * noise):
             break
     fitted = ChangePointFit(part, terms + 1, exponents)
-    best = fitted.near(fitted.search())
-    fitted = ChangePointFit(part, terms + 1, exponents, fitted.colour(*best))
-    found = _contact(way, fitted, fitted.profile(best), adequate=chance > _SETTINGS.doubtful)
-    each = round(way.step / recorded.step)
+    best = fitted.refine_fit(fitted.search_coarsely())
+    fitted = ChangePointFit(part, terms + 1, exponents, fitted.estimate_noise_correlation(*best))
+    found = _build_contact(loading, fitted, fitted.profile(best), adequate=chance > _SETTINGS.doubtful)
+    each = round(loading.step / recorded.step)
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
     return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
                    noise=found.noise * float(np.sqrt(each)))
 
 
-def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
+def _test_misfit(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
     """Return the probability that the misfit of a part is chance, and the standard deviation of its residual, N."""
     from scipy import special
 
     part = part.coarse
     fitted = ChangePointFit(part, terms, exponents)
-    best = fitted.search()
-    fitted = ChangePointFit(part, terms, exponents, ChangePointFit(part, terms + 2, exponents, half=True).colour(*best))
-    best = fitted.near(best)
+    best = fitted.search_coarsely()
+    richer = ChangePointFit(part, terms + 2, exponents, half=True)
+    fitted = ChangePointFit(part, terms, exponents, richer.estimate_noise_correlation(*best))
+    best = fitted.refine_fit(best)
     place, power = np.array([best[0]]), np.array([[best[1]]])
     larger = ChangePointFit(part, terms + 2, exponents, fitted.correlation, half=True)
     least, more = (fit.squares(place, power, bounded=False)[0, 0] for fit in (fitted, larger))
@@ -221,12 +225,12 @@ def _judge(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[floa
     return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.residual(*best)))
 
 
-def _contact(way: _Loading, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
+def _build_contact(loading: _Loading, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
     """Return contact with its status from the fit of one part and the likelihood profile."""
     from scipy import special
 
     part, (place, power) = fitted.part, profile.best
-    straight, freedom = fitted.without_contact(), fitted.freedom
+    straight, freedom = fitted.squares_without_contact(), fitted.freedom
     ratio = max(straight - profile.least, 0.0) / (fitted.terms + 2) / profile.variance
     low, high = profile.interval
     coefficients = fitted.coefficients(place, power)
@@ -238,29 +242,29 @@ def _contact(way: _Loading, fitted: ChangePointFit, profile: Profile, adequate: 
     if abs(drift) < _SETTINGS.drift_errors * error:
         zero, drift, error = fitted.zero_without_drift(place, power) + float(part.force[0]), 0.0, 0.0
     found = Contact("found", float(place), (float(low), float(high)), zero, drift,
-                    int(np.argmax(way.whole.displacement > place)), float(power), deviation, way.step, first,
+                    int(np.argmax(loading.whole.displacement > place)), float(power), deviation, loading.step, first,
                     part.displacement.size - first, adequate, error)
     if special.fdtrc(fitted.terms + 2, freedom, ratio) > _SETTINGS.no_contact:
-        rises = float(way.smooth.max()) - way.zero > _SETTINGS.least_rise * max(way.noise, deviation)
-        latest = float(way.whole.displacement.max()) if rises else np.inf
+        rises = float(loading.smooth.max()) - loading.zero > _SETTINGS.least_rise * max(loading.noise, deviation)
+        latest = float(loading.whole.displacement.max()) if rises else np.inf
         return replace(found, status="unclear" if rises else "none", displacement=np.nan, interval=(-np.inf, latest),
                        index=0, exponent=np.nan)
-    reach = float(np.ptp(way.whole.displacement))
+    reach = float(np.ptp(loading.whole.displacement))
     # A drift and a law together can bend where there is air: only a clear rise bounds a contact without air.
-    risen = way.smooth - way.zero > _SETTINGS.drift_rise * max(way.noise, deviation)
-    latest = way.whole.displacement[min(int(np.flatnonzero(~risen).max(initial=-1)) + 1, risen.size - 1)]
+    risen = loading.smooth - loading.zero > _SETTINGS.drift_rise * max(loading.noise, deviation)
+    latest = loading.whole.displacement[min(int(np.flatnonzero(~risen).max(initial=-1)) + 1, risen.size - 1)]
     no_air = replace(found, status="before", interval=(-np.inf, max(float(high), float(latest))), index=0)
-    in_air, after = place - way.start, part.displacement[-1] - place
+    in_air, after = place - loading.start, part.displacement[-1] - place
     rise = coefficients[1] * (part.time[min(first, part.time.size - 1)] - part.time[0]) / span
     gain = float(np.mean(part.force[-3:])) - part.force[0] - coefficients[0] - rise
     steep = in_air > 0 and after > 0 and rise / in_air > _SETTINGS.drift_slope * gain / after
     if rise > _SETTINGS.drift_rise * deviation and (
-            steep or rise > _SETTINGS.drift_fraction * float(np.ptp(way.smooth))):
-        found = replace(no_air, displacement=way.start, drift=0.0, drift_error=0.0, exponent=np.nan)
+            steep or rise > _SETTINGS.drift_fraction * float(np.ptp(loading.smooth))):
+        found = replace(no_air, displacement=loading.start, drift=0.0, drift_error=0.0, exponent=np.nan)
     elif np.isneginf(low) or first < _SETTINGS.fewest_in_air:
         found = no_air
     low, high = found.interval
-    width = high - (low if found.found else way.start)
+    width = high - (low if found.found else loading.start)
     unclear = width > _SETTINGS.unclear_interval * reach or not (found.found or adequate)
     return replace(found, status="unclear") if unclear else found
 
@@ -290,10 +294,10 @@ class _Loading:
         return self.whole.start
 
     @classmethod
-    def of(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _Loading:
+    def from_arrays(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _Loading:
         """Return the loading of a recording in s, m and N, shapes (n,)."""
         labels = label_motion(time, displacement)
-        rounding = rounding_step(force) / np.sqrt(12.0)
+        rounding = find_rounding_step(force) / np.sqrt(12.0)
         bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
         noise = max(float(np.median(np.abs(bend))) / 0.6745, rounding, 1e-9 * float(np.abs(force).max()), 1e-300)
         smooth = np.convolve(np.pad(force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
@@ -310,9 +314,9 @@ class _Loading:
         return cls(whole, smooth[:end], zero, noise)
 
     @cached_property
-    def fewer(self) -> _Loading:
+    def averaged(self) -> _Loading:
         """The same loading, averaged to at most `ContactSettings.most_samples` samples."""
-        part = self.whole.at_most(_SETTINGS.most_samples)
+        part = self.whole.average_to(_SETTINGS.most_samples)
         share = np.sqrt(part.time.size / self.whole.time.size)
         smooth = np.convolve(np.pad(part.force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
         return self if part is self.whole else _Loading(part, smooth, self.zero, max(self.noise * share, part.rounding))
@@ -335,5 +339,5 @@ class _Loading:
             if end < _SETTINGS.fewest_in_part:
                 break
             if end < parts[-1].time.size:
-                parts.append(self.whole.until(end))
+                parts.append(self.whole.cut_at(end))
         return parts

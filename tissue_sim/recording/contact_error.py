@@ -18,7 +18,9 @@ def contact_error(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
     F^2. A force error e changes k by <F, e> / <F, F>.
 
     Args:
-        motion, load: of the fitted samples, positive under load, from contact, shape (n,). time: s, or None.
+        motion: displacement of the fitted samples from contact, m, positive under load, shape (n,).
+        load: force, N, shape (n,).
+        time: time, s, shape (n,); None: even steps.
         contact: result of `find_contact`; a status other than ``"found"`` gives 0.
     """
     if not contact.found or motion.size < 2:

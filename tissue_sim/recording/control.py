@@ -10,14 +10,14 @@ from typing import Literal
 import numpy as np
 
 from tissue_sim.recording.oscillation import Oscillation, find_oscillation
-from tissue_sim.recording.saturation import last_digit
+from tissue_sim.recording.saturation import find_last_digit
 from tissue_sim.recording.screening import SCREENING, Control
 from tissue_sim.recording.segmentation import label_motion
 
 
 @dataclass(frozen=True)
 class ControlSettings:
-    """Settings of `find_control` and `creep_holds`.
+    """Settings of `find_control` and `find_creep_parts`.
 
     Attributes:
         fewest: fewest samples of a hold.
@@ -60,7 +60,9 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
     """Recognise the controlled quantity, and the relaxation or creep of the material in holds.
 
     Args:
-        motion, load: positive under load, in the order of time, shape (n,). time: s, shape (n,); None: even steps.
+        motion: displacement or strain, positive under load, in the order of time, shape (n,).
+        load: force or stress, positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     if motion.size > _SETTINGS.most_samples:
         every = -(-motion.size // _SETTINGS.most_samples)
@@ -72,30 +74,32 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
         return Control(None, "ramp", loading=motion.size)
     oscillation = find_oscillation(motion, load, time)
     if oscillation is not None and not oscillation.returns:
-        return Control(_straighter(motion, load, clock, oscillation.first), "oscillation",
+        return Control(_find_linear_channel(motion, load, clock, oscillation.first), "oscillation",
                        loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
-                       loading=_first_turn(motion, oscillation))
+                       loading=_find_first_reversal(motion, oscillation))
     rest = min(_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
-    holds = list(_holds(label_motion(clock, motion)))
-    lost = max(((_lost(load, first, last, rest), first, last) for first, last in holds), default=(0.0, 0, 0))
-    crept = [each for each in _creep(motion, load, clock) if each[2] > SCREENING.creep]
+    holds = list(_find_holds(label_motion(clock, motion)))
+    lost = max(((_relaxed_fraction(load, first, last, rest), first, last) for first, last in holds),
+               default=(0.0, 0, 0))
+    crept = [each for each in _find_creep(motion, load, clock) if each[2] > SCREENING.creep]
     if crept:
         first, last, creep = max(crept, key=lambda each: each[2])
         start = crept[0][0]
-        return Control("force", "creep", 0.0, creep, loading=start, time_constant=_time_constant(motion, clock, first,
-                       last), loading_time=float(clock[start] - clock[0]), equal_samples=_equal(load, first, last))
+        return Control("force", "creep", 0.0, creep, loading=start,
+                       time_constant=_time_constant(motion, clock, first, last),
+                       loading_time=float(clock[start] - clock[0]), equal_samples=_count_equal(load, first, last))
     loaded = [first for first, last in holds if np.median(load[first:last]) - rest > _SETTINGS.loaded * np.ptp(load)]
     steps = [first for first in loaded if motion[first] >= 0.98 * motion[:first + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
     peak = int(np.argmax(motion))
-    quantity = _straighter(motion, load, clock, peak + 1)
+    quantity = _find_linear_channel(motion, load, clock, peak + 1)
     relaxation, first, last = lost
     return Control("displacement" if loaded else quantity, pattern, relaxation, loading=min([*loaded, peak + 1]),
                    time_constant=_time_constant(load, clock, first, last) if relaxation else None,
-                   loading_time=float(clock[_arrival(motion)] - clock[0]))
+                   loading_time=float(clock[_find_arrival(motion)] - clock[0]))
 
 
-def _equal(load: np.ndarray, first: int, last: int) -> int:
+def _count_equal(load: np.ndarray, first: int, last: int) -> int:
     """Return the number of samples from `first` to `last` (not included) with an equal load.
 
     The number is 0 if the loads scatter, or if their last digit is coarse.
@@ -104,23 +108,26 @@ def _equal(load: np.ndarray, first: int, last: int) -> int:
     count = int(np.count_nonzero(load[first:last] == level))
     if count < max(_SETTINGS.fewest, _SETTINGS.equal * (last - first)):
         return 0
-    return count if 0.0 < last_digit(load) <= _SETTINGS.fine_digit * abs(level) else 0
+    return count if 0.0 < find_last_digit(load) <= _SETTINGS.fine_digit * abs(level) else 0
 
 
-def creep_holds(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> tuple[tuple[int, int], ...]:
+def find_creep_parts(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None
+                     ) -> tuple[tuple[int, int], ...]:
     """Return first sample (from 0) and end (not included) of each part in which the displacement creeps.
 
     Args:
-        motion, load: positive under load, in the order of time, shape (n,). time: s, shape (n,); None: even steps.
+        motion: displacement or strain, positive under load, in the order of time, shape (n,).
+        load: force or stress, positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     if motion.size > _SETTINGS.most_samples:
         every = -(-motion.size // _SETTINGS.most_samples)
-        thinned = creep_holds(motion[::every], load[::every], None if time is None else time[::every])
+        thinned = find_creep_parts(motion[::every], load[::every], None if time is None else time[::every])
         return tuple((every * first, min(every * last, motion.size)) for first, last in thinned)
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()
-    return tuple((first, last) for first, last, gain in _creep(motion, load, clock) if gain > SCREENING.creep)
+    return tuple((first, last) for first, last, gain in _find_creep(motion, load, clock) if gain > SCREENING.creep)
 
 
 def _load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
@@ -140,30 +147,30 @@ def _time_constant(values: np.ndarray, clock: np.ndarray, first: int, last: int)
     return float(max(clock[reached] - clock[first], clock[min(first + 1, last - 1)] - clock[first]))
 
 
-def _arrival(motion: np.ndarray) -> int:
+def _find_arrival(motion: np.ndarray) -> int:
     """Return the sample at which the motion reaches 98 % of its maximum: the noise of a hold can shift the maximum."""
     return int(np.argmax(motion >= 0.98 * motion.max()))
 
 
-def _first_turn(motion: np.ndarray, oscillation: Oscillation) -> int:
+def _find_first_reversal(motion: np.ndarray, oscillation: Oscillation) -> int:
     """Return the number of samples up to the largest motion before the oscillation."""
     return int(np.argmax(motion[:oscillation.first + 1])) + 1
 
 
-def _runs(labels: np.ndarray) -> Iterator[tuple[str, int, int]]:
+def _label_runs(labels: np.ndarray) -> Iterator[tuple[str, int, int]]:
     """Yield name, first sample and end (not included) of each run of labels."""
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
     for first, last in pairwise(edges.tolist()):
         yield str(labels[first]), first, last
 
 
-def _holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
+def _find_holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
     """Yield first sample and end (not included) of each hold that is long enough, from the end of its motion."""
-    yield from ((max(first - 1, 0), last) for name, first, last in _runs(labels)
+    yield from ((max(first - 1, 0), last) for name, first, last in _label_runs(labels)
                 if name == "hold" and last - first >= _SETTINGS.fewest)
 
 
-def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
+def _relaxed_fraction(load: np.ndarray, first: int, last: int, rest: float) -> float:
     """Return the fraction of the load at the start of a hold that is lost in the hold; 0 if it is not significant."""
     noise = noise_deviation(load)
     begin = float(np.median(load[first:first + _SETTINGS.end_samples]))
@@ -173,14 +180,14 @@ def _lost(load: np.ndarray, first: int, last: int, rest: float) -> float:
     return (begin - end) / (begin - rest)
 
 
-def _creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
+def _find_creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """Yield first sample, end and relative gain of the displacement for each hold of the load with creep."""
     rest = _load_at_rest(motion, load)
     span = max(float(load.max()), rest) - min(float(load.min()), rest)
     tolerance = max(_SETTINGS.held_range * span, _SETTINGS.held_noise * noise_deviation(load))
     if tolerance > 0.2 * span:
         return
-    for first, last in _holds(label_motion(clock, load, tolerance)):
+    for first, last in _find_holds(label_motion(clock, load, tolerance)):
         level = float(np.median(load[first + 1:last]))
         first += 1
         if abs(level - rest) <= _SETTINGS.loaded * span or np.ptp(load[first:last]) > 4 * tolerance:
@@ -200,7 +207,11 @@ def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, ra
     the loading. There the motion must slow down clearly, because a motion in air has a constant rate.
 
     Args:
-        rate: mean rate of the motion from sample `first` on.
+        motion: displacement or strain, shape (n,).
+        clock: time, s, shape (n,).
+        first: first sample, from 0.
+        last: end of the samples, not included.
+        rate: mean rate of the motion from sample `first` on, 1/s times the unit of the motion.
     """
     middle = first + int(np.argmax(clock[first:last] >= 0.5 * (clock[first] + clock[last - 1])))
     halves = motion[middle] - motion[first], motion[last - 1] - motion[middle]
@@ -212,7 +223,7 @@ def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, ra
                 and rate < _SETTINGS.slower * (motion[first] - motion[before]) / loading)
 
 
-def _straighter(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
+def _find_linear_channel(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
                 ) -> Literal["displacement", "force"] | None:
     """Return the channel that is linear in time up to sample `end` (not included); None if both are, or none is."""
     if end < 2 * _SETTINGS.fewest or not clock[end - 1] > clock[0]:

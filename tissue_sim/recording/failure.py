@@ -8,8 +8,8 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.resolution import rounding_step
-from tissue_sim.recording.segmentation import STRAIGHT, corners_of, label_motion
+from tissue_sim.recording.resolution import find_rounding_step
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, corners_of, label_motion
 
 
 @dataclass(frozen=True)
@@ -94,8 +94,10 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     Unloading, relaxation in a hold or after a ramp that becomes slower, and noise do not count as failures.
 
     Args:
-        displacement, force: m and N (or strain and stress), positive under load, in the order of time, shape (n,).
-        time: s; None: even steps. least_drop: least fraction of the force that is lost.
+        displacement: displacement, m (or strain), positive under load, in the order of time, shape (n,).
+        force: force, N (or stress, Pa), positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
+        least_drop: least fraction of the force that is lost in a failure.
 
     Returns:
         The failure; None for an intact specimen.
@@ -108,13 +110,13 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     time = np.asarray(time, float) if time is not None else np.arange(displacement.size, dtype=float)
     if not displacement.shape == force.shape == time.shape:
         raise InputError(f"displacement {displacement.shape}, force {force.shape} and time {time.shape} differ in "
-                         "shape; give one of each for every sample", field="force")
+                         "shape; give one value of each per sample", field="force")
     if displacement.size < 5 or not np.ptp(displacement) > 0:
         return None
-    noise = _noise_of(force)
+    noise = _estimate_noise(force)
     labels = label_motion(time, displacement)
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
-    speed = _speeds(time, displacement) if timed else np.ones(force.size)
+    speed = _compute_speeds(time, displacement) if timed else np.ones(force.size)
     # A relaxed specimen can pull at the tool at the end of an unloading: only the first loading shows the zero.
     first_unloading = int(np.argmax(labels == "unload")) if np.any(labels == "unload") else force.size
     for first, last in pairwise(edges.tolist()):
@@ -122,12 +124,12 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
         while first < last and labels[first] != "unload":
             test = _Part(displacement[first:last], force[first:last], speed[first:last],
                          speed[max(first - _SETTINGS.samples_before, 0):first], zero, float(np.ptp(force)), noise,
-                         least_drop, STRAIGHT * float(np.ptp(displacement)))
-            peaks = [peak for peak in (test.peak_of_ramp() if labels[first] == "ramp" else None, test.sudden()) if
-                     peak is not None]
+                         least_drop, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
+            candidates = (test.find_peak_of_ramp() if labels[first] == "ramp" else None, test.find_sudden_drop())
+            peaks = [peak for peak in candidates if peak is not None]
             if not peaks:
                 break
-            failure, after = _describe(displacement, force, first + min(peaks), zero, labels)
+            failure, after = _describe_failure(displacement, force, first + min(peaks), zero, labels)
             if not (failure.recovered and failure.mode == "softening"):
                 return failure
             # A tissue that relaxes on a plateau of its law loses force for a while without a failure.
@@ -161,20 +163,20 @@ class _Part:
     least: float
     tremor: float
 
-    def _enough(self, peak: np.ndarray) -> np.ndarray:
+    def _least_losses(self, peak: np.ndarray) -> np.ndarray:
         """Return the least loss of force after each peak, N; infinite for a peak that is too low."""
         risen = peak - min(self.zero, float(self.force[0]))
         return np.where(risen > max(_SETTINGS.least_rise * self.range, 2 * _SETTINGS.least_noise * self.noise),
                         np.maximum(self.least * risen, _SETTINGS.least_noise * self.noise), np.inf)
 
-    def peak_of_ramp(self) -> int | None:
+    def find_peak_of_ramp(self) -> int | None:
         """Return the peak before a sample with lower force, larger displacement and the same speed; None: no peak."""
         if self.force.size < 4:
             return None
         smooth = _median_of_three(self.force)
         highest = np.maximum.accumulate(smooth)
         peak = np.maximum.accumulate(np.where(smooth >= highest, np.arange(smooth.size), 0))
-        lower = (highest - smooth > self._enough(highest)) & (self.displacement >= self.displacement[peak])
+        lower = (highest - smooth > self._least_losses(highest)) & (self.displacement >= self.displacement[peak])
         speed = np.append(self.before, self.speed)
         for place in np.flatnonzero(lower).tolist():
             last = self.before.size + peak[place]
@@ -184,7 +186,7 @@ class _Part:
                                key=lambda k: self.force[k], default=peak[place]))
         return None
 
-    def sudden(self) -> int | None:
+    def find_sudden_drop(self) -> int | None:
         """Return the sample before the first sudden drop; None without a drop.
 
         A sudden drop is faster than the loss before; the rate of a relaxation decreases.
@@ -199,7 +201,7 @@ class _Part:
         # A tissue that relaxes loses force as soon as the motion slows down.
         after, speed = self.speed[at + _SETTINGS.sudden_samples], self.speed[at - _SETTINGS.sudden_samples]
         forward &= (after >= _SETTINGS.same_speed * speed) | (speed <= 0)
-        drops = np.flatnonzero((lost > self._enough(self.force[at])) & forward
+        drops = np.flatnonzero((lost > self._least_losses(self.force[at])) & forward
                                & (lost > _SETTINGS.sudden_ratio * before + _SETTINGS.least_noise * self.noise))
         if not drops.size:
             return None
@@ -208,7 +210,7 @@ class _Part:
         return int(near[int(np.argmin(steps))])
 
 
-def _describe(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
+def _describe_failure(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
               ) -> tuple[Failure, int]:
     """Return the failure after the sample `index`, and the sample at which the force exceeds the peak again."""
     after = np.flatnonzero(labels[index:] == "unload")
@@ -230,10 +232,10 @@ def _describe(displacement: np.ndarray, force: np.ndarray, index: int, zero: flo
         index + int(np.argmax(beyond))
 
 
-def _noise_of(force: np.ndarray) -> float:
+def _estimate_noise(force: np.ndarray) -> float:
     """Return the standard deviation of the noise, N: white noise, correlated noise or rounding, the largest of them."""
     bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
-    deviations = [np.median(np.abs(bend)) / 0.6745, rounding_step(force) / np.sqrt(12.0)]
+    deviations = [np.median(np.abs(bend)) / 0.6745, find_rounding_step(force) / np.sqrt(12.0)]
     if force.size > 2 * _SETTINGS.smooth_samples:
         # Value of a cubic through the neighbours: Savitzky and Golay, Anal. Chem. 36 (1964) 1627.
         around = np.vander(np.arange(_SETTINGS.smooth_samples) - _SETTINGS.smooth_samples // 2, 4)
@@ -249,9 +251,9 @@ def _median_of_three(values: np.ndarray) -> np.ndarray:
     return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
 
 
-def _speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _compute_speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return the speed at each sample, m/s: the mean speed of its straight part of the motion."""
-    corners = corners_of(time, displacement, STRAIGHT * float(np.ptp(displacement)))
+    corners = corners_of(time, displacement, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
     duration = np.diff(time[corners])
     speed = np.diff(displacement[corners]) / np.where(duration > 0, duration, 1.0)
     return speed[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, speed.size - 1)]

@@ -89,13 +89,13 @@ def read_recordings(path: str | Path, *, format: str = "native", columns: Mappin
         pass
     answer = bounded(partial(reader, path, **options), file=path)
     several = answer if isinstance(answer, tuple) else (answer,)
-    recordings = tuple(_finish(each, path, speed, kind) for each in several)
+    recordings = tuple(_add_time_and_metadata(each, path, speed, kind) for each in several)
     if len(recordings) == 1:
         return recordings
     return tuple(each.with_metadata(name=f"{path.stem}_{number}") for number, each in enumerate(recordings, start=1))
 
 
-def _finish(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
+def _add_time_and_metadata(recording: Recording, path: Path, speed: float | None, kind: str | None) -> Recording:
     """Add time or displacement from the speed, and name, source, SHA-256 and sidecar to the metadata.
 
     Raises:
@@ -129,9 +129,9 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     """
     path = Path(path)
     if path.suffix.lower() != ".csv":
-        raise InputError("a recording is written as CSV; give a name that ends in .csv", file=path)
+        raise InputError(f"the name of a recording must end in .csv; got {path.suffix!r}", file=path)
     require_sidecar_place(path)
-    data = _as_csv(recording, path).encode("utf-8")
+    data = _format_csv(recording, path).encode("utf-8")
     metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
     metadata["sha256"] = hashlib.sha256(data).hexdigest()
     try:
@@ -161,10 +161,10 @@ def require_sidecar_place(path: Path) -> None:
         found = None
     if not isinstance(found, dict) or "sha256" not in found:
         raise InputError(f"is not the sidecar of a recording (it has no sha256), and {path.name} would replace it with "
-                         "its own; move it away or choose another name", file=sidecar)
+                         "the sidecar of the recording; move the file or choose another name", file=sidecar)
 
 
-def _as_csv(recording: Recording, path: Path) -> str:
+def _format_csv(recording: Recording, path: Path) -> str:
     """Return the text of the CSV file, with units of `_FILE_UNITS` and all digits."""
     header: list[str] = []
     cells: list[Iterable[str]] = []
@@ -195,6 +195,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
     """Return the metadata of the sidecar; empty without a sidecar.
 
     Args:
+        path: CSV file.
         digest: SHA-256 of the CSV file, which the sidecar must state.
     """
     sidecar = path.with_suffix(".json")
@@ -202,7 +203,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
         return {}
     metadata = read_json(sidecar, f"the sidecar of {path.name} (JSON)")
     if not isinstance(metadata, dict):
-        raise InputError(f"expected an object {{...}} with the metadata of {path.name}; mend or rename this file",
+        raise InputError(f"expected an object {{...}} with the metadata of {path.name}; correct or rename this file",
                          file=sidecar)
     if metadata.get("sha256", digest) != digest:
         raise InputError(f"{path.name} was changed after it was recorded, expected the SHA-256 given here; restore "

@@ -17,7 +17,7 @@ LOADS = ("force", "nominal stress")
 
 @dataclass(frozen=True)
 class ExtensionSettings:
-    """Settings of `first_value`: extension of a curve to the first sample.
+    """Settings of `estimate_first_value`: extension of a curve to the first sample.
 
     Attributes:
         most: largest number of samples after the outlier that determine the curve.
@@ -48,7 +48,8 @@ class _Extension(NamedTuple):
     """A channel extended to time 0.
 
     Attributes:
-        start: value at time 0. change: change from time 0 to the first sample that is kept.
+        start: value at time 0.
+        change: change from time 0 to the first sample that is kept.
         error: standard error of `start`.
     """
 
@@ -57,7 +58,7 @@ class _Extension(NamedTuple):
     error: float
 
 
-def first_value(recording: Recording, screening: Screening, name: str, partner: str) -> float | None:
+def estimate_first_value(recording: Recording, screening: Screening, name: str, partner: str) -> float | None:
     """Return the value of a channel at the first sample; None if the other samples do not determine it.
 
     A value that is an outlier is replaced by a line or a parabola in time through the samples that follow, extended to
@@ -68,25 +69,27 @@ def first_value(recording: Recording, screening: Screening, name: str, partner: 
     specimen is assumed unloaded at the first sample.
 
     Args:
-        recording: with all samples. screening: findings of `tissue_sim.recording.cleaning.clean`.
-        name: channel. partner: the load of a motion, the motion of a load.
+        recording: recording with all samples.
+        screening: findings of `tissue_sim.recording.cleaning.clean`.
+        name: name of the channel.
+        partner: name of the load for a motion, and of the motion for a load.
     """
     values, other = recording.channel(name), recording.channel(partner)
     usable = np.flatnonzero(~np.isin(np.arange(1, len(recording) + 1), screening.samples))
-    if not _is_wrong(screening, name):
+    if not _is_first_sample_omitted(screening, name):
         # A sample that the campaign lists without a visible fault is left out of both channels.
-        return float(values[usable[0] if _is_wrong(screening, "") else 0])
-    if _is_wrong(screening, partner) and partner not in LOADS:
+        return float(values[usable[0] if _is_first_sample_omitted(screening, "") else 0])
+    if _is_first_sample_omitted(screening, partner) and partner not in LOADS:
         return None
     clock = recording.time[usable] - recording.time[0] if "time" in recording else usable.astype(float)
     if not (clock[0] > 0 and np.all(np.diff(clock[:_SETTINGS.most]) > 0)):
         clock = usable.astype(float)
-    digits = {each: _rounding(recording, usable, each, name if each == partner else partner) if each in LOADS else 0.0
-              for each in (name, partner)}
-    own, its = (_extended(clock, recording.channel(each)[usable], digits[each]) for each in (name, partner))
+    digits = {each: _estimate_rounding(recording, usable, each, name if each == partner else partner)
+              if each in LOADS else 0.0 for each in (name, partner)}
+    own, its = (_extrapolate_to_start(clock, recording.channel(each)[usable], digits[each]) for each in (name, partner))
     if own is None or its is None or own.error > _SETTINGS.known * float(np.ptp(values[usable])):
         return None
-    gap = its.start - (0.0 if _is_wrong(screening, partner) else float(other[0]))
+    gap = its.start - (0.0 if _is_first_sample_omitted(screening, partner) else float(other[0]))
     late, tolerance = -gap, max(_SETTINGS.gap * abs(its.change), _SETTINGS.gap_errors * its.error)
     if abs(gap) <= tolerance:
         return own.start
@@ -96,20 +99,21 @@ def first_value(recording: Recording, screening: Screening, name: str, partner: 
     return own.start + own.change * min(late / its.change, 1.0)
 
 
-def _is_wrong(screening: Screening, name: str) -> bool:
+def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
     """Return whether the first sample is left out because of this channel."""
     return any(1 in each.samples and each.channel == name for each in screening.left_out)
 
 
-def _extended(clock: np.ndarray, values: np.ndarray, rounding: float) -> _Extension | None:
+def _extrapolate_to_start(clock: np.ndarray, values: np.ndarray, rounding: float) -> _Extension | None:
     """Extend a channel to time 0 by a line or a parabola through as many first samples as possible.
 
     Args:
-        clock: of the samples that are kept, from the first sample of the recording, s. values: at them.
+        clock: time of the samples that are kept, from the first sample of the recording, s, shape (n,).
+        values: values of the channel in these samples, shape (n,).
         rounding: standard deviation of the rounding of the values.
 
     Returns:
-        None where no curve describes the first samples.
+        None: neither a line nor a parabola describes the first samples.
     """
     noise = max(noise_deviation(values), rounding)
     limit = max(_SETTINGS.residual_range * float(np.ptp(values)), _SETTINGS.residual_noise * noise)
@@ -125,7 +129,7 @@ def _extended(clock: np.ndarray, values: np.ndarray, rounding: float) -> _Extens
     return None
 
 
-def _rounding(recording: Recording, usable: np.ndarray, load: str, motion: str) -> float:
+def _estimate_rounding(recording: Recording, usable: np.ndarray, load: str, motion: str) -> float:
     """Return the standard deviation of the rounding of a load that is constant while the motion continues; else 0."""
     steps, moves = (np.abs(np.diff(recording.channel(each)[usable])) for each in (load, motion))
     is_coarse = bool(np.any((steps == 0) & (moves > np.median(moves)))) and bool(np.any(steps > 0))

@@ -44,6 +44,7 @@ class Measure:
 
 
 def _from_logarithmic(strain: np.ndarray) -> np.ndarray:
+    """Return the stretch exp(strain), shape (n,)."""
     largest = float(np.abs(strain).max())
     if largest > _LARGEST_LOGARITHMIC:
         raise InputError(f"logarithmic strains reach {largest:g}, which is a stretch of exp({largest:g}); state the "
@@ -52,6 +53,7 @@ def _from_logarithmic(strain: np.ndarray) -> np.ndarray:
 
 
 def _from_green_lagrange(strain: np.ndarray) -> np.ndarray:
+    """Return the stretch sqrt(1 + 2 strain), shape (n,)."""
     if strain.min() <= -0.5:
         raise InputError(f"Green-Lagrange strains must be above -0.5; got {strain.min():g}. Check unit and sign",
                          field="stretch")
@@ -59,6 +61,7 @@ def _from_green_lagrange(strain: np.ndarray) -> np.ndarray:
 
 
 def _from_almansi(strain: np.ndarray) -> np.ndarray:
+    """Return the stretch 1 / sqrt(1 - 2 strain), shape (n,)."""
     if strain.max() >= 0.5:
         raise InputError(f"Almansi strains must be below 0.5; got {strain.max():g}. Check unit and sign",
                          field="stretch")
@@ -97,7 +100,8 @@ def find_measure(words: str, role: str) -> str | None:
     """Return the name of the measure in a header, `ENGINEERING` included; None: no word for a measure.
 
     Args:
-        words: words of the header, lower case, separated by single blanks. role: role of the column.
+        words: words of the header, lower case, separated by single blanks.
+        role: role of the column.
     """
     channel = _CHANNEL_OF_ROLE.get(role)
     if channel is None:

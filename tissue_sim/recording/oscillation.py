@@ -46,10 +46,13 @@ class Oscillation:
     """Oscillation of the motion with constant amplitude.
 
     Attributes:
-        first, last: samples from 0, both included. frequency: Hz (1 / samples without time).
-        mean, amplitude: of the motion, in its unit.
+        first: first sample, from 0.
+        last: last sample, included.
+        frequency: frequency, Hz (cycles per sample without a time).
+        mean: mean of the motion, in the unit of the motion.
+        amplitude: amplitude of the motion, in the unit of the motion.
         returns: whether each cycle returns to rest.
-        loss_factor: tangent of the phase by which the load leads; None where the load has no phase.
+        loss_factor: tangent of the phase lead of the load; None: the amplitude of the load is below the noise.
     """
 
     first: int
@@ -65,7 +68,9 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     """Find the oscillation at the end of a recording; None without an oscillation.
 
     Args:
-        motion, load: in the order of time, any unit and sign, shape (n,). time: s, shape (n,); None: even steps.
+        motion: displacement or strain in the order of time, any unit and sign, shape (n,).
+        load: force or stress, any unit and sign, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     reach = float(np.ptp(motion))
     if motion.size < 3 * _SETTINGS.fewest or not reach > 0:
@@ -77,7 +82,7 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     reversals = Reversals(min(max(_SETTINGS.hysteresis_range * reach, _SETTINGS.hysteresis_noise * noise), 0.3 * reach))
     for index, value in zip(places.tolist(), motion[places].tolist(), strict=True):
         reversals.add(index, value)
-    window = _alike(np.array([*reversals.starts, motion.size - 1]), motion, time)
+    window = _find_equal_half_periods(np.array([*reversals.starts, motion.size - 1]), motion, time)
     if window is None:
         return None
     first, last, period = window
@@ -94,11 +99,14 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     return Oscillation(first, last, frequency, mean, amplitude, returns, loss)
 
 
-def _alike(turns: np.ndarray, motion: np.ndarray, time: np.ndarray | None) -> tuple[int, int, float] | None:
+def _find_equal_half_periods(turns: np.ndarray, motion: np.ndarray, time: np.ndarray | None
+                             ) -> tuple[int, int, float] | None:
     """Return the first and last sample of the last equal half periods, and the period; None: too few half periods.
 
     Args:
-        turns: samples at which the motion reverses; the last one is the end of the recording.
+        turns: samples at which the motion reverses; the last one is the end of the recording, shape (k,).
+        motion: displacement or strain, shape (n,).
+        time: time, s, shape (n,); None: even steps.
     """
     clock = np.arange(motion.size, dtype=float) if time is None else time
     heights, durations = np.abs(np.diff(motion[turns])), np.diff(clock[turns])
@@ -124,7 +132,8 @@ def _loss_factor(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, 
     clock = (np.arange(motion.size, dtype=float) if time is None else time)[inside]
     clock = clock - clock[0]
 
-    def fitted(frequency: float, values: np.ndarray) -> tuple[np.ndarray, float]:
+    def fit_harmonics(frequency: float, values: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return the coefficients of drift and two harmonics, shape (6,), and the sum of squared residuals."""
         angle = 2 * np.pi * frequency * clock
         design = np.column_stack([np.ones(clock.size), clock, np.cos(angle), np.sin(angle), np.cos(2 * angle),
                                   np.sin(2 * angle)])
@@ -132,11 +141,11 @@ def _loss_factor(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, 
         return coefficients, float(np.sum((values - design @ coefficients)**2))
 
     tried = (1 + np.linspace(-_SETTINGS.frequency_width, _SETTINGS.frequency_width, _SETTINGS.frequencies)) / period
-    frequency = float(min(tried, key=lambda each: fitted(each, motion[inside])[1]))
-    (of_motion, _), (of_load, squares) = (fitted(frequency, values[inside]) for values in (motion, load))
+    frequency = float(min(tried, key=lambda each: fit_harmonics(each, motion[inside])[1]))
+    (of_motion, _), (of_load, squares) = (fit_harmonics(frequency, values[inside]) for values in (motion, load))
     ratio = complex(of_load[2], -of_load[3]) / complex(of_motion[2], -of_motion[3])
     error = np.sqrt(2 * squares / clock.size) / np.sqrt(clock.size)
-    # A load whose amplitude is lost in its noise has no phase.
+    # The phase is unknown if the amplitude of the load is below the noise.
     if abs(complex(of_load[2], of_load[3])) < 10 * error:
         return frequency, None
     return frequency, float(ratio.imag / ratio.real) if ratio.real else None

@@ -89,11 +89,11 @@ class Channel:
 
     def __init__(self, values: np.ndarray, settings: OutlierSettings, *, is_counted: bool = False):
         self.values, self.settings, self.is_counted = values, settings, is_counted
-        padded = np.concatenate([_line(values[:9], np.arange(-3, 0)), values,
-                                 _line(values[:-10:-1], np.arange(-3, 0))[::-1]])
+        padded = np.concatenate([_evaluate_robust_line(values[:9], np.arange(-3, 0)), values,
+                                 _evaluate_robust_line(values[:-10:-1], np.arange(-3, 0))[::-1]])
         self.smooth = _running_median(padded)
         self.away = away = np.abs(values - self.smooth)
-        local = np.abs(values - _interpolated(padded))
+        local = np.abs(values - _predict_by_neighbours(padded))
         steps = np.abs(np.diff(values))
         self.range = float(np.ptp(self.smooth))
         least = 1e-9 * float(np.abs(self.smooth).max() or 1.0)
@@ -147,7 +147,9 @@ class Channel:
         """Return the prediction for sample `first` if samples `first` to `last` (not included) are outliers; else None.
 
         Args:
-            good: samples that are not candidates, sorted.
+            first: first sample of the group, from 0.
+            last: end of the group, not included.
+            good: samples that are not candidates, sorted, shape (k,).
         """
         setting, place = self.settings, int(np.searchsorted(good, first))
         before, after = good[max(place - setting.one_sided, 0):place], good[place:place + setting.one_sided]
@@ -215,7 +217,7 @@ class Channel:
         return max((float(np.abs(np.diff(side)).max()) for side in sides if side.size > 1), default=0.0)
 
 
-def _line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
+def _evaluate_robust_line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     """Evaluate a robust line through the samples at positions `at`; up to half of the samples may be wrong.
 
     Source: Siegel, Biometrika 69 (1982) 242, repeated medians.
@@ -238,7 +240,7 @@ def _running_median(padded: np.ndarray) -> np.ndarray:
     return rows[3]
 
 
-def _interpolated(padded: np.ndarray) -> np.ndarray:
+def _predict_by_neighbours(padded: np.ndarray) -> np.ndarray:
     """Return the median of five linear predictions of each sample; `padded` has three more samples at each end."""
     size = padded.size - _SCALE.window + 1
     by = [padded[k:k + size] for k in range(_SCALE.window)]

@@ -21,10 +21,11 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     """Find the outliers of motion and load, in the order of the samples.
 
     Args:
-        motion, load: of one recording in the order of time, any unit and sign, shape (n,).
+        motion: displacement or strain in the order of time, any unit and sign, shape (n,).
+        load: force or stress, any unit and sign, shape (n,).
         settings: thresholds.
-        is_counted: whether the motion counts from the first sample. That sample is then zero by definition, which is no
-            evidence that the test starts from rest there.
+        is_counted: whether the motion counts from the first sample. The first value is then zero by definition, and
+            does not show that the test starts from rest.
 
     Returns:
         (``"motion"`` or ``"load"``, numbers of the samples from 0, value that the neighbours predict for the first).
@@ -55,13 +56,14 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     return tuple((name, group, found[name, group]) for name, group in sorted(found, key=lambda each: each[1]))
 
 
-def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
+def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
              words: Callable[[str, float], str]) -> tuple[LeftOut, ...]:
     """Describe outliers, one entry for each channel and group of samples.
 
     Args:
-        outliers: result of `find_outliers`. channels: name of motion and of load, in this order -> values.
-        words: formats a value (SI) of a channel.
+        outliers: result of `find_outliers`.
+        channels: name of the motion and of the load, in this order -> values, shape (n,).
+        words: function that formats a value (SI) of a channel.
 
     Raises:
         InputError: more than a tenth of the samples are outliers.
@@ -79,7 +81,7 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
             "the samples that follow point to" if group[0] == 0 else "the samples before point to")
         found.append(LeftOut(tuple(sample + 1 for sample in group), name,
                              f"the {name} reads {shown}, and {where} {words(name, predicted)}"
-                             f"{_at_the_end(which, group, total, values, predicted)}"))
+                             f"{_explain_load_drop(which, group, total, values, predicted)}"))
     if len(seen) > SETTINGS.most * total and len(seen) > SETTINGS.longest:
         samples = numbered(tuple(sample + 1 for sample in sorted(seen)))
         raise InputError(f"{len(seen)} of {total} samples are outliers ({samples}): the sensor or the reading of the "
@@ -87,7 +89,7 @@ def left_out(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels:
     return tuple(found)
 
 
-def _at_the_end(which: str, group: tuple[int, ...], total: int, values: np.ndarray, predicted: float) -> str:
+def _explain_load_drop(which: str, group: tuple[int, ...], total: int, values: np.ndarray, predicted: float) -> str:
     """Return the possible reason of a load that falls at the end of a recording; else an empty text."""
     falls = which == "load" and group[-1] == total - 1 and bool(np.all(np.abs(values) < 0.5 * abs(predicted)))
     return " (a rupture at the end, or lost values)" if falls else ""
@@ -157,7 +159,7 @@ def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], set
     not a response of the specimen, and neither is an overshoot beyond `OutlierSettings.overshoot`. The direction is
     unknown if motion and load are hardly correlated.
     """
-    correlation = _correlation(channels)
+    correlation = _correlate_channels(channels)
     motion, load = channels["motion"], channels["load"].values
     first, last = group[0], group[-1] + 1
     if np.any(np.abs(load[first:last] - channels["load"].smooth[first:last]) > settings.overshoot *
@@ -170,7 +172,7 @@ def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], set
     return bool(np.all(direction * load[first:last] >= neighbours.min() - channels["load"].least[first]))
 
 
-def _correlation(channels: Mapping[str, Channel]) -> float:
+def _correlate_channels(channels: Mapping[str, Channel]) -> float:
     """Return the correlation of motion and load without their outliers."""
     away = [channels[name].smooth - channels[name].smooth.mean() for name in ("motion", "load")]
     return float(np.sum(away[0] * away[1])) / (float(np.sqrt(np.sum(away[0]**2) * np.sum(away[1]**2))) or 1.0)
@@ -180,7 +182,11 @@ def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, 
     """Return whether motion and load step together: from rest, as under a dead weight, or in the last step.
 
     Args:
-        sample: at an end of the recording. next_one: its neighbour inside.
+        sample: sample at an end of the recording.
+        next_one: neighbour of this sample.
+        motion: channel of the motion.
+        load: channel of the load.
+        settings: thresholds.
     """
     jumps = []
     for one in (motion, load):
@@ -188,7 +194,7 @@ def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, 
         if abs(jump) <= 0.05 * one.range:
             return False
         jumps.append(jump)
-    correlation = _correlation({"motion": motion, "load": load})
+    correlation = _correlate_channels({"motion": motion, "load": load})
     together = jumps[0] * jumps[1] * correlation >= 0 or abs(correlation) < settings.correlated
     largest = [float(np.abs(one.smooth).max()) for one in (motion, load)]
     rests = [abs(one.values[sample]) <= settings.rest * most for one, most in zip((motion, load), largest, strict=True)]

@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class PreloadSettings:
-    """Settings of `load_at_zero`.
+    """Settings of `estimate_load_at_zero`.
 
     Attributes:
         starts: fractions of the largest displacement over which the start of the curve is fitted, each with the degree
@@ -39,9 +39,14 @@ _SETTINGS = PreloadSettings()
 
 
 class LoadAtZero(NamedTuple):
-    """Load at the zero of the displacement, its fraction of the range, and the shift of contact that explains it.
+    """Load at zero displacement.
 
-    All three are negative where the load is against the direction of loading.
+    All values are negative for a load against the direction of loading.
+
+    Attributes:
+        load: load, N.
+        fraction: load as a fraction of the range of the load.
+        shift: distance between contact and zero displacement, m, if the load is a preload.
     """
 
     load: float
@@ -49,13 +54,14 @@ class LoadAtZero(NamedTuple):
     shift: float
 
 
-def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
+def estimate_load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
     """Estimate the load at the start of the first loading from a polynomial; None if the load starts at zero.
 
     Args:
-        motion, load: positive under load, the motion from its zero, in the order of time, shape (n,).
+        motion: displacement, m, positive under load, in the order of time, shape (n,).
+        load: force, N, positive under load, shape (n,).
     """
-    peak = _before_relaxation(motion, load, int(np.argmax(motion)) + 1)
+    peak = _count_before_relaxation(motion, load, int(np.argmax(motion)) + 1)
     reach = float(np.ptp(motion))
     if (peak < _SETTINGS.fewest or not reach > 0 or not np.ptp(load) > 0
             or abs(motion[0]) > _SETTINGS.start_offset * reach):
@@ -67,7 +73,7 @@ def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
         x, y = motion[:start], load[:start]
         if np.unique(x).size < degree + 2:
             continue
-        at_zero, error = _intercept(x / reach, y, degree)
+        at_zero, error = _fit_intercept(x / reach, y, degree)
         slope = float(np.polyfit(x, y, 1)[0])
         if slope > 0 and abs(at_zero) >= max(_SETTINGS.fraction * range_of_load, _SETTINGS.significant * error):
             return LoadAtZero(at_zero, at_zero / range_of_load, at_zero / slope)
@@ -76,7 +82,7 @@ def load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
     return None
 
 
-def _before_relaxation(motion: np.ndarray, load: np.ndarray, end: int) -> int:
+def _count_before_relaxation(motion: np.ndarray, load: np.ndarray, end: int) -> int:
     """Return the number of samples before the first hold in which the load relaxes; `end` without such a hold.
 
     After a relaxation the load is not a function of the motion alone, and a polynomial does not show the load at zero.
@@ -90,7 +96,7 @@ def _before_relaxation(motion: np.ndarray, load: np.ndarray, end: int) -> int:
     return end
 
 
-def _intercept(x: np.ndarray, y: np.ndarray, degree: int) -> tuple[float, float]:
+def _fit_intercept(x: np.ndarray, y: np.ndarray, degree: int) -> tuple[float, float]:
     """Return the value at zero of a least-squares polynomial, and its standard error."""
     design = np.vander(x, degree + 1, increasing=True)
     coefficients = np.linalg.lstsq(design, y, rcond=None)[0]

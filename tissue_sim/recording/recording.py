@@ -97,7 +97,7 @@ class Recording:
         return channel in self.channels
 
     def channel(self, name: str) -> np.ndarray:
-        """Values of a channel, SI.
+        """Return the values of a channel, SI units, shape (n,).
 
         Raises:
             InputError: the recording has no such channel.

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.recording.saturation import last_digit
+from tissue_sim.recording.saturation import find_last_digit
 
 
 @dataclass(frozen=True)
 class ResolutionSettings:
-    """Settings of `rounding_step`.
+    """Settings of `find_rounding_step`.
 
     Attributes:
         whole: largest difference of a step from a whole multiple of the step of the sensor, as a fraction of that step.
@@ -27,7 +27,7 @@ class ResolutionSettings:
 _SETTINGS = ResolutionSettings()
 
 
-def rounding_step(values: np.ndarray) -> float:
+def find_rounding_step(values: np.ndarray) -> float:
     """Return the step of a sensor with few different values; 0 for a fine sensor.
 
     The numbers of a file are rounded, too: steps may differ from whole multiples by the last digit of the numbers.
@@ -42,6 +42,6 @@ def rounding_step(values: np.ndarray) -> float:
         return 0.0
     counts = np.round(steps / steps.min())
     step = float(steps.sum() / counts.sum())
-    digit = last_digit(values)
+    digit = find_last_digit(values)
     allowed = max(_SETTINGS.whole * step, 1.5 * digit if digit < _SETTINGS.fine_digit * step else 0.0)
     return step if np.abs(steps - counts * step).max() <= allowed else 0.0

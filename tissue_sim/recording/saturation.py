@@ -44,7 +44,7 @@ SETTINGS = SaturationSettings()
 
 @dataclass(frozen=True)
 class DigitSettings:
-    """Settings of `last_digit`.
+    """Settings of `find_last_digit`.
 
     Attributes:
         exact: error of a difference, in units of the floating-point spacing of the largest value.
@@ -80,33 +80,34 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
     values are not a measurement, and it is sufficient that the other channel continues.
 
     Args:
-        values: of the channel in the order of time, any unit and sign, shape (n,).
-        other: the channel that continues: the motion of a load, the load of a motion, shape (n,).
-        time: s, shape (n,); None: even steps.
-        rounding: width of the interval in which values count as equal, of values that are computed from rounded ones.
-        is_free: whether the channel is known not to be controlled, so that no hold keeps it equal.
+        values: values of the channel in the order of time, any unit and sign, shape (n,).
+        other: values of the other channel, shape (n,): the motion for a load, and the load for a motion.
+        time: time, s, shape (n,); None: even steps.
+        rounding: width of the interval of equal values, for values that were computed from rounded numbers.
+        is_free: whether the channel is known not to be controlled, so that a hold cannot keep it constant.
+        settings: thresholds.
     """
     clock = np.arange(values.size, dtype=float) if time is None else time
     steps = np.abs(np.diff(values))
     steps = steps[steps > 1e-9 * float(np.abs(values).max() or 1.0)]
     if not steps.size or not np.ptp(other) > 0:
         return ()
-    missing = max(settings.missing_range * float(np.ptp(values)), settings.missing_noise * _noise(values))
+    missing = max(settings.missing_range * float(np.ptp(values)), settings.missing_noise * _estimate_noise(values))
     digit = max(float(steps.min()), rounding)
     steps = np.abs(np.diff(other))
     travel = max(settings.travel * float(np.ptp(other)), settings.coarse * float(steps[steps > 0].min()),
-                 settings.missing_noise * _noise(other))
+                 settings.missing_noise * _estimate_noise(other))
     found = []
     for side in (1.0, -1.0):
         extreme = side * float((side * values).max())
         # The value at rest is no limit of a sensor.
         if abs(extreme - np.median(values[:3])) <= settings.at_rest * np.ptp(values):
             continue
-        for run in _runs(np.flatnonzero(side * values >= side * extreme - rounding), settings):
-            least = max(missing, digit * _smooth_maximum(run.count, settings))
+        for run in _find_runs(np.flatnonzero(side * values >= side * extreme - rounding), settings):
+            least = max(missing, digit * _apparent_missing_change(run.count, settings))
             is_equal = is_free or _is_noisy_before(run, values, rounding, settings)
-            if (is_equal and _continues(run, other, travel)) or _is_saturated(run, side * values, other, clock, least,
-                                                                             travel, settings):
+            if (is_equal and _other_channel_continues(run, other, travel)) or _is_saturated(
+                    run, side * values, other, clock, least, travel, settings):
                 found.append(run)
     return tuple(sorted(found, key=lambda run: run.first))
 
@@ -116,19 +117,19 @@ def _is_noisy_before(run: SaturatedRun, values: np.ndarray, rounding: float, set
     if run.first < settings.noise_from:
         return False
     before = values[:run.first]
-    digit = max(last_digit(values), rounding)
+    digit = max(find_last_digit(values), rounding)
     # The third differences of a smooth curve are small, so that they show the noise alone.
     noise = float(np.median(np.abs(np.diff(before, 3)))) / (0.6745 * np.sqrt(20.0))
     return 0.0 < settings.noisy * digit <= noise
 
 
-def _continues(run: SaturatedRun, other: np.ndarray, travel: float) -> bool:
+def _other_channel_continues(run: SaturatedRun, other: np.ndarray, travel: float) -> bool:
     """Return whether the other channel changes by more than `travel` along a run, away from its start."""
     along = other[run.first:run.last + 1] - other[run.first]
     return bool(abs(along[-1]) > travel and abs(along[-1]) >= 0.5 * float(np.ptp(along)))
 
 
-def _smooth_maximum(count: int, settings: SaturationSettings) -> float:
+def _apparent_missing_change(count: int, settings: SaturationSettings) -> float:
     """Return the apparent missing change of a channel with a smooth maximum, in its last digits.
 
     Around the maximum P - c x^2, with samples at the distance h, `count` samples within one digit d of P span
@@ -138,7 +139,7 @@ def _smooth_maximum(count: int, settings: SaturationSettings) -> float:
     return 4.0 + 4.0 * (settings.before + 1) / (count - 1)
 
 
-def last_digit(values: np.ndarray) -> float:
+def find_last_digit(values: np.ndarray) -> float:
     """Return the largest step of which all differences of the values are whole multiples, in double precision.
 
     The method is Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were
@@ -164,13 +165,13 @@ def last_digit(values: np.ndarray) -> float:
     return 0.0
 
 
-def _noise(values: np.ndarray) -> float:
+def _estimate_noise(values: np.ndarray) -> float:
     """Return the standard deviation of the noise, without the equal values of a saturated sensor."""
     bend = np.abs(np.diff(values, 2))
     return float(np.median(bend[bend > 0])) / (0.6745 * np.sqrt(6.0)) if np.any(bend > 0) else 0.0
 
 
-def _runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
+def _find_runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
     """Return runs of at least `SaturationSettings.fewest` samples at the extreme value."""
     if places.size < settings.fewest:
         return []
@@ -183,7 +184,13 @@ def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, cloc
     """Return whether the channel, positive towards its extreme value, would have continued to change.
 
     Args:
-        missing: least change of the channel that is missing. travel: least progress of the other channel.
+        run: samples at the extreme value.
+        values: values of the channel, positive towards the extreme value, shape (n,).
+        other: values of the other channel, shape (n,).
+        clock: time, s, shape (n,).
+        missing: least change that the channel would have made.
+        travel: least progress of the other channel.
+        settings: thresholds.
     """
     first = max(run.first - settings.before, 0)
     if run.first - first < 3 or not clock[run.first - 1] > clock[first]:

@@ -7,18 +7,35 @@ A displacement of no more than the hysteresis is ignored. A motion reverses when
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from tissue_sim.recording.recording import Recording
 
-#: Hysteresis of a motion by hand, m; larger than the tremor of a hand.
-HYSTERESIS = 0.05e-3
-#: Least duration of a hold of a motion by hand, s.
-HOLD_TIME = 1.0
-#: Largest distance of the motion of a machine from its polyline, as a fraction of the travel.
-STRAIGHT = 3e-3
-#: Hysteresis of a motion of unknown origin, as a fraction of the travel, if it is larger than `HYSTERESIS`.
-_HYSTERESIS_FRACTION = 0.01
+
+@dataclass(frozen=True)
+class MotionSettings:
+    """Settings of the division of a motion into segments.
+
+    Attributes:
+        hysteresis: hysteresis of a motion by hand, m; larger than the tremor of a hand. A larger value ignores more
+            reversals.
+        hold_time: least duration of a hold of a motion by hand, s. A larger value finds fewer holds.
+        straightness: largest distance of the motion of a machine from its polyline, as a fraction of the travel. A
+            larger value finds fewer segments.
+        hysteresis_fraction: hysteresis of a motion of unknown origin, as a fraction of the travel, if the result is
+            larger than `hysteresis`.
+    """
+
+    hysteresis: float = 0.05e-3
+    hold_time: float = 1.0
+    straightness: float = 3e-3
+    hysteresis_fraction: float = 0.01
+
+
+#: Settings that the functions of this module use.
+MOTION_SETTINGS = MotionSettings()
 #: Labels of segments that load.
 _LOADING_LABELS = ("approach", "ramp", "load")
 #: Labels of segments that unload.
@@ -33,7 +50,7 @@ class Reversals:
         direction: direction of the last branch: 1 loads, -1 unloads, 0 before the first motion.
     """
 
-    def __init__(self, hysteresis: float = HYSTERESIS):
+    def __init__(self, hysteresis: float = MOTION_SETTINGS.hysteresis):
         self._hysteresis = hysteresis
         self.starts: list[int] = []
         self.direction = 0
@@ -52,6 +69,7 @@ class Reversals:
             self._turn(-1, self._high[1], (depth, index))
 
     def _turn(self, direction: int, start: int, here: tuple[float, int]) -> None:
+        """Begin a branch at point `start`; `here` is the newest point (depth in m, index)."""
         self.direction = direction
         self.starts.append(start)
         self._low = self._high = here
@@ -97,22 +115,24 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
     """Label each sample of a motion as ``ramp``, ``hold`` or ``unload``, shape (n,).
 
     Args:
-        time, displacement: s and m.
-        tolerance: half of the hysteresis, m; None: the fraction `STRAIGHT` of the travel, for a machine.
-        shortest_hold: s; a shorter hold belongs to the segment before it.
+        time: time, s, shape (n,).
+        displacement: displacement, m, shape (n,).
+        tolerance: half of the hysteresis, m; None: the fraction
+            `MotionSettings.straightness` of the travel, for a machine.
+        shortest_hold: shortest hold, s; a shorter hold belongs to the previous segment.
     """
-    tolerance = STRAIGHT * np.ptp(displacement) if tolerance is None else tolerance
+    tolerance = MOTION_SETTINGS.straightness * np.ptp(displacement) if tolerance is None else tolerance
     corners = corners_of(time, displacement, tolerance)
     way = np.diff(displacement[corners])
     names = np.where(np.abs(way) <= 2 * tolerance, "hold", np.where(way > 0, "ramp", "unload"))
     for part in np.flatnonzero(names == "hold") if shortest_hold else ():
-        if _stays(time, displacement, corners[part], corners[part + 1], 2 * tolerance) >= shortest_hold:
+        if _duration_within(time, displacement, corners[part], corners[part + 1], 2 * tolerance) >= shortest_hold:
             continue
         names[part] = names[part - 1] if part else "ramp" if way[part] > 0 else "unload"
     return names[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, names.size - 1)]
 
 
-def _stays(time: np.ndarray, displacement: np.ndarray, first: int, last: int, reach: float) -> float:
+def _duration_within(time: np.ndarray, displacement: np.ndarray, first: int, last: int, reach: float) -> float:
     """Return how long a motion stays within `reach` (m) of its value at sample `first`, around `first` to `last`, s."""
     away = np.flatnonzero(np.abs(displacement - displacement[first]) > reach)
     before, after = away[away < first], away[away > last]
@@ -159,13 +179,14 @@ def load_and_unload(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
         Two arrays; the second one is empty without an unloading.
     """
     depth = recording.displacement
-    load, unload = _labelled(recording.labels["segment"]) if "segment" in recording.labels else _turned(depth)
+    has_labels = "segment" in recording.labels
+    load, unload = _split_by_labels(recording.labels["segment"]) if has_labels else _split_at_turns(depth)
     if not load.size:  # labels of another vocabulary
-        load, unload = _turned(depth)
+        load, unload = _split_at_turns(depth)
     return load[one_way(depth[load], 1)], unload[one_way(depth[unload], -1)]
 
 
-def _labelled(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_by_labels(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples of the first run of loading segments, and of the first run of unloading segments."""
     kinds = np.where(np.isin(segment, _LOADING_LABELS), 1, np.where(np.isin(segment, _UNLOADING_LABELS), -1, 0))
     kinds[segment == "reload"] = 2
@@ -179,11 +200,12 @@ def _labelled(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return load, np.concatenate([[unload[0] - 1], unload]) if unload.size and unload[0] > 0 else unload
 
 
-def _turned(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_at_turns(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the samples of the first branch that loads, and of the next branch."""
     reach = float(depth.max() - depth.min())
     # The tremor is at most that of a hand, and smaller in a small test.
-    reversals = Reversals(min(max(HYSTERESIS, _HYSTERESIS_FRACTION * reach), 0.1 * reach))
+    hysteresis = max(MOTION_SETTINGS.hysteresis, MOTION_SETTINGS.hysteresis_fraction * reach)
+    reversals = Reversals(min(hysteresis, 0.1 * reach))
     for index, value in enumerate(depth.tolist()):
         reversals.add(index, value)
     branches = reversals.branches(depth.size - 1)

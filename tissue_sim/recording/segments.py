@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.experiment.kinds.kind import KINDS, STRETCH_STRESS, TestKind
 from tissue_sim.recording.contact import Contact, find_contact
-from tissue_sim.recording.control import creep_holds
+from tissue_sim.recording.control import find_creep_parts
 from tissue_sim.recording.failure import Failure, find_failure
 from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.recording import Recording
@@ -72,7 +72,7 @@ class Segmentation:
         return self.contact is not None and self.contact.found
 
     def runs(self) -> Iterator[tuple[str, int, int]]:
-        """Name, first sample and end (not included) of each segment, in order."""
+        """Yield name, first sample and end (not included) of each segment, in order."""
         edges = np.flatnonzero(np.append(True, self.labels[1:] != self.labels[:-1]))
         for first, last in pairwise([*edges.tolist(), self.labels.size]):
             yield str(self.labels[first]), first, last
@@ -104,9 +104,10 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     """Find the segments of arrays; see `find_segments`.
 
     Args:
-        displacement, force: positive under load, m and N, shapes (n,); strain and Pa if `stressed`.
-        time: s, shape (n,); None: even steps.
-        labels: segments of the file, shape (n,); None: they are found.
+        displacement: displacement, m (strain if `stressed`), positive under load, shape (n,).
+        force: force, N (stress, Pa, if `stressed`), positive under load, shape (n,).
+        time: time, s, shape (n,); None: even steps.
+        labels: segments of the file, shape (n,); None: the segments are found.
         stressed: whether the arrays are strain and stress.
     """
     clock = np.arange(displacement.size, dtype=float) if time is None else time
@@ -127,7 +128,7 @@ def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
         labels = label_motion(clock, displacement)
-        for first, last in creep_holds(displacement, force, time):
+        for first, last in find_creep_parts(displacement, force, time):
             labels[first:last] = "hold"
         labels, cycles = count_cycles(labels)
         labels = labels.astype("U15")

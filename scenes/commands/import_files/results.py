@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from calibration.importing.assumption_table import HEADINGS, assumption_rows, unused_columns
+from calibration.importing.assumption_table import HEADINGS, assumption_rows, list_unused_columns
 from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
 from tissue_sim.units import shown
 
@@ -41,7 +41,7 @@ def print_imported(imported: Imported, console: Console) -> None:
     _print_assumptions(imported, console)
     for test in imported.tests:
         print_sentence(console, f"{test.name}: {test.kind or 'kind unknown'}; {test.reason}")
-    for each in unused_columns(imported.tests):
+    for each in list_unused_columns(imported.tests):
         print_sentence(console, f"columns not used: {each}")
     for warning in imported.warnings:
         print_sentence(console, f"note: {warning}")

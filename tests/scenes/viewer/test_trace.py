@@ -17,7 +17,7 @@ from scenes.provenance import recording_provenance
 from scenes.viewer.page.saving import curve_files
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, recording_files
-from tissue_sim.recording.segmentation import HYSTERESIS, one_way
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, one_way
 from tissue_sim.tool_force import ForceStatus
 
 
@@ -138,13 +138,13 @@ def test_newest_branches_of_two_cycles():
 
 
 def test_an_unloading_must_exceed_the_hysteresis():
-    for back, branches in ((0.8 * HYSTERESIS, 1), (1.6 * HYSTERESIS, 3)):
+    for back, branches in ((0.8 * MOTION_SETTINGS.hysteresis, 1), (1.6 * MOTION_SETTINGS.hysteresis, 3)):
         trace = fed(played([(0, 0), (2, 5e-3), (2.1, 5e-3 - back), (4, 9e-3)], 4))
         assert len(trace._branches()) == branches
 
 
 def test_tremor_of_a_hand_is_no_reversal():
-    trace = fed(played(CYCLE, 14, noise=0.45 * HYSTERESIS))
+    trace = fed(played(CYCLE, 14, noise=0.45 * MOTION_SETTINGS.hysteresis))
     assert [direction for direction, *_ in trace._branches()] == [1, -1]
 
 
@@ -255,6 +255,6 @@ def test_standing_samples_at_both_ends_are_removed():
 def test_reversals_are_counted_despite_noise(ways, seed):
     corners = np.concatenate([[0.0], np.cumsum(np.array(ways) * np.resize([1, -1], len(ways)))])
     depth = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(corners)])
-    depth += 0.4 * HYSTERESIS * np.random.default_rng(seed).uniform(-1, 1, depth.size)
+    depth += 0.4 * MOTION_SETTINGS.hysteresis * np.random.default_rng(seed).uniform(-1, 1, depth.size)
     trace = fed(ticks(np.arange(depth.size) * 0.2, depth), 1000)
     assert [direction for direction, *_ in trace._branches()] == np.resize([1, -1], len(ways)).tolist()

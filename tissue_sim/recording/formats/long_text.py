@@ -15,19 +15,19 @@ import numpy as np
 
 from tissue_sim.recording.formats.number_text import normalize_number_marks, split_quantity
 
-#: Number of lines of the beginning; a shorter text is read cell by cell completely.
-BEGINNING = 2000
-
 
 @dataclass(frozen=True)
 class LongTextSettings:
     """Settings of `split_long`.
 
     Attributes:
-        chunk_characters: characters that are processed together.
-        group_digits: digits of a group of thousands.
+        beginning: number of lines that are read cell by cell. These lines determine marks and units, so that fewer
+            lines may require a second reading of the complete text.
+        chunk_characters: number of characters that are processed together. A larger value needs more memory.
+        group_digits: number of digits of a group of thousands.
     """
 
+    beginning: int = 2000
     chunk_characters: int = 4_000_000
     group_digits: int = 3
 
@@ -118,7 +118,7 @@ def split_long(text: str, skipped: int = 0) -> tuple[str, PlainEnd | None]:
         The beginning and the end; the complete text and None if the text is short, or if its end is not plain.
     """
     last = start = 0
-    for _ in range(skipped + BEGINNING):
+    for _ in range(skipped + _SETTINGS.beginning):
         last, start = start, text.find("\n", start) + 1
         if not start:
             return text, None
@@ -146,7 +146,8 @@ def _plain_end(text: str, start: int, delimiter: str) -> PlainEnd:
     for piece in _pieces(text, start, delimiter):
         if not suffixes:
             quantities = [_split_suffix(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
-            suffixes, units = (tuple(each[i] for each in quantities) for i in (0, 1))
+            suffixes = tuple(suffix for suffix, _ in quantities)
+            units = tuple(unit for _, unit in quantities)
             if len(suffixes) < 2:
                 raise NotPlainError
         numbers = _without_suffixes(piece, suffixes)

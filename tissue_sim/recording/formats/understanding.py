@@ -13,7 +13,7 @@ from typing import Any
 
 from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.cleaning import clean, counted_from_start, start_of
+from tissue_sim.recording.cleaning import clean, count_from_start, find_start_value
 from tissue_sim.recording.formats.columns import MarkedRecording
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, resolve_marks_by_text
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, Reading, Understanding
@@ -242,11 +242,11 @@ def _read_tables(source: Source, groups: Sequence[Group], hints: ColumnHints, ma
     # Signs and zeros are determined without outliers and saturated samples.
     screened = screened if recordings is before else [clean(each) for each in recordings]
     turned = orient_columns(columns, [rest for rest, _ in screened],
-                      [start_of(each, found, "displacement") if "displacement" in each else None
+                      [find_start_value(each, found, "displacement") if "displacement" in each else None
                        for each, (_, found) in zip(recordings, screened, strict=True)], kind.kind, signed)
     recordings = reader.with_changed_signs(recordings, columns, turned)
     columns, zeroed = turned, [column.channel for column in turned if column.offset == "start"]
-    recordings = tuple(counted_from_start(each, zeroed) for each in recordings)
+    recordings = tuple(count_from_start(each, zeroed) for each in recordings)
     moved = () if first.speed is None else (speed_assumption(first.speed, [rest for rest, _ in screened]),)
     remarks = (*remarks, *(sentence for each in moved for sentence in each.against))
     assumptions = (*list_column_assumptions(reader.recordings, columns, recordings, first.rivals, hints),
