@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import importlib.util
+import math
 import os
 import re
+import resource
 import shutil
 import signal
 import subprocess
@@ -38,16 +40,18 @@ class TrialSettings:
 
     Attributes:
         files: largest number of test files. A larger number finds more faults and takes longer.
-        fast_seconds: time limit of the tests of command two, s.
-        slow_seconds: time limit of the slow tests, s; 0: no slow tests.
+        fast_seconds: limit of the CPU time of the tests of command two, s.
+        slow_seconds: limit of the CPU time of the slow tests, s; 0: no slow tests.
         test_seconds: time limit of one test, s; a test that takes longer has failed.
+        load: largest ratio of time to CPU time, on a busy machine or for tests that wait.
         known_failures: largest number of failures that also occur without the fault; these tests are left out.
     """
 
     files: int = 12
-    fast_seconds: float = 120.0
-    slow_seconds: float = 180.0
-    test_seconds: float = 90.0
+    fast_seconds: float = 60.0
+    slow_seconds: float = 120.0
+    test_seconds: float = 180.0
+    load: float = 10.0
     known_failures: int = 5
 
 
@@ -101,12 +105,11 @@ class Laboratory:
     def _find_failure(self, mutant: Mutant, files: list[str], marker: str, seconds: float) -> str | None:
         """Name of a test that fails with the fault and passes without it; empty: none; None: out of time."""
         left_out: list[str] = []
-        deadline = time.monotonic() + seconds
         while len(left_out) <= self._settings.known_failures:
             self._write(mutant, with_fault=True)
             try:
                 code, failed = self._run_tests([*files, *(f"--deselect={name}" for name in left_out)], marker,
-                                               deadline - time.monotonic())
+                                               seconds)
             except subprocess.TimeoutExpired:
                 return None
             finally:
@@ -141,7 +144,11 @@ class Laboratory:
         Path(importlib.util.cache_from_source(str(path))).unlink(missing_ok=True)
 
     def _run_tests(self, arguments: list[str], marker: str, seconds: float) -> tuple[int, list[str]]:
-        """Run tests until the first failure. Returns pytest's exit code and arguments that select the failed test."""
+        """Run tests until the first failure. Returns pytest's exit code and arguments that select the failed test.
+
+        Raises:
+            TimeoutExpired: the limit of the CPU time is exceeded.
+        """
         report = self.root.parent / "report.txt"
         command = [sys.executable, "-m", "pytest", "-x", "-q", "-n", "0", "-m", marker, "-p", "no:cacheprovider",
                    "-o", f"faulthandler_timeout={self._settings.test_seconds}",
@@ -149,11 +156,14 @@ class Laboratory:
         with report.open("w", encoding="utf-8") as stream:
             process = subprocess.Popen(command, cwd=self.root, env=self._environment, stdin=subprocess.DEVNULL,
                                        stdout=stream, stderr=subprocess.STDOUT, start_new_session=True)
+            resource.prlimit(process.pid, resource.RLIMIT_CPU, (math.ceil(seconds), math.ceil(seconds)))
             try:
-                code = process.wait(max(1.0, seconds))
+                code = process.wait(self._settings.load * seconds)
             finally:
                 # Tests that are stopped leave child processes.
                 _kill_group(process)
+        if code in (-signal.SIGKILL, -signal.SIGXCPU):
+            raise subprocess.TimeoutExpired(command, seconds)
         text = report.read_text(encoding="utf-8", errors="replace")
         selections = [[name] for name in _FAILED.findall(text)]
         selections += [[file, "-k", name] for file, name in _TOO_LONG.findall(text)]
