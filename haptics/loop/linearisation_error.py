@@ -46,6 +46,9 @@ class LinearisationError:
     these poses. Beyond, and before two models of the deformed tissue have come, the error is unknown. Two models of the
     undeformed tissue are equal; their difference contains no information and must not be passed to `learn`.
 
+    The tangent of a model may have been assembled at an earlier pose, at a distance D from that of the model. The
+    stiffness of the model is then wrong by 2 growth D, and its force by 2 growth D distance more.
+
     Two models can agree at one pose by chance. `growth` is therefore never below the curvature of a contact: under a
     ball of radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved). The depth is that
     of the tool, and at least its distance from the pose of the model. Where the depth is unknown, the limit is mu.
@@ -111,15 +114,16 @@ class LinearisationError:
         """Return whether the error at this distance, m, from the pose of a model is known."""
         return math.isfinite(self.time) and distance <= max(self.short, ERROR_ESTIMATE.validity * self.reach)
 
-    def at(self, distance: float, age: float = 0.0, depth: float | None = None) -> float:
+    def at(self, distance: float, age: float = 0.0, depth: float | None = None, tangent: float = 0.0) -> float:
         """Return the estimated error of the force, N; infinite if it is unknown.
 
         Args:
             distance: distance of the tool from the pose of the model, m.
             age: age of the model, s.
             depth: depth of the tool below the undeformed surface, m; None: unknown.
+            tangent: distance of the pose of the model from the pose at which its tangent was assembled, m.
         """
         if not self.is_valid(distance):
             return math.inf
         age_factor = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
-        return self.base * age_factor + self._limited_growth(distance, depth) * distance**2
+        return self.base * age_factor + self._limited_growth(distance, depth) * distance * (distance + 2.0 * tangent)

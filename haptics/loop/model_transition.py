@@ -162,8 +162,22 @@ class ModelTransition:
         distance = self.distance(self._newest, pose) if is_loaded else 0.0
         offset = self._size(self.offset)
         depth = self._stepper.surface.start.position[2] - pose.position[2]
-        error = self.estimate.at(distance, age, depth) + offset
+        error = self.estimate.at(distance, age, depth, self._tangent_distance) + offset
         return error, offset if math.isinf(error) and distance <= self.estimate.short else error
+
+    @property
+    def _tangent_distance(self) -> float:
+        """Distance of the newest model from the pose at which its tangent was assembled, m; 0 without contact.
+
+        A tangent that was assembled in the air is that of the pose of the touch.
+        """
+        model = self._newest
+        if not model.has_contact:
+            return 0.0
+        distance = self._stepper.distance(motion(model.tangent_pose, model.pose))
+        if self.is_near_surface(model.tangent_pose):
+            distance = min(distance, self._stepper.distance(motion(self.free, model.pose)))
+        return distance
 
     @property
     def _newest(self) -> CondensedContact:

@@ -54,6 +54,18 @@ def test_the_curvature_of_a_contact_is_that_of_hertz_at_the_depth_of_the_tool():
     assert agreed.at(distance, depth=10.0 * RADIUS) == pytest.approx(2.0 * MODULUS * distance**2)
 
 
+def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distance():
+    """The force is growth z**2; a model at 2 mm with the stiffness of 1.5 mm, used at 1.8 mm."""
+    growth, made, tangent, used = 5e3, 2e-3, 1.5e-3, 1.8e-3
+    estimate = LinearisationError(RADIUS)
+    estimate.learn(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
+    estimate.base = 0.0
+    error = growth * used**2 - (growth * made**2 + 2.0 * growth * tangent * (used - made))
+    assert error == pytest.approx(growth * (made - used) ** 2 - 2.0 * growth * (made - tangent) * (made - used))
+    assert estimate.at(made - used, tangent=made - tangent) >= abs(error)
+    assert estimate.at(made - used, tangent=made - tangent) == pytest.approx(growth * (4e-8 + 2e-7))
+
+
 def test_a_stiffer_material_raises_what_was_learned():
     estimate, before = learned(), learned().at(1e-3)
     estimate.change_modulus(2 * MODULUS)
