@@ -228,8 +228,10 @@ def _compare_explanations(explanations: Sequence[tuple[dict[str, _Explanation], 
     """Compare the explanations of all replicates.
 
     Args:
-        explanations: explanations and noise of each replicate. start: load at zero of the first replicate.
-        kind: kind of test. stated: value that the user states.
+        explanations: explanations and noise of each replicate.
+        start: load at zero of the first replicate.
+        kind: kind of test.
+        stated: value that the user states.
         jump: evidence of a jump of the load; with a jump the curve does not decide.
 
     Returns:
