@@ -362,12 +362,12 @@ def test_garbled_answers_never_pass_the_checksum(clock):
         stage = homed(emulator, clock)
         stage.move(0.005, 0.004)
         clock.now += 10.0
-        answer, number = emulator.received, itertools.count()
+        answer, number = emulator.answer_bytes, itertools.count()
 
         def garbled(data):
             return [bytes([part[0] ^ 0x10]) + part[1:] if next(number) % 3 == 2 else part for part in answer(data)]
 
-        emulator.received = garbled
+        emulator.answer_bytes = garbled
         refused = 0
         for _ in range(30):
             try:
