@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, reason_of
+from tissue_sim.errors import InputError, format_exception
 from tissue_sim.files import require_small_archive
 from tissue_sim.packing import pack, run_packed
 
@@ -98,7 +98,7 @@ def _file_size(file: str | Path) -> int:
 
 
 @contextlib.contextmanager
-def uncounted() -> Iterator[None]:
+def exclude_cpu_time() -> Iterator[None]:
     """Context whose CPU time does not count for a reader, such as the import of a large library."""
     left = signal.setitimer(signal.ITIMER_PROF, 0.0)[0] if _inside and resource is not None else 0.0
     try:
@@ -237,8 +237,8 @@ def _run(function: Callable[..., Any], arguments: tuple, folder: str, file: str,
     except KeyboardInterrupt:
         raise
     except BaseException as error:  # exceptions of some libraries do not derive from Exception
-        raise InputError(f"cannot be read ({type(error).__name__}: {reason_of(error)}); it is damaged, or its reader "
-                         "has an error", file=file) from error
+        raise InputError(f"cannot be read ({type(error).__name__}: {format_exception(error)}); it is damaged, or its "
+                         "reader has an error", file=file) from error
 
 
 @contextlib.contextmanager

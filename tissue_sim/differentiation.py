@@ -101,7 +101,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
                "estimate_error": False}
     neighbours = [_make_neighbour_materials(model, parameter)
                   for parameter, one in zip(asked, exact, strict=True) if one]
-    watch = _Watch(neighbours, model.experiment.approach)
+    watch = _DerivativeObserver(neighbours, model.experiment.approach)
     recording = simulate(model, watch=watch, **options)
     exact &= watch.exact
     values = np.zeros((len(watch.rates), len(names)))
@@ -115,7 +115,7 @@ def sensitivities(model: Model, names: Sequence[str] | None = None, *, resolutio
     return Sensitivities(recording, names, values, exact, np.array(watch.kinks, dtype=bool))
 
 
-class _Watch:
+class _DerivativeObserver:
     """Observer of a simulation that collects derivatives."""
 
     def __init__(self, pairs: list, approach: Approach | None):
@@ -125,7 +125,7 @@ class _Watch:
         self.kinks: list[bool] = []
         self.exact = False
 
-    def begin(self, solver: Solver) -> None:
+    def before_first_step(self, solver: Solver) -> None:
         """Request derivatives before the first step."""
         derivatives = solver.differentiate(self._pairs)
         along_z = self._approach is None
@@ -133,8 +133,11 @@ class _Watch:
         # Derivatives without parameters still report the kinks of the force.
         self._derivatives = derivatives if self.exact or not self._pairs else solver.differentiate([])
 
-    def sample(self, solver: Solver, factor: float) -> None:
-        """Store the derivatives of a sample."""
+    def after_sample(self, solver: Solver, factor: float) -> None:
+        """Append the derivatives of the present sample to `rates`, and to `kinks` whether the contact changed.
+
+        `rates` has the derivatives of the force with respect to the parameters.
+        """
         derivatives = self._derivatives
         force = np.zeros(0) if derivatives is None else derivatives.force
         if self._approach is not None and isinstance(derivatives, SpatialDerivatives):

@@ -110,7 +110,7 @@ def shortened(text: str, longest: int) -> str:
     return f"{text[:front]} ... {text[len(text) - (longest - 5 - front):]}"
 
 
-def reason_of(error: BaseException) -> str:
+def format_exception(error: BaseException) -> str:
     """Return the message of another library's exception, on one line of at most `MessageLimits.reason` characters."""
     return shortened(_escape_unprintable(" ".join(str(error).split())), MESSAGE_LIMITS.reason) or type(error).__name__
 
@@ -128,8 +128,8 @@ def located(*, file: str | Path | None = None, field: str | None = None, part: s
     except _MALFORMED as error:
         if file is None:
             raise
-        raise InputError(f"cannot be used ({type(error).__name__}: {reason_of(error)}); look for odd names, numbers "
-                         "and nesting in it", file=file, field=field) from error
+        raise InputError(f"cannot be used ({type(error).__name__}: {format_exception(error)}); look for odd names, "
+                         "numbers and nesting in it", file=file, field=field) from error
 
 
 class ConvergenceError(RuntimeError):

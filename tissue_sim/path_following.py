@@ -14,7 +14,7 @@ from tissue_sim.path_settings import PATH
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, between, motion, raised
 from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
-from tissue_sim.step_clock import LEAST_SOLVES, Allowance, StepClock, solves_in
+from tissue_sim.step_clock import LEAST_SOLVES, Allowance, StepClock, count_solves_in_budget
 from tissue_sim.tool_force import (
     ForceStatus,
     NextForce,
@@ -28,8 +28,8 @@ from tissue_sim.tool_track import ToolTrack, fraction_in_air
 from tissue_sim.wave_error import WaveScale
 
 
-class PathFollower:
-    """The part of a `Simulator` that follows the tool: parts of a path, retries, creep, and the answer.
+class ToolPathMixin:
+    """Mixin of `Simulator` with the motion along the path of the tool: parts of a path, retries, creep, and the answer.
 
     Attributes:
         error: estimate of the error of the force at the last equilibrium, N; None if it is unknown.
@@ -78,7 +78,7 @@ class PathFollower:
     @property
     def max_solves(self) -> int | None:
         """Largest number of linear solves of a step; None: no limit."""
-        return self._most or solves_in(self.budget, self._solve)
+        return self._most or count_solves_in_budget(self.budget, self._solve)
 
     def _note_motion(self, target: Pose, dt: float) -> None:
         """Register how fast the tool moves in contact, and whether the steps resolve its motion."""
@@ -125,9 +125,9 @@ class PathFollower:
         if clearance is None:
             return dt
         if clearance <= 0.0:
-            until, begins = tool.contact_again(solver, pose)
+            until, begins = tool.move_to_renewed_touch(solver, pose)
             assert tool.pose is not None
-            self._pose = tool.seen_by(solver, tool.pose)
+            self._pose = tool.to_solver_pose(solver, tool.pose)
             if not begins:
                 # The tissue relaxes or swings until the touch without the tool.
                 solver.move_in_air(self._pose)
@@ -164,7 +164,7 @@ class PathFollower:
         if clearance is None or before is None or clearance > 0.0 or before <= 0.0:
             return
         until = fraction_in_air(solver, here, first.pose)
-        begins = solver.approach(between(here, first.pose, until))
+        begins = solver.move_to_next_touch(between(here, first.pose, until))
         if not begins:
             solver.move_in_air(here)
         if begins or not (inertial or solver.relaxes):
@@ -217,7 +217,7 @@ class PathFollower:
                 break
             weighs = inertial and dt > 0.0 and creep is None
             if attempt is None and creep is None and pending.meets:
-                solver.meet(target)
+                solver.bind_points_on_path(target)
                 pending.meets = False
             if attempt is None:
                 # Extrapolation is inaccurate across a change of contact, but less with mass.
@@ -235,7 +235,7 @@ class PathFollower:
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
                                    predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
-            elif (crept := creep.go_on(fitting)) is not None:
+            elif (crept := creep.continue_with_solves(fitting)) is not None:
                 step = crept
             else:  # the damped path has ended
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
@@ -281,7 +281,8 @@ class PathFollower:
                 self._share = max(PATH.smallest_cut, min(self._share, way / self._largest_part))
                 self._creep = Creep(target, dt, step)
                 self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance,
-                                                 max_iterations=PATH.most_damped_solves, allowed=self._creep.may_take)
+                                                 max_iterations=PATH.most_damped_solves,
+                                                 allowed=self._creep.solves_until_yield)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < PATH.smallest_cut and self._anew:
@@ -381,7 +382,7 @@ class PathFollower:
         """Store the result of an equilibrium."""
         self._has_waves = False
         left = self._left = self._reduced.commit(self._solver.pose.depth, dt)
-        at = self._equilibrium = self._equilibrium.followed_by(step, self._solver.pose, left, inertial, dt)
+        at = self._equilibrium = self._equilibrium.make_next(step, self._solver.pose, left, inertial, dt)
         x, y, z, *_ = at.wrench
         force = math.sqrt(x * x + y * y + z * z)
         if force > self._largest_force:

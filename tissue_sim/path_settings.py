@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class PathSettings:
-    """Settings with which `tissue_sim.path_following.PathFollower` divides a path into parts and repeats failed parts.
+    """Settings with which `tissue_sim.path_following.ToolPathMixin` divides a path into parts and repeats failed parts.
 
     Attributes:
         largest_part: largest motion of the tool in one part, as a fraction of the contact radius, 1; a larger motion is

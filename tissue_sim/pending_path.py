@@ -1,8 +1,10 @@
-"""Path of the tool that the tissue has yet to follow, tick by tick.
+"""Path of the tool since the last equilibrium, as a list of ticks.
 
-A step that is late leaves its tick to the next steps. Tissue that has mass or memory, or rubs, feels the whole path: if
-the late ticks were replaced by one straight line, the force after a turn of the tool would be that of another motion.
-Ticks are merged only if the tool moves evenly along one line.
+A step that is late leaves its tick to the next steps. The force on tissue with mass, memory or friction depends on the
+whole path: if one straight line replaced the late ticks, the force after a turn of the tool would be that of another
+motion. Ticks are merged if the tool moves along one line (evenly, if the force depends on time). If more than
+`MOST_TICKS` ticks are pending, the oldest ticks are merged as well, and `PendingPath.lost` is the time for which the
+force may be wrong.
 """
 
 from __future__ import annotations
@@ -24,7 +26,8 @@ class Tick:
     Attributes:
         pose: where it ends.
         dt: its time, s.
-        touches: whether the tool is in the air until then and meets tissue in the next tick; see `FreeTool.meet`.
+        touches: whether the tool is in the air until then and meets tissue in the next tick; see
+            `FreeTool.bind_points_on_path`.
     """
 
     pose: Pose
@@ -37,7 +40,7 @@ class PendingPath:
 
     Attributes:
         ticks: in their order.
-        meets: whether the tool meets tissue in the next increment; see `FreeTool.meet`.
+        meets: whether the tool meets tissue in the next increment; see `FreeTool.bind_points_on_path`.
         lost: time for which an equilibrium is not that of the tool's own motion, since ticks that were not on one line
             were merged, s.
         gap: time for which an equilibrium depends on a part of the path that was left out, s; infinite while the tool

@@ -47,7 +47,7 @@ class Registry(Mapping[str, T], Generic[T]):
         register_all((group, name, thing) for name, thing in _WAITING.pop(group, ()))
 
     @cached_property
-    def _installed(self) -> dict[str, EntryPoint]:
+    def _installed_entry_points(self) -> dict[str, EntryPoint]:
         found: dict[str, EntryPoint] = {}
         for entry in entry_points(group=self.group):
             if entry.name in self._built_in or entry.name in found:
@@ -64,7 +64,7 @@ class Registry(Mapping[str, T], Generic[T]):
                 module, _, attribute = thing.partition(":")
                 thing = self._things[name] = getattr(import_module(module), attribute)
             return thing
-        thing = self._things[name] = self._check_entry(name, self._installed[name].load())
+        thing = self._things[name] = self._check_entry(name, self._installed_entry_points[name].load())
         return thing
 
     def _check_entry(self, name: str, thing: T) -> T:
@@ -73,13 +73,13 @@ class Registry(Mapping[str, T], Generic[T]):
         return thing
 
     def __iter__(self) -> Iterator[str]:
-        return iter(dict.fromkeys((*self._things, *self._installed)))
+        return iter(dict.fromkeys((*self._things, *self._installed_entry_points)))
 
     def __len__(self) -> int:
-        return len(set(self._things) | set(self._installed))
+        return len(set(self._things) | set(self._installed_entry_points))
 
     def __contains__(self, name: object) -> bool:
-        return name in self._things or name in self._installed
+        return name in self._things or name in self._installed_entry_points
 
     def find(self, name: str, field: str | None = None) -> T:
         """Return the object with a name.

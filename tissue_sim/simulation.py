@@ -64,18 +64,18 @@ _NOTHING = Step.axial(StepStatus.CONVERGED, 0, 0.0, 0.0)
 _WRENCH = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
-class Watch(Protocol):
+class SolverObserver(Protocol):
     """Observer of a solver during a test."""
 
-    def begin(self, solver: Solver) -> None:
+    def before_first_step(self, solver: Solver) -> None:
         """Called before the first step."""
 
-    def sample(self, solver: Solver, factor: float) -> None:
+    def after_sample(self, solver: Solver, factor: float) -> None:
         """Called after each sample; the force of the test is `factor` times that of the solver."""
 
 
 def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields: bool = False,
-             progress: Callable[[int, int], None] | None = None, watch: Watch | None = None,
+             progress: Callable[[int, int], None] | None = None, watch: SolverObserver | None = None,
              solver: str = "axisymmetric", topology: Model | None = None,
              estimate_error: bool = True) -> Recording:
     """Simulate a whole test quasi-statically.
@@ -128,7 +128,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
         return rig.read(slipped(held, free, share))
     tissue = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh, topology=topology)
     if watch:
-        watch.begin(tissue)
+        watch.before_first_step(tissue)
     wrenches: list[Screw] = []
     travels: list[float] = []
     samples: list[Any] = []
@@ -176,9 +176,9 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
             largest, report["warnings"] = size, list(tissue.warnings())
         travels.append(drive.travel)
         if watch:
-            watch.sample(tissue, drive.share)
+            watch.after_sample(tissue, drive.share)
         if fields:
-            samples.append(tissue.sample())
+            samples.append(tissue.field_sample())
         if progress:
             progress(sample + 1, protocol.displacement.size)
     report["wall_s"] = time.perf_counter() - started  # without the error estimate

@@ -21,7 +21,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
-from tissue_sim.path_following import PathFollower
+from tissue_sim.path_following import ToolPathMixin
 from tissue_sim.path_settings import PATH
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
@@ -43,7 +43,7 @@ _STIFFNESS_LASTS = 5
 _FIRST_LEVEL = 1
 
 
-class Simulator(PathFollower, KernelOwner):
+class Simulator(ToolPathMixin, KernelOwner):
     """Force on a tool that follows any path, step by step.
 
     A step computes the equilibrium at the new pose from the previous one; a long motion is divided into parts along a
@@ -178,15 +178,18 @@ class Simulator(PathFollower, KernelOwner):
         """
         self._compile()
         if self._levels:
-            self._choose_mesh()
+            self._switch_to_finest_mesh_in_budget()
 
-    def _choose_mesh(self) -> None:
-        """Choose the finest mesh whose ticks fit into the budget; only the first call has an effect."""
+    def _switch_to_finest_mesh_in_budget(self) -> None:
+        """Measure the ticks of the meshes, and replace the solver by that of the finest mesh that fits into the budget.
+
+        Only the first call has an effect.
+        """
         levels, self._levels = self._levels, ()
         depth = float(np.max(self.model.experiment.protocol.displacement))
         made: dict[str, Simulator] = {}
 
-        def tick_of(level: ResolutionLevel) -> float:
+        def measure_level_tick(level: ResolutionLevel) -> float:
             try:
                 one = Simulator(self.model, resolution=level.resolution, inertia=self.inertia, tolerance=self.tolerance,
                                 solver=self._solver_name, looks_ahead=self.looks_ahead)
@@ -199,7 +202,7 @@ class Simulator(PathFollower, KernelOwner):
             one.reset()
             return tick
 
-        level = choose_level(levels, _FIRST_LEVEL, self.budget or math.inf, tick_of)
+        level = choose_level(levels, _FIRST_LEVEL, self.budget or math.inf, measure_level_tick)
         if level.resolution not in made:
             return
         one = made[level.resolution]
@@ -221,7 +224,7 @@ class Simulator(PathFollower, KernelOwner):
         self._clock.begin(min(spent))
         self._solve = self._clock.solve
         # Stiffness with which a late first touch is extrapolated.
-        touch = replace(AT_REST, stiffness=AT_REST.followed_by(step, AT_REST.pose, 1.0, False).stiffness)
+        touch = replace(AT_REST, stiffness=AT_REST.make_next(step, AT_REST.pose, 1.0, False).stiffness)
         self._start = replace(self._start, equilibrium=touch)
         self.restore(saved if saved.tool.touch.has_touched else replace(saved, equilibrium=touch))
 
@@ -266,7 +269,7 @@ class Simulator(PathFollower, KernelOwner):
             self.limits.require(pose, tool.pose, dt)
         except LimitError:
             return self._make_refused_result(began)
-        seen = tool.untwisted(pose)
+        seen = tool.without_own_rotation(pose)
         target = solver.project_pose(seen)
         on_axis = target is seen or is_on_axis(pose, target, self._radius)
         if not on_axis and self.strict_axis:
@@ -274,7 +277,7 @@ class Simulator(PathFollower, KernelOwner):
         tick, is_behind = dt, not self._pending.is_empty
         if not tool.touch.has_touched:
             first = tool.touch.height is None or tool.touch.height <= 0.0
-            spent, is_possible = tool.first_contact(solver, pose, dt)
+            spent, is_possible = tool.register_step_before_touch(solver, pose, dt)
             if spent is None or not is_possible:
                 tool.pose = pose
                 status = ForceStatus.CONVERGED if is_possible else ForceStatus.STOPPED
@@ -282,13 +285,13 @@ class Simulator(PathFollower, KernelOwner):
                                          compute_time=time.perf_counter() - began)
                 return self._answer
             self._begins, dt = first, spent
-            self._pose, target = tool.seen_by(solver, tool.pose or pose), tool.seen_by(solver, pose)
+            self._pose, target = tool.to_solver_pose(solver, tool.pose or pose), tool.to_solver_pose(solver, pose)
         elif self._is_free:
             in_air = self._step_in_air(pose, target, dt, began)
             if isinstance(in_air, ToolForce):
                 return in_air
             dt = in_air
-            target = tool.seen_by(solver, pose)
+            target = tool.to_solver_pose(solver, pose)
         self._note_motion(target, tick)
         tool.pose, self._pose = pose, target
         self._pending.extend(target, dt)
@@ -390,7 +393,7 @@ class Simulator(PathFollower, KernelOwner):
     @exclusive
     def surface(self) -> Surface:
         """Return the surface of the tissue at the last equilibrium."""
-        return self._solver.surface()
+        return self._solver.deformed_surface()
 
     @exclusive
     def snapshot(self) -> Snapshot:

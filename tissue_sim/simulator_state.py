@@ -40,7 +40,7 @@ class Equilibrium:
     step_stiffness: Matrix | None = None
     stiffness_time: float = 0.0
 
-    def followed_by(self, step: Step, pose: Pose, share: float, inertial: bool, dt: float = 0.0) -> Equilibrium:
+    def make_next(self, step: Step, pose: Pose, share: float, inertial: bool, dt: float = 0.0) -> Equilibrium:
         """Return the next equilibrium, after a converged step.
 
         Args:
@@ -102,12 +102,12 @@ class Creep:
     steps: Generator[Step] = field(init=False)
     _allowed: int = field(init=False, default=1)
 
-    def may_take(self) -> int:
-        """Number of linear solves until the next yield."""
+    def solves_until_yield(self) -> int:
+        """Return the number of linear solves until the next yield."""
         return self._allowed
 
-    def go_on(self, allowed: int) -> Step | None:
-        """Continue with a number of linear solves; returns the next step, or None after the last one."""
+    def continue_with_solves(self, allowed: int) -> Step | None:
+        """Continue with a number of linear solves; return the next step, also as `last`; None after the last one."""
         self._allowed = allowed
         step = next(self.steps, None)
         self.last = step or self.last

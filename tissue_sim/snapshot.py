@@ -85,12 +85,12 @@ class Snapshot:
             fields = fields.with_arrays(arrays)
         return Snapshot(pose, datum, fields, skin)
 
-    def of_the_material(self) -> dict[str, Any]:
+    def material_data(self) -> dict[str, Any]:
         """Return the data, besides the arrays, that change with the parameters of the material."""
-        return self.fields.of_the_material() if _is_shared_fields(self.fields) else {}
+        return self.fields.material_data() if _is_shared_fields(self.fields) else {}
 
     def with_material(self, changed: Mapping[str, Any]) -> Snapshot:
-        """Return this snapshot with the data of `of_the_material` of another material."""
+        """Return this snapshot with the data of `material_data` of another material."""
         fields = self.fields
         return replace(self, fields=fields.with_material(changed)) if _is_shared_fields(fields) else self
 
@@ -103,7 +103,7 @@ def _is_shared_fields(fields: Any) -> TypeGuard[SharedFields]:
 
 @cache
 def _is_shared(kind: Any) -> bool:
-    return all(hasattr(kind, name) for name in ("arrays", "with_arrays", "of_the_material", "with_material"))
+    return all(hasattr(kind, name) for name in ("arrays", "with_arrays", "material_data", "with_material"))
 
 
 @runtime_checkable
@@ -116,8 +116,8 @@ class ShownTissue(Tissue, Protocol):
 
 def snapshot(solver: Solver) -> Snapshot:
     """Make a snapshot of the last committed state of a solver."""
-    surface, skin = solver.surface(), None
-    fields = solver.fields([solver.sample()])
+    surface, skin = solver.deformed_surface(), None
+    fields = solver.fields([solver.field_sample()])
     if surface.outline is None and not (_is_shared_fields(fields) and _has_solid_mesh(fields)):
         vertices, triangles = surface.triangles()
         skin = Skin(np.asarray(vertices, dtype=float).reshape(-1, 3), np.asarray(triangles).reshape(-1, 3))

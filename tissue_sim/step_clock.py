@@ -90,7 +90,7 @@ class StepClock:
             least = _SETTINGS.least_solve_fraction * mean
             self.solve = min(max(self._covariance / self._variance, least), mean)
 
-    def lower_estimate(self) -> None:
+    def halve_fixed_time(self) -> None:
         """Halve the fixed time if no step was tried because of it: it may come from one slow step."""
         self.fixed *= 0.5
 
@@ -105,7 +105,7 @@ def require_solves(most: int | None) -> None:
         raise InputError(f"must be an integer of at least {LEAST_SOLVES}, or None; got {most!r}.", field="max_solves")
 
 
-def solves_in(budget: float | None, solve: float | None) -> int | None:
+def count_solves_in_budget(budget: float | None, solve: float | None) -> int | None:
     """Number of linear solves that fit into a budget, at least `LEAST_SOLVES`.
 
     Args:
@@ -166,4 +166,4 @@ class Allowance:
     def end(self) -> None:
         """Call when no further part fits; if none was begun, the estimate of the clock is lowered."""
         if self._begins and self._left > 1:
-            self._clock.lower_estimate()
+            self._clock.halve_fixed_time()

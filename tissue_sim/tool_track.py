@@ -59,19 +59,19 @@ class ToolTrack:
         other.is_refused = self.is_refused
         return other
 
-    def untwisted(self, pose: Pose) -> Pose:
+    def without_own_rotation(self, pose: Pose) -> Pose:
         """Return a pose without the rotation about the tool's own axis at the last touch."""
         return pose if self.twist is None else without_twist(pose, self.twist)
 
-    def seen_by(self, solver: Solver, pose: Pose) -> Pose:
-        """Return the pose for the solver."""
-        return solver.project_pose(self.untwisted(pose))
+    def to_solver_pose(self, solver: Solver, pose: Pose) -> Pose:
+        """Return the part of a pose that the solver uses, without the rotation about the tool's own axis."""
+        return solver.project_pose(self.without_own_rotation(pose))
 
     def given(self, pose: Pose) -> Pose:
-        """Convert a pose of the solver to a pose as passed to the simulator; the inverse of `untwisted`."""
+        """Convert a pose of the solver to a pose as passed to the simulator; the inverse of `without_own_rotation`."""
         return pose if self.twist is None else with_twist(pose, self.twist)
 
-    def first_contact(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
+    def register_step_before_touch(self, solver: Solver, pose: Pose, dt: float) -> tuple[float | None, bool]:
         """Register a step before the first touch, and place the tool where it touches.
 
         Args:
@@ -104,7 +104,7 @@ class ToolTrack:
         self.touch, self.is_refused = TouchState(False, height), True
         return spent, False
 
-    def contact_again(self, solver: Solver, pose: Pose) -> tuple[float, bool]:
+    def move_to_renewed_touch(self, solver: Solver, pose: Pose) -> tuple[float, bool]:
         """Move a tool that has lifted off to the pose where it touches again on its straight path to a pose.
 
         Args:
@@ -119,7 +119,7 @@ class ToolTrack:
         until = fraction_in_air(solver, self.pose, pose)
         start = between(self.pose, pose, until)
         self.twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
-        return until, solver.approach(self.seen_by(solver, start))
+        return until, solver.move_to_next_touch(self.to_solver_pose(solver, start))
 
 
 def fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:

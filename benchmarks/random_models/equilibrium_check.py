@@ -184,7 +184,7 @@ class EquilibriumCheck:
         self._slack = SLACK * tolerance
         self._energy = energy_of(material.energy_law, dict(material.parameters))
 
-    def begin(self, solver) -> None:
+    def before_first_step(self, solver) -> None:
         """Store body, supports and contact partners of a simulation."""
         model, mesh = self.model, solver.mesh
         experiment, material, specimen = model.experiment, model.material, model.experiment.specimen
@@ -227,7 +227,7 @@ class EquilibriumCheck:
                                    mesh.nodes[order, 1] + start[order, 1] - self._datum)
         self._floor = LEAST_STRAIN * material.mu0 * np.pi * mesh.nodes[mesh.sets["top"], 0].max() ** 2
 
-    def sample(self, solver, factor: float) -> None:
+    def after_sample(self, solver, factor: float) -> None:
         """Check a sample."""
         memory, stresses, law = solver.equations.memory, None, None
         if self.model.material.viscoelastic is not None:

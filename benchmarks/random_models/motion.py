@@ -83,7 +83,7 @@ def _walk(one: Description, resolution: str, clock: Clock, max_solves: int | Non
     free = None if max_solves is None else ts.Simulator(model, resolution=resolution, inertia="off")
     unbounded = []
     with clock.off():
-        check.begin(simulator._solver)
+        check.before_first_step(simulator._solver)
     source = RandomWalk(one.seed, one.depth, -LIFT * one.depth, SPEED)
     places = [source.depth(k * DT) for k in range(TICKS)]
     jump = min(JUMP * one.depth, DEEPEST * one.height)
@@ -101,7 +101,7 @@ def _walk(one: Description, resolution: str, clock: Clock, max_solves: int | Non
             with clock.off():
                 # On the way to where it jumped, too.
                 check.largest = simulator._solver.committed.largest_force
-                check.sample(simulator._solver, 1.0)
+                check.after_sample(simulator._solver, 1.0)
     for _ in range(CATCH_UP):
         if answers[-1].status is ts.ForceStatus.LATE:
             answers.append(simulator.step(places[-1], DT))

@@ -65,11 +65,11 @@ class _Watch:
     def __init__(self, check: EquilibriumCheck, clock: Clock, seed: int):
         self._check, self._clock, self._seed = check, clock, seed
 
-    def begin(self, solver) -> None:
+    def before_first_step(self, solver) -> None:
         with self._clock.off():
             self._do(self._check.begin, solver)
 
-    def sample(self, solver, factor: float) -> None:
+    def after_sample(self, solver, factor: float) -> None:
         with self._clock.off():
             self._do(self._check.sample, solver, factor)
 

@@ -46,7 +46,7 @@ from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.recording.formats.columns import check_decimal, check_delimiter
+from tissue_sim.recording.formats.columns import check_delimiter, validate_decimal_mark
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
@@ -277,7 +277,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder:
         if entry.delimiter:
             check_delimiter(entry.delimiter, f"{field}.delimiter")
         if entry.decimal is not None:
-            check_decimal(entry.decimal, f"{field}.decimal")
+            validate_decimal_mark(entry.decimal, f"{field}.decimal")
         specimen = find_specimen(entry, specimens, table, field)
         tests[name] = Test(
             name, kind, specimen, () if entry.protocol is not None and not entry.recordings else

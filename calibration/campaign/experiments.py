@@ -15,9 +15,9 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
+    convert_tool_sizes_to_si,
     read_shape,
     shapes_without_file,
-    sizes_of_keys,
     tool_sizes,
 )
 from tissue_sim.fem.solver import SOLVERS
@@ -145,7 +145,7 @@ def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> To
         raise InputError(f"{entry.kind} cannot use the tool {entry.tool!r}; use kind = {other}", field=f"{place}.tool")
     usual = {} if entry.tool is not None else {name: getattr(kinds_tool, name) for name in declared(type(kinds_tool))}
     # Zero means that the tool has no such dimension.
-    sizes = sizes_of_keys({key: value for key, value in entry.tool_sizes.items() if value})
+    sizes = convert_tool_sizes_to_si({key: value for key, value in entry.tool_sizes.items() if value})
     return Tool(shape, profile_file=profile, **(usual | sizes))
 
 

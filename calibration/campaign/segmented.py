@@ -12,7 +12,7 @@ from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
 from tissue_sim.recording.origin import other_kind, other_tool
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segments import Segmentation, segments_of
+from tissue_sim.recording.segments import Segmentation, segment_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
         InputError: the contact cannot be detected, the contact is stated in mm for a recording of stress, or a failure
             occurs and the test sets ``failure = 'refuse'``.
     """
-    found = segments_of(displacement, force, time, labels, stressed=stressed)
+    found = segment_arrays(displacement, force, time, labels, stressed=stressed)
     contact, used = found.contact, np.ones(displacement.size, bool)
     notes: dict[str, str] = {}
     recorded, shift = force, 0.0

@@ -138,7 +138,7 @@ def _build_candidate_tests(problem: Problem, theta: np.ndarray, of: ForwardTest)
     ageing = problem.space.material(problem.space.values(theta), test=of.name).remembers
     found = []
     for strain in (_SETTINGS.strain, min(_SETTINGS.depth_factor * _SETTINGS.strain, 0.3)):
-        depth = strain * specimen.depth_at()
+        depth = strain * specimen.vertical_thickness()
         millimetres = f"{depth * 1e3:.3g} mm"
         needle = Flat(radius=_SETTINGS.needle_fraction * specimen.margin())
         for words, tool, friction in (

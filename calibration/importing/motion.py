@@ -17,7 +17,7 @@ from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Control, Screening
-from tissue_sim.recording.segments import Segmentation, find_segments, loading_of
+from tissue_sim.recording.segments import Segmentation, find_segments, get_motion_and_load
 
 #: Channels of the motion -> value at rest; the first channel in a recording is used.
 MOTIONS = {"displacement": 0.0, "stretch": 1.0, "shear strain": 0.0}
@@ -135,7 +135,7 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
 
 def _find_control(recording: Recording, kind: str | None) -> Control:
     """Return the controlled quantity of a recording."""
-    motion, load, _ = loading_of(recording, KINDS.get(kind) if kind else None)
+    motion, load, _ = get_motion_and_load(recording, KINDS.get(kind) if kind else None)
     return find_control(motion, load, recording.time if "time" in recording and np.ptp(recording.time) > 0 else None)
 
 

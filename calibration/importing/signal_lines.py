@@ -12,7 +12,7 @@ from tissue_sim.recording.contact_error import INTERVAL_DEVIATIONS, contact_erro
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.recording.screening import Control
-from tissue_sim.recording.segments import loading_of
+from tissue_sim.recording.segments import get_motion_and_load
 
 #: Bounds of a fitted contact offset, in its standard deviations.
 _OFFSET_BOUNDS = 3.0
@@ -101,7 +101,7 @@ def _offsets_of_wide_intervals(tests: Sequence[ImportedTest]) -> Iterator[_Conta
                 if contact is None or motion.channel != "displacement":
                     continue
                 kept = recording if motion.kept is None else recording.select(motion.kept)
-                displacement, load, _ = loading_of(kept, KINDS.get(test.kind) if test.kind else None)
+                displacement, load, _ = get_motion_and_load(kept, KINDS.get(test.kind) if test.kind else None)
                 time = kept.time if "time" in kept else None
                 displacement, load = contact.counted_from(displacement, load, time)
                 pressed = displacement >= 0

@@ -23,7 +23,7 @@ from tissue_sim.laws import LAWS, find_law
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.preload import LoadAtZero, estimate_load_at_zero
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segments import loading_of
+from tissue_sim.recording.segments import get_motion_and_load
 from tissue_sim.units import quantity_of, to_si
 
 
@@ -124,7 +124,7 @@ def _first_loading(recording: Recording, motion: Motion, kind: TestKind | None) 
     if motion.screening.control is not None and motion.screening.control.pattern == "oscillation":
         return None
     kept = recording if motion.kept is None else recording.select(motion.kept)
-    displacement, load, _ = loading_of(kept, kind)
+    displacement, load, _ = get_motion_and_load(kept, kind)
     end = int(np.argmax(displacement)) + 1
     if motion.failure is not None:
         end = min(end, motion.failure.index + 1)

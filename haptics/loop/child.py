@@ -147,7 +147,7 @@ def _run_commands(loop: Loop, connection: Connection, shown: ShownTissue | None)
                 COMMANDS[command](loop, **values)
                 if command == "set_parameters" and shown is not None:
                     # Only the material: sending all arrays of the pattern would take a large part of a tick.
-                    connection.send(("changed", shown.snapshot().of_the_material()))
+                    connection.send(("changed", shown.snapshot().material_data()))
                 connection.send(("answer", ""))
             except (InputError, DeviceError) as error:
                 connection.send(("answer", str(error)))

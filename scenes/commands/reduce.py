@@ -88,7 +88,7 @@ def run(arguments) -> int:
 
     import tissue_sim as ts
     from tissue_sim.fem.reduced.file import POINTS
-    from tissue_sim.fem.reduced.reduction import forget_strokes
+    from tissue_sim.fem.reduced.reduction import remove_training_path_files
 
     material, also = read_material(arguments.material), [read_material(path) for path in arguments.also]
     depth = arguments.depth_mm * 1e-3
@@ -106,7 +106,7 @@ def run(arguments) -> int:
             modes=arguments.modes, sampling=arguments.sampling, bulk_ratio=arguments.bulk_ratio,
             also=also, tried=arguments.tried, folder=folder, progress=show_stage)
     ts.write_reduced(reduced, output)
-    forget_strokes(folder)
+    remove_training_path_files(folder)
     report = reduced.report
     if arguments.json:
         print_json({**report, "file": str(output)})

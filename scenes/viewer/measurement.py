@@ -17,7 +17,7 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.origin import other_tool
 from tissue_sim.recording.recording import MIN_POINTS, Recording
-from tissue_sim.recording.segmentation import load_and_unload
+from tissue_sim.recording.segmentation import find_loading_and_unloading
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Measurement:
         depth: Grid of depths, m, ascending from the smallest displacement (at least 0) to the largest one, shape (n,).
         load: Statistics of the first loading.
         unload: Statistics of the first unloading after it; None if no replicate has one.
-        branches: Sample numbers of loading and unloading of each replicate, from `load_and_unload`.
+        branches: Sample numbers of loading and unloading of each replicate, from `find_loading_and_unloading`.
     """
 
     recordings: tuple[Recording, ...]
@@ -167,7 +167,7 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
                          "test.", file=kinds[named[1]], field="kind")
     grid = np.linspace(max(0.0, min(each.displacement.min() for each in recordings)),
                        max(each.displacement.max() for each in recordings), RESAMPLING.grid_points)
-    branches = tuple(load_and_unload(each) for each in recordings)
+    branches = tuple(find_loading_and_unloading(each) for each in recordings)
     unloadings = [unloading for _, unloading in branches if unloading.size]
     unload = None
     if unloadings:
@@ -199,7 +199,7 @@ def branches_on_grid(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray
     Returns:
         Force in loading and in unloading, N, each of shape (n,), NaN at depths that the branch does not reach.
     """
-    load, unload = load_and_unload(recording)
+    load, unload = find_loading_and_unloading(recording)
     return _interpolate_monotone(recording, load, 1, grid), _interpolate_monotone(recording, unload, -1, grid)
 
 
@@ -227,7 +227,7 @@ def residual(model: Recording, measured: Measurement) -> Residual:
         InputError: The model reaches no sample of the measurement.
     """
     load, unload = branches_on_grid(model, measured.depth)
-    model_branches = dict(zip((1, -1), load_and_unload(model), strict=True))
+    model_branches = dict(zip((1, -1), find_loading_and_unloading(model), strict=True))
     differences = []
     for recording, branches in zip(measured.recordings, measured.branches, strict=True):
         for direction, branch in zip((1, -1), branches, strict=True):

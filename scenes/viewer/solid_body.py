@@ -16,7 +16,7 @@ from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.fields import extrapolate
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.sections import clip, section, section_lines
+from tissue_sim.mesh.sections import clip, intersect_triangles, section
 from tissue_sim.mesh.subdivision import side_edges, surface_triangles, tetrahedra
 
 
@@ -188,7 +188,7 @@ class SolidBody:
         cuts = self._find_cut_elements(positions, wedge)
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.faces, strict=True):
             sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
-            ends = section_lines(surface_triangles(element, sides), heights)
+            ends = intersect_triangles(surface_triangles(element, sides), heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.to_scene_frame(on_face))
@@ -236,7 +236,7 @@ class SolidBody:
                                        np.ones_like(radius)], axis=-1)
         lines = [wedge.to_scene_frame(wedge.clip_lines(rim, raised))]
         for (heights, along), (_, normal) in zip(wedge.heights_over_faces(local), wedge.opening.faces, strict=True):
-            ends = section_lines(touching, heights)
+            ends = intersect_triangles(touching, heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.to_scene_frame(on_face))

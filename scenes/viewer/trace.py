@@ -15,7 +15,13 @@ from haptics.loop.ring import PAUSED
 from tissue_sim.errors import InputError
 from tissue_sim.recording.file import write_recording
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, Reversals, count_cycles, label_motion, one_way
+from tissue_sim.recording.segmentation import (
+    MOTION_SETTINGS,
+    Reversals,
+    count_cycles,
+    label_motion,
+    select_monotone_samples,
+)
 from tissue_sim.tool_force import ForceStatus
 
 
@@ -99,7 +105,7 @@ def interpolate_branch(depth: np.ndarray, force: np.ndarray, direction: int, gri
     """
     if not len(depth):
         return np.full(grid.size, np.nan)
-    kept = one_way(depth, direction)[::direction]
+    kept = select_monotone_samples(depth, direction)[::direction]
     x = depth[kept]
     force = np.interp(grid, x, force[kept])
     return np.where((grid >= x[0] - _ROUNDING) & (grid <= x[-1] + _ROUNDING), force, np.nan)

@@ -62,7 +62,7 @@ def errors(element, cells: int, material: ts.Material) -> tuple[float, float]:
     for share in (0.25, 0.5, 0.75, 1.0):
         step = solver.step(share, max_iterations=20)
         assert step.status is StepStatus.CONVERGED, step
-    fields = solver.fields([solver.sample()])
+    fields = solver.fields([solver.field_sample()])
     shapes, _ = element.shape_functions(element.quadrature[0])
     found = np.einsum("qa,eai->eqi", shapes, fields.displacement()[mesh.connectivity])
     reference = solver.equations.reference

@@ -39,7 +39,7 @@ def solve(mesh, material, way, steps):
     for share in np.linspace(0, 1, steps + 1)[1:]:
         step = solver.step(Pose.at_depth(share))
         assert step.status is StepStatus.CONVERGED
-    return solver.sample().displacement, step
+    return solver.field_sample().displacement, step
 
 
 def law(name, ratio=1e4):

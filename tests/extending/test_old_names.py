@@ -7,6 +7,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.solver import SOLVERS, ResolutionLevel
 from tissue_sim.public_names import OldName, adopt_old_names
+from tissue_sim.specimen.cylinder import Cylinder
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
 
@@ -33,10 +34,14 @@ def old_solver(plugin, registers):
             def takes(self, pose):
                 return pose.depth <= 2e-3
 
+            def surface(self):
+                return spring.SpringSurface()
+
     assert {str(each.message) for each in caught} == {
         "OldSpring.doubts is renamed to warnings; define warnings",
         "OldSpring.follow is renamed to project_pose; define project_pose",
-        "OldSpring.takes is renamed to accepts_pose; define accepts_pose"}
+        "OldSpring.takes is renamed to accepts_pose; define accepts_pose",
+        "OldSpring.surface is renamed to deformed_surface; define deformed_surface"}
     registers(SOLVERS, OldSpring, "old_spring")
     return OldSpring
 
@@ -55,6 +60,24 @@ def test_old_members_of_a_solver_answer_with_a_warning(old_solver):
         assert solver.doubts() == solver.warnings()
     with pytest.warns(DeprecationWarning, match=r"Solver\.realtime_rungs is renamed to realtime_levels"):
         assert old_solver.realtime_rungs(model()) == ()
+    with pytest.warns(DeprecationWarning, match=r"Solver\.sample is renamed to field_sample"):
+        assert solver.sample() == solver.field_sample()
+    with pytest.warns(DeprecationWarning, match=r"Solver\.surface is renamed to deformed_surface"):
+        assert len(solver.surface().triangles()[0]) == 4
+    with pytest.warns(DeprecationWarning, match=r"Solver\.approach is renamed to move_to_next_touch"):
+        assert solver.approach(ts.Pose.at_depth(0.0)) is False
+    with pytest.warns(DeprecationWarning, match=r"Solver\.meet is renamed to bind_points_on_path"):
+        assert solver.meet(ts.Pose.at_depth(1e-3)) is None
+
+
+def test_the_old_name_of_the_thickness_answers_with_a_warning():
+    with pytest.warns(DeprecationWarning, match="is renamed to vertical_thickness"):
+        assert ts.Specimen(0.040, 0.070).depth_at() == 0.070
+    with pytest.warns(DeprecationWarning, match="Old.depth_at is renamed to vertical_thickness"):
+        class Old(Cylinder):
+            def depth_at(self, x=0.0, y=0.0):
+                return 0.5 * self.height
+    assert Old(0.040, 0.070).vertical_thickness() == 0.035
 
 
 @pytest.mark.parametrize(("old", "new"), [("Rung", "ResolutionLevel"), ("Comparison", "ErrorEstimate")])

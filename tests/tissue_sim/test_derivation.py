@@ -36,7 +36,7 @@ def test_each_law_each_mode_and_each_state_of_the_source_has_a_function_of_its_o
     two.nominal_stress(STRETCHES, [1400.0, 700.0], "planar")
     three.nominal_stress(STRETCHES, [1400.0, 700.0, 10.0])
     assert len(list(folder.iterdir())) == 3
-    monkeypatch.setattr(derivation, "_state_of", lambda files: "changed")
+    monkeypatch.setattr(derivation, "_compute_source_digest", lambda files: "changed")
     stress(ReducedPolynomial(2))
     assert len(list(folder.iterdir())) == 4
 

@@ -32,7 +32,7 @@ def test_its_sizes_are_those_of_the_file(specimen):
     assert specimen.height == pytest.approx(0.02) and specimen.outer_radius == pytest.approx(0.025)
     assert specimen.margin() == pytest.approx(0.015) and specimen.margin(0.013, -0.002) == pytest.approx(0.007)
     assert specimen.margin(0.024) == pytest.approx(-0.004)
-    assert specimen.depth_at(0.003, 0.004) == pytest.approx(0.02) and specimen.depth_at(0.03) == 0.0
+    assert specimen.vertical_thickness(0.003, 0.004) == pytest.approx(0.02) and specimen.vertical_thickness(0.03) == 0.0
     assert specimen.is_flat and not specimen.is_prism and specimen.in_words == "liver.vtu of 40 x 30 x 20 mm"
     again = pickle.loads(pickle.dumps(specimen))
     assert again == specimen and again.height == specimen.height

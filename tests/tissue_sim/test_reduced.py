@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.reduction import forget_strokes, reduce_solid
+from tissue_sim.fem.reduced.reduction import reduce_solid, remove_training_path_files
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.solver import TOLERANCE, ReducedSolver
 from tissue_sim.fem.reduced.training_paths import training_path
@@ -423,7 +423,7 @@ class TestFile:
         along, tried_along = 2, 2
         assert len(made) == 5 + along + 1 + tried_along  # the other five, and one that it is tried on
         np.testing.assert_allclose(again.basis, held.basis, atol=1e-9)
-        forget_strokes(folder)
+        remove_training_path_files(folder)
         assert not folder.exists()
 
 

@@ -8,7 +8,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import with_compliance
-from tissue_sim.fem.reduced.compliance_table import ContactCompliance, with_accepted
+from tissue_sim.fem.reduced.compliance_table import ContactCompliance, with_accepted_missing_forces
 from tissue_sim.fem.reduced.symmetry import symmetries
 from tissue_sim.fem.reduced.training_paths import boundary_training_paths, training_path
 from tissue_sim.pose import motion
@@ -168,8 +168,9 @@ class TestFile:
 
 def test_accepted_missing_force_grows_with_the_force():
     table = ContactCompliance(np.arange(1), np.array([0.0, 0.0, 1.0]), np.eye(1), np.eye(1), np.zeros(1), np.zeros(1))
-    assert table.accepted_at(1.0) == 0.0
-    known = with_accepted(table, [2.0, 1.0, 3.0], [0.3, 0.2, 0.4], [0.1, 0.0, 0.5])
+    assert table.accepted_missing_force_at(1.0) == 0.0
+    known = with_accepted_missing_forces(table, [2.0, 1.0, 3.0], [0.3, 0.2, 0.4], [0.1, 0.0, 0.5])
     np.testing.assert_allclose(known.accepted, [0.0, 0.2, 0.2, 0.2])
-    assert known.accepted_at(0.5) == pytest.approx(0.1) and known.accepted_at(6.0) == pytest.approx(0.4)
-    assert known.accepting_all.accepted_at(5.0) == np.inf
+    assert known.accepted_missing_force_at(0.5) == pytest.approx(0.1)
+    assert known.accepted_missing_force_at(6.0) == pytest.approx(0.4)
+    assert known.with_unlimited_acceptance.accepted_missing_force_at(5.0) == np.inf

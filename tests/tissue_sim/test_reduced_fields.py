@@ -36,7 +36,7 @@ def solver(reduced):
 
 @pytest.fixture(scope="module")
 def fields(solver):
-    return solver.fields([solver.sample()])
+    return solver.fields([solver.field_sample()])
 
 
 @pytest.mark.slow
@@ -44,7 +44,7 @@ def test_they_are_those_of_the_whole_solid(reduced, fields):
     whole = training.make_full_order_solver(reduced.model, reduced.mesh)
     for pose in POSES:
         assert whole.step(pose, tolerance=1e-7, max_iterations=40).status is StepStatus.CONVERGED
-    exact = whole.fields([whole.sample()])
+    exact = whole.fields([whole.field_sample()])
     for name, rest, bound in (("displacement", 0.0, 0.01), ("von_mises", 0.0, 0.02), ("stretch", 1.0, 0.02),
                               ("J", 1.0, 0.05)):
         found, expected = fields.at_points(name), exact.at_points(name)
@@ -76,4 +76,4 @@ def test_what_is_published_is_where_the_nodes_are(solver, fields):
 def test_tissue_that_remembers_has_none(reduced):
     prony = replace(MATERIAL, viscoelastic=ts.Prony((ts.PronyTerm(0.3, 1.0),)))
     solver = ReducedSolver(replace(reduced, model=replace(reduced.model, material=prony)), prony)
-    assert solver.fields([solver.sample()]) is None and snapshot(solver).skin is not None
+    assert solver.fields([solver.field_sample()]) is None and snapshot(solver).skin is not None

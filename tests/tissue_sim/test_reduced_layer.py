@@ -79,7 +79,7 @@ class TestLayer:
         if follows:
             answer[:] = 0.1 * np.random.default_rng(0).standard_normal((3, 6)) * [1.0, 1.0, 1.0, 5e-3, 5e-3, 5e-3]
         layer.evaluate(at, Frame(pose, 0.0), True)
-        rates, stiffness = layer.rates_of_modes + layer.on_modes()[1] @ answer, layer.stiffness(answer)
+        rates, stiffness = layer.modal_force_rates + layer.on_modes()[1] @ answer, layer.stiffness(answer)
         for axis in range(6):
             width = 1e-9 if axis < 3 else 1e-7
             pushes, wrenches = [], []

@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.symmetry import parities, symmetries
+from tissue_sim.fem.reduced.symmetry import split_symmetry_group, symmetries
 from tissue_sim.fem.reduced.training_paths import training_path
 from tissue_sim.pose import motion
 
@@ -121,7 +121,7 @@ class TestModes:
         """The modes of states and all their images, each even or odd under the mirrors; singular values as of all."""
         _, _, solver, start = scene("touched")
         group = symmetries(solver, start)
-        commuting, cosets = parities(group)
+        commuting, cosets = split_symmetry_group(group)
         assert len(commuting) == 2 and len(cosets) == 2
         states = np.random.default_rng(0).normal(size=(3, solver.x.size))
         found, singular = training.compute_modes(states, group, 12)

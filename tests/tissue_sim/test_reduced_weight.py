@@ -65,7 +65,7 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     of, rng = model(), np.random.default_rng(0)
     mesh = needle_solid(0.025, 0.02, 6e-3, element, smallest=4e-3, growth=2.5, largest=15e-3, around=2)
     solver = make_solver(of, mesh=mesh)
-    standing = solver.sample()
+    standing = solver.field_sample()
     basis = rng.normal(size=(*mesh.nodes.shape, 5)) * 1e-4
     basis[np.concatenate([mesh.sets["base"], mesh.sets["face"]])] = 0.0
     basis = basis.reshape(-1, 5)
@@ -84,7 +84,7 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
         [0.0, 0.0, 1.0], len(mesh.nodes)))
     stiff = solver.tissue.element_forces(bulk_ratio, solver.batches.pressures.copy())
     solver.x[:] = rest + basis @ amplitudes
-    expected = solver.tissue.element_forces(bulk_ratio, solver.batches.in_lanes(standing.pressures))
+    expected = solver.tissue.element_forces(bulk_ratio, solver.batches.convert_elements_to_lanes(standing.pressures))
     rows = basis.reshape(-1, 3, 5)[mesh.connectivity].reshape(count, -1, 5)
     on_modes = np.einsum("ei,eir->r", expected, rows)
     np.testing.assert_allclose(found.forces, on_modes + weight, rtol=0, atol=1e-7 * np.abs(found.forces).max())

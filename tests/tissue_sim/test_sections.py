@@ -5,7 +5,7 @@ import pytest
 from solid_meshes import block as solid_block
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.sections import clip, section, section_lines
+from tissue_sim.mesh.sections import clip, intersect_triangles, section
 from tissue_sim.mesh.solid import block_mesh, needle_solid
 from tissue_sim.mesh.subdivision import side_edges, side_triangles, surface_triangles, tetrahedra
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
@@ -145,7 +145,7 @@ def test_a_clipped_surface_and_the_section_close_the_body(element):
     np.testing.assert_allclose(normals(points, below).sum(axis=0) + cut.sum(axis=0), 0.0, atol=1e-12)
     assert np.linalg.norm(cut.sum(axis=0)) == pytest.approx(np.linalg.norm(cut, axis=1).sum())
     # The line in which the surface meets the plane runs around the section.
-    line = section_lines(outside, heights)
+    line = intersect_triangles(outside, heights)
     segments = line.carry(mesh.nodes).reshape(-1, 2, 3)
     corners, counts = np.unique(segments.reshape(-1, 3).round(9), axis=0, return_counts=True)
     assert len(corners) > 10 and (counts == 2).all()

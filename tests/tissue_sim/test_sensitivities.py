@@ -35,10 +35,10 @@ def experiment(text="ramp 5mm", points=6, **options):
 class Status:
     """Notes which points press and which way they slip at every sample."""
 
-    def begin(self, solver):
+    def before_first_step(self, solver):
         self.seen = []
 
-    def sample(self, solver, factor):
+    def after_sample(self, solver, factor):
         surface = solver.equations.surface
         # A point that just touches has a force of rounding, or none.
         presses = abs(surface.forces).max(axis=-1) > 1e-9 * abs(surface.forces).max(initial=0.0)

@@ -61,7 +61,7 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
         x[:], batches.pressures[:] = here + step * way, pressures
         # The pressures follow the volume as they do in a linear solution.
         batches.volume_rates[:], batches.gaps[:] = rates, 0.0
-        batches.keep_volume_rates()
+        batches.store_volume_rates()
         tissue.tissue.follow(step * way)
         return forces(tissue)
 

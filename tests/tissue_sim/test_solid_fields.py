@@ -30,7 +30,7 @@ def uniform(element, F, mean_stress):
     inside[np.unique(np.concatenate(list(mesh.sets.values())))] = False
     mesh.nodes[inside] += np.random.default_rng(2).uniform(-4e-4, 4e-4, (inside.sum(), 3))
     solver = SolidSolver(mesh, NEO_HOOKE, {"base": "xyz"}, mesh.sets["top"], start=Pose.at_depth(0.0))
-    fields = solver.fields([solver.sample()])
+    fields = solver.fields([solver.field_sample()])
     volumes = fields.weights.sum(axis=1)
     pressures = np.zeros_like(fields.pressures)
     pressures[0, :, 0] = mean_stress * np.sqrt(volumes)  # of the orthonormal constant mode

@@ -139,7 +139,7 @@ def test_a_shell_that_moves_as_a_whole_feels_nothing():
     step = stepped(solver, turn, tolerance=1e-5)
     assert np.abs(step.wrench).max() < 1e-9
     frame = Frame(turn, 0.0)
-    np.testing.assert_allclose(mesh.nodes + solver.x.reshape(-1, 3), frame.out_of(mesh.nodes), atol=1e-10)
+    np.testing.assert_allclose(mesh.nodes + solver.x.reshape(-1, 3), frame.transform_to_mesh(mesh.nodes), atol=1e-10)
 
 
 @pytest.mark.parametrize(("changes", "field", "words"), [

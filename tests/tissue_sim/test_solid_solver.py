@@ -183,7 +183,7 @@ def test_a_tool_that_was_taken_away_begins_again():
     way = [Pose((0.0, 0.0, -5e-4)), Pose((0.0, 0.0, -1e-3))]
     first = stepped(solver, *way)
     solver.lift_off()
-    assert solver.pose == Pose((0.0, 0.0, 0.0)) and not solver.sample().displacement.any()
+    assert solver.pose == Pose((0.0, 0.0, 0.0)) and not solver.field_sample().displacement.any()
     assert stepped(solver, Pose((0.0, 0.0, 1e-3))).force == 0.0
     np.testing.assert_allclose(stepped(solver, Pose((0.0, 0.0, 0.0)), *way).wrench, first.wrench, rtol=1e-7, atol=1e-12)
 

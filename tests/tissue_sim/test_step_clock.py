@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tissue_sim.step_clock import Allowance, StepClock, solves_in
+from tissue_sim.step_clock import Allowance, StepClock, count_solves_in_budget
 
 
 def followed(fixed, solve, noise=0.0, steps=600, seed=1):
@@ -32,7 +32,7 @@ def test_no_solve_fits_into_less_than_the_fixed_time():
     clock = followed(0.4e-3, 0.05e-3)
     assert clock.fitting(0.3e-3) == -1 and clock.fitting(0.0) == -1
     assert clock.fitting(0.43e-3) == 0 and clock.fitting(0.43e-3, first=True) == 1
-    clock.lower_estimate()
+    clock.halve_fixed_time()
     assert clock.fitting(0.3e-3) > 0
 
 
@@ -89,5 +89,5 @@ def test_estimate_is_lowered_only_if_time_was_the_limit(left, fixed):
 
 
 def test_number_of_solves_in_a_budget():
-    assert solves_in(0.8e-3, 0.1001e-3) == 7 and solves_in(1e-9, 1.0) == 3
-    assert solves_in(None, 1.0) is None and solves_in(1.0, None) is None
+    assert count_solves_in_budget(0.8e-3, 0.1001e-3) == 7 and count_solves_in_budget(1e-9, 1.0) == 3
+    assert count_solves_in_budget(None, 1.0) is None and count_solves_in_budget(1.0, None) is None

@@ -88,7 +88,7 @@ def bonded_block(element, ratio):
 def jumps(solver):
     """Root mean square of the jump of the mean pressure from element to element, over that of the pressures."""
     mesh, weights = solver.mesh, solver.batches.weights
-    mean = solver.sample().pressures[:, 0] / np.sqrt(weights.sum(axis=1))
+    mean = solver.field_sample().pressures[:, 0] / np.sqrt(weights.sum(axis=1))
     sides = np.sort(mesh.connectivity[:, mesh.element.faces[:, mesh.element.face_corners]], axis=-1)
     owners = np.repeat(np.arange(len(mean)), sides.shape[1])
     _, inverse = np.unique(sides.reshape(len(owners), -1), axis=0, return_inverse=True)
@@ -132,7 +132,7 @@ def test_plates_that_touch_everywhere_press_everywhere_alike(element):
     stress = material().energy_law.nominal_stress(np.array([0.9]), LAW[1])[0]
     # K/mu = 1e4: the volume gives way by a hundredth of a per cent of the strain.
     assert step.force == pytest.approx(-stress * 1e-4, rel=1e-3)
-    u, X = solver.sample().displacement, mesh.nodes
+    u, X = solver.field_sample().displacement, mesh.nodes
     fitted, *_ = np.linalg.lstsq(np.column_stack([X, np.ones(len(X))]), u, rcond=None)
     np.testing.assert_allclose(np.column_stack([X, np.ones(len(X))]) @ fitted, u, atol=1e-3 * 1e-3)
     on_tool = solver.contact.forces[solver.contact.moves, 2]

@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.experiment.tools.tool import sizes_of_keys, tool_sizes
+from tissue_sim.experiment.tools.tool import convert_tool_sizes_to_si, tool_sizes
 from tissue_sim.parameters import parameter
 
 
@@ -140,7 +140,7 @@ def test_every_size_is_declared_and_can_be_changed():
     """Flags, campaigns and fits reach it by its key and by its path."""
     cone = ts.Tool("cone", 8e-3, half_angle=1.0, tip_radius=1e-3)
     assert [size.field for size in tool_sizes().values()] == ["radius", "edge_radius", "half_angle", "tip_radius"]
-    assert sizes_of_keys({"half_angle_deg": 60.0, "tip_radius_mm": 0.5}) == pytest.approx(
+    assert convert_tool_sizes_to_si({"half_angle_deg": 60.0, "tip_radius_mm": 0.5}) == pytest.approx(
         {"half_angle": np.pi / 3, "tip_radius": 0.5e-3})
     assert ts.with_values(cone, {"half_angle": 0.5}) == ts.Tool("cone", 8e-3, half_angle=0.5, tip_radius=1e-3)
 

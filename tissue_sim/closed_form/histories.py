@@ -191,7 +191,8 @@ def stress_history(mode: str, material: Material, time, strain, contact_radius: 
     if material.layers:
         raise InputError("a layered specimen does not deform homogeneously; use the finite elements", field="layers")
     if added := [name for name, effect in material.effects.items() if isinstance(effect, PointEffect)]:
-        raise InputError("closed forms do not include effects at the points; use the finite elements",
+        raise InputError("must not be given, because closed forms do not include effects at material points. Use the "
+                         "finite elements",
                          field=f"effects.{added[0]}")
     prony = material.relaxation(contact_radius)
     return history.nominal_stress(material.energy_law, material.values, prony, material.softening,

@@ -70,7 +70,7 @@ class ContactLaw(ABC):
         """
 
 
-def traction_of(law: ContactLaw, gap: Any, pressure: Any, slip: tuple[Any, Any], face: Any) -> Traction:
+def evaluate_traction(law: ContactLaw, gap: Any, pressure: Any, slip: tuple[Any, Any], face: Any) -> Traction:
     """Compute the traction of a law; arguments as in `ContactLaw.traction`.
 
     Raises:
@@ -89,7 +89,7 @@ def strength(laws: tuple[ContactLaw, ...], face: float) -> float:
     Raises:
         InputError: a law does not return a `Traction`.
     """
-    return float(sum(traction_of(law, 0.0, 0.0, (0.0, 0.0), face).pull for law in laws))
+    return float(sum(evaluate_traction(law, 0.0, 0.0, (0.0, 0.0), face).pull for law in laws))
 
 
 #: Name -> class of a contact law.

@@ -103,7 +103,8 @@ class Experiment:
                              "interface of the base",
                              field="friction_base")
         if not self.tool.has_shaft and self.friction_wall != "frictionless":
-            raise InputError(f"a {self.tool.shape} has no shaft; leave it out", field="friction_wall")
+            raise InputError(f"requires a tool with a shaft; got a {self.tool.shape}. Leave friction_wall out",
+                             field="friction_wall")
         radius = self.tool.radius
         if self.tool.is_plate and self.approach is not None:
             raise InputError("a plate covers the whole top and comes down its axis; leave the approach out",
@@ -144,7 +145,7 @@ class Experiment:
     @property
     def thickness(self) -> float:
         """Thickness of the specimen under the axis of the tool, m."""
-        return self.specimen.depth_at(*(() if self.approach is None else (self.approach.offset,)))
+        return self.specimen.vertical_thickness(*(() if self.approach is None else (self.approach.offset,)))
 
     def tool_pose(self, displacement: float) -> Pose:
         """Pose of the tool at a displacement of the protocol, m."""

@@ -139,7 +139,7 @@ class Protocol:
         for leg in expand_legs(parse_protocol(text), speed):
             if not time:
                 time, displacement, segment, cycle = [now], [leg.start], [leg.segment.kind], [leg.cycle]
-            samples, since = _sample(leg, now, points, step)
+            samples, since = _sample_leg(leg, now, points, step)
             if len(time) + since.size > MOST_SAMPLES:
                 raise protocol_error(leg.segment.position, f"the protocol has more than {MOST_SAMPLES} samples at this "
                                                            "segment; shorten it or use fewer points")
@@ -163,7 +163,7 @@ class Protocol:
         return {name: values for name in ("segment", "cycle") if (values := getattr(self, name)) is not None}
 
 
-def _sample(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+def _sample_leg(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray, np.ndarray]:
     """Sample a leg; its start is left out.
 
     Args:
@@ -182,14 +182,14 @@ def _sample(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray,
         samples = np.linspace(leg.start, leg.end, points)[1:]
         since = np.abs(samples - leg.start) / leg.speed
     else:
-        since = _hold(leg.duration, step)
+        since = _hold_sample_times(leg.duration, step)
         samples = np.full(since.size, leg.end)
     if (np.diff(now + since, prepend=now) <= 0).any():
         raise protocol_error(position, f"this {leg.segment.kind} is too short: its samples coincide at {now:g} s")
     return samples, since
 
 
-def _hold(duration: float, step: float) -> np.ndarray:
+def _hold_sample_times(duration: float, step: float) -> np.ndarray:
     """Times of the samples of a hold, s, the last one equal to `duration`; see `Protocol.parse`."""
     first = min(max(step / duration, 1e-9), HOLD_STEPS.largest_first)
     count = math.ceil(math.log1p((HOLD_STEPS.growth - 1) / first) / math.log(HOLD_STEPS.growth))

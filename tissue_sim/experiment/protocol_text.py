@@ -51,12 +51,12 @@ def write_protocol(steps: Sequence[Segment | Repeat]) -> str:
 
 
 def _write(segment: Segment) -> str:
-    def milli(value: float) -> str:
+    def format_milli(value: float) -> str:
         return f"{Decimal(repr(float(value))) * 1000:g}mm"
 
     hold = KINDS[segment.kind][0] == "time"
-    amount = "" if segment.amount is None else f" {segment.amount!r}s" if hold else f" {milli(segment.amount)}"
-    return f"{segment.kind}{amount}{'' if segment.speed is None else f' @{milli(segment.speed)}/s'}"
+    amount = "" if segment.amount is None else f" {segment.amount!r}s" if hold else f" {format_milli(segment.amount)}"
+    return f"{segment.kind}{amount}{'' if segment.speed is None else f' @{format_milli(segment.speed)}/s'}"
 
 
 class _Reader:
@@ -80,14 +80,14 @@ class _Reader:
             steps.append(self.step(repeated))
             if self.is_at_end():
                 return tuple(steps)
-            if not self.consume_sign(";"):
+            if not self.match_sign_and_advance(";"):
                 raise self._make_error(self.at, "expected ';' between two segments")
 
     def step(self, repeated: bool) -> Segment | Repeat:
         """Read a segment or a repeat; `repeated`: inside a repeat, where no other repeat is allowed."""
         self.skip_blanks()
         start = self.at
-        word = self.consume(_WORD)
+        word = self.match_and_advance(_WORD)
         if word != "repeat":
             return self.read_segment(start, word)
         if repeated:
@@ -105,7 +105,7 @@ class _Reader:
         amount = self.read_amount(quantity, needed=needed, zero=word == "unload", after=word)
         speed = None
         sign = self.at
-        if self.consume_sign("@"):
+        if self.match_sign_and_advance("@"):
             if word == "hold":
                 raise self._make_error(sign, "a hold has no speed; remove it")
             speed = self.read_amount("speed", needed=True, zero=False, after="@")
@@ -115,15 +115,15 @@ class _Reader:
         """Read the rest of a repeat that begins at `start`."""
         self.skip_blanks()
         at = self.at
-        count = self.consume(_NUMBER)
+        count = self.match_and_advance(_NUMBER)
         if count is None or not count.isdecimal() or not 1 <= float(count) <= 1e9:
             raise self._make_error(at, "expected the number of repetitions, an integer of at least 1, as in repeat 3 "
                                        "(ramp 5mm; unload)")
-        if not self.consume_sign("("):
+        if not self.match_sign_and_advance("("):
             raise self._make_error(self.at, "expected the repeated segments in brackets, as in repeat 3 (ramp 5mm; "
                                             "unload)")
         segments = self.read_steps(repeated=True)
-        if not self.consume_sign(")"):
+        if not self.match_sign_and_advance(")"):
             raise self._make_error(start, "the brackets of this repeat are not closed; add ')'")
         return Repeat(int(count), segments)
 
@@ -131,14 +131,14 @@ class _Reader:
         """Read a number with its unit; returns the value in SI, or None if there is no number."""
         self.skip_blanks()
         start, units = self.at, _UNITS[quantity]
-        number = self.consume(_NUMBER)
+        number = self.match_and_advance(_NUMBER)
         if number is None:
             if needed:
                 raise self._make_error(start, f"expected a {quantity} after {after!r}, such as {_EXAMPLES[quantity]}")
             return None
         self.skip_blanks()
         at = self.at
-        unit = self.consume(_WORD)
+        unit = self.match_and_advance(_WORD)
         if unit is None:
             comma = self.text[at:at + 1] == ","
             problem = ("the decimal mark must be a point, not a comma" if comma
@@ -160,22 +160,22 @@ class _Reader:
         self.skip_blanks()
         return self.at == len(self.text) or self.text[self.at] == ")"
 
-    def consume_sign(self, sign: str) -> bool:
-        """Consume a sign; returns whether it was there."""
+    def match_sign_and_advance(self, sign: str) -> bool:
+        """Return whether the text continues with a sign, and move past the sign."""
         self.skip_blanks()
         found = self.text.startswith(sign, self.at)
         self.at += found
         return found
 
-    def consume(self, pattern: re.Pattern) -> str | None:
-        """Consume and return a match of a pattern; None if there is none."""
+    def match_and_advance(self, pattern: re.Pattern) -> str | None:
+        """Return the match of a pattern at the present position, and move past the match; None without a match."""
         match = pattern.match(self.text, self.at)
         if match:
             self.at = match.end()
         return match[0] if match else None
 
     def skip_blanks(self) -> None:
-        self.consume(_BLANKS)
+        self.match_and_advance(_BLANKS)
 
     def describe_position(self, at: int) -> str:
         """Column, and line if there are several, of an index of the text."""

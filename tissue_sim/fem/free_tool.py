@@ -67,7 +67,7 @@ class FreeTool:
     def move_in_air(self, pose: Pose) -> None:
         """Move the tool without a step, between poses whose `clearance` is positive."""
 
-    def approach(self, pose: Pose) -> bool:
+    def move_to_next_touch(self, pose: Pose) -> bool:
         """Move a tool that has lifted off, in the air, to the pose at which it touches again.
 
         Elastic tissue that is at rest again is touched as at the first touch: the solver returns to the state in which
@@ -80,11 +80,11 @@ class FreeTool:
         self.move_in_air(pose)
         return False
 
-    def meet(self, pose: Pose) -> None:
-        """Let points of the tissue that the tool meets on the way to a pose stick or rub from the touch on.
+    def bind_points_on_path(self, pose: Pose) -> None:
+        """Bind the points of the tissue that the tool touches on its path to a pose, with stick or friction.
 
-        Called before the first increment of a touch that does not begin as a first touch (`approach`); without this
-        call the tissue that touches within an increment slides without friction until its end.
+        Called before the first increment of a touch that does not begin as a first touch (`move_to_next_touch`);
+        without this call the tissue that touches within an increment slides without friction until its end.
         """
 
     def stand_still(self) -> None:

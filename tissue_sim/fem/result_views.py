@@ -48,11 +48,11 @@ class SharedFields(Fields, Protocol):
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> SharedFields:
         """Return the fields of another sample."""
 
-    def of_the_material(self) -> dict[str, Any]:
+    def material_data(self) -> dict[str, Any]:
         """Return the data, besides the arrays, that change with the parameters of the material."""
 
     def with_material(self, changed: Mapping[str, Any]) -> SharedFields:
-        """Return the fields with the data of `of_the_material` of another material."""
+        """Return the fields with the data of `material_data` of another material."""
 
 
 class Surface(Protocol):

@@ -28,7 +28,8 @@ from tissue_sim.tool_force import Matrix, NextForce, axial_stiffness, axial_wren
 
 #: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
-                "realtime_rungs": "realtime_levels", "comparison": "error_estimate"}
+                "realtime_rungs": "realtime_levels", "comparison": "error_estimate", "sample": "field_sample",
+                "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path"}
 __getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate"})
 
 
@@ -199,6 +200,10 @@ class Solver(FreeTool, ABC):
     takes = OldName("accepts_pose")
     realtime_rungs = OldName("realtime_levels")
     comparison = OldName("error_estimate")
+    sample = OldName("field_sample")
+    surface = OldName("deformed_surface")
+    approach = OldName("move_to_next_touch")
+    meet = OldName("bind_points_on_path")
 
     mesh: Any = None
     datum: float = 0.0
@@ -337,16 +342,16 @@ class Solver(FreeTool, ABC):
         return None
 
     @abstractmethod
-    def sample(self) -> Any:
+    def field_sample(self) -> Any:
         """Return the data of the last committed state that `fields` needs."""
 
     @abstractmethod
     def fields(self, samples: Sequence[Any]) -> Fields | None:
-        """Return fields of states, given by `sample`; None if the solver has no fields."""
+        """Return fields of states, given by `field_sample`; None if the solver has no fields."""
 
     @abstractmethod
-    def surface(self) -> Surface:
-        """Return the surface at the last committed state."""
+    def deformed_surface(self) -> Surface:
+        """Return the deformed surface of the tissue at the last committed state."""
 
     def warnings(self) -> Sequence[str]:
         """Return sentences with reasons why the force at the last committed equilibrium may be wrong; usually none."""

@@ -73,7 +73,7 @@ def _cache_path(kept_as: tuple | None, source: str | None = None) -> Path | None
     if kept_as is None:
         return None
     files = (*sorted(Path(__file__).parent.glob("*.py")), *([] if source is None else [Path(source)]))
-    key = sha256(repr((_state_of(files), kept_as)).encode()).hexdigest()
+    key = sha256(repr((_compute_source_digest(files), kept_as)).encode()).hexdigest()
     return cache_folder() / "formulas" / key[:32]
 
 
@@ -85,7 +85,7 @@ def _keep(path: Path | None, text: str) -> None:
 
 
 @cache
-def _state_of(files: tuple[Path, ...]) -> str:
+def _compute_source_digest(files: tuple[Path, ...]) -> str:
     """Digest of the source files and the version of sympy."""
     try:
         release = version("sympy")

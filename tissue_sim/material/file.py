@@ -20,7 +20,7 @@ from tissue_sim.errors import InputError, located, nearest
 from tissue_sim.laws import Law, check_stability, find_law
 from tissue_sim.material.law_entry import BulkEntry, Entry, ParameterEntry, law_entries, parameters_in_SI, values_of
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.material.population import PopulationEntry, check_population, population_entry
+from tissue_sim.material.population import PopulationEntry, check_and_convert_population, population_entry
 from tissue_sim.material.schema import (
     CovarianceEntry,
     LayerEntry,
@@ -260,7 +260,7 @@ def check_material_file(file: MaterialFile) -> MaterialFile:
         file = msgspec.structs.replace(file, covariance=CovarianceEntry(order=order, matrix=_to_tuples(matrix)))
     if file.population is not None:
         known = {each.file_path: factors.get(each.file_path, 1.0) for each in _with_errors(file.material).values()}
-        file = msgspec.structs.replace(file, population=check_population(file.population, known))
+        file = msgspec.structs.replace(file, population=check_and_convert_population(file.population, known))
     require_writable(msgspec.to_builtins(file))  # a number near 1e308 MPa overflows in Pa
     return file
 

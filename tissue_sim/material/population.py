@@ -61,8 +61,8 @@ def population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) 
                         [1.0 / known[name].declaration.factor for name in entry.order])
 
 
-def check_population(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
-    """Check an entry and convert it to SI as far as a file states units.
+def check_and_convert_population(entry: PopulationEntry, known: Mapping[str, float]) -> PopulationEntry:
+    """Check an entry of a file, and return a copy in SI.
 
     Args:
         entry: entry of a file.

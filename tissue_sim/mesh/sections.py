@@ -65,7 +65,7 @@ def section(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarr
     return crossings, _without_degenerate(point[np.concatenate(corners)])
 
 
-def section_lines(triangles: np.ndarray, heights: np.ndarray) -> Crossings:
+def intersect_triangles(triangles: np.ndarray, heights: np.ndarray) -> Crossings:
     """Return the line segments at which triangles cross height zero, as pairs of successive points, 2 k points."""
     _, pairs = _cut_triangles(triangles, heights)
     crossings, number = _find_crossings(pairs, heights)

@@ -186,7 +186,7 @@ def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, 
     # Corners are first, in the order of the file.
     number = np.full(len(points), -1)
     number[np.unique(corners)] = np.arange(np.unique(corners).size)
-    held, met = base_and_top(mesh, base, top)
+    held, met = find_base_and_top(mesh, base, top)
     chosen = {"base": mesh.sides[held], "top": mesh.sides[met], "side": np.delete(mesh.sides, np.union1d(held, met), 0)}
     nodes = nodes - origin(mesh, met)
     all_faces = connectivity[:, element.faces].reshape(-1, element.faces.shape[1])
@@ -238,7 +238,7 @@ def _require_positive_volumes(element: SolidElement, nodes: np.ndarray, connecti
                          "correct the mesh", field="mesh_file")
 
 
-def base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tuple[np.ndarray, np.ndarray]:
+def find_base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of the fixed faces and of the faces that the tool may touch; see `solid_from_file`."""
     heights = mesh.points[mesh.sides, 2]
     low, high = heights.min(), heights.max()

@@ -39,7 +39,7 @@ class VerticalProjection:
         distance = float(np.linalg.norm(a + fraction[:, None] * edge - position, axis=1).min())
         return distance if self._find_crossing_heights(self._top, x, y).size else -distance
 
-    def depth_at(self, x: float, y: float) -> float:
+    def vertical_thickness(self, x: float, y: float) -> float:
         """Return the distance from the highest to the lowest point of the surface on a vertical line, m; 0 outside."""
         heights = self._find_crossing_heights(self._surface, x, y)
         return float(np.ptp(heights)) if heights.size else 0.0

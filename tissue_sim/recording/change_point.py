@@ -259,7 +259,7 @@ class ChangePointFit:
         for _ in range(14):
             at = int(np.argmin(squares))
             variance = max(squares[at] / self.freedom, self.part.rounding**2, 1e-300)
-            limit = _SETTINGS.limit_factor * float(special.fdtri(1, self.independent, 0.95))
+            limit = _SETTINGS.limit_factor * float(special.fdtri(1, self.effective_degrees_of_freedom, 0.95))
             profile = Profile(places, squares, powers, variance, limit)
             near = np.flatnonzero(profile.ratio < 2.3 * profile.limit)
             width, wanted = places[near[-1]] - places[near[0]], []
@@ -288,14 +288,21 @@ class ChangePointFit:
         return profile
 
     @property
-    def independent(self) -> float:
-        """Effective degrees of freedom of correlated samples, from the variance of their mean."""
+    def effective_degrees_of_freedom(self) -> float:
+        """Number of independent samples with the same variance of the mean as these correlated samples; at least 5."""
         return max(self.freedom * (1 - self.correlation) / (1 + self.correlation), 5.0)
 
     def estimate_noise_correlation(self, place: float, power: float) -> float:
-        """Estimate the correlation of the noise; all fitted parameters reduce the degrees of freedom."""
+        """Return the correlation of the noise of neighbouring samples for a fit with this contact and exponent.
+
+        Contact and exponent count as fitted parameters.
+
+        Args:
+            place: displacement of contact, m.
+            power: exponent of the force after contact.
+        """
         self.coefficients(place, power)
-        design = np.vstack([self._design, *self._shifted_terms(place, power)]).T
+        design = np.vstack([self._design, *self._leading_terms_at_shifted_parameters(place, power)]).T
         return _estimate_correlation(self.part.force - self.part.force[0], design)
 
     def squares_without_contact(self) -> float:
@@ -319,7 +326,7 @@ class ChangePointFit:
             variance: variance of the whitened residual, N2.
         """
         self.coefficients(place, power)
-        moved = [each - self._design[2] for each in self._shifted_terms(place, power)]
+        moved = [each - self._design[2] for each in self._leading_terms_at_shifted_parameters(place, power)]
         weighed = self._whiten(np.vstack([self._design, *moved]))
         size = np.linalg.norm(weighed, axis=1).clip(1e-150)
         covariance = np.linalg.pinv((weighed / size[:, None]) @ (weighed / size[:, None]).T)
@@ -332,8 +339,8 @@ class ChangePointFit:
         wanted = self._whiten(self.part.force - self.part.force[0])
         return float(np.linalg.lstsq(self._whiten(design).T, wanted, rcond=None)[0][0])
 
-    def _shifted_terms(self, place: float, power: float) -> list[np.ndarray]:
-        """Return the leading term with a shifted contact, and with a shifted exponent, shapes (n,)."""
+    def _leading_terms_at_shifted_parameters(self, place: float, power: float) -> list[np.ndarray]:
+        """Return the leading term at a shifted contact, and at a shifted exponent, shapes (n,)."""
         return [self._columns(np.array([place - _SETTINGS.difference_step * self._scale]), np.array([[power]]))[0][0],
                 self._columns(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
 

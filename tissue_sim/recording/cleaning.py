@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.first_sample import LOADS, estimate_first_value
-from tissue_sim.recording.measures import Measure, stated_measures
+from tissue_sim.recording.measures import Measure, measures_before_conversion
 from tissue_sim.recording.outliers import describe_outliers, find_outliers
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
 from tissue_sim.recording.saturation import find_last_digit, find_saturation
@@ -177,7 +177,7 @@ def _find_load_saturation(recording: Recording, kept: np.ndarray, load: str, mot
     A load cell at its limit gives a constant force, which is the nominal stress times the undeformed area. The true
     stress of such a test still follows the stretch, and the nominal stress is constant to the rounding of the columns.
     """
-    measure = stated_measures(recording).get(load)
+    measure = measures_before_conversion(recording).get(load)
     if measure is None or "stretch" not in recording:
         return _find_channel_saturation(recording, kept, load, motion, is_free=is_free)
     stretch = recording.channel("stretch")
@@ -198,7 +198,7 @@ def _nominal_stress_rounding(recording: Recording, measure: Measure) -> float:
     stretch, nominal = recording.channel("stretch"), recording.channel("nominal stress")
     large = np.abs(nominal) >= 0.5 * float(np.abs(nominal).max())
     stretch, nominal = stretch[large], nominal[large]
-    strain_measure = stated_measures(recording).get("stretch")
+    strain_measure = measures_before_conversion(recording).get("stretch")
     strain = recording.channel("stretch") if strain_measure is None else strain_measure.invert(
         recording.channel("stretch"))
     step = find_last_digit(strain)

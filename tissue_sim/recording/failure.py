@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.resolution import find_rounding_step
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, corners_of, label_motion
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_corners, label_motion
 
 
 @dataclass(frozen=True)
@@ -122,9 +122,9 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     for first, last in pairwise(edges.tolist()):
         zero = float(force[:min(first, first_unloading) + 1].min())
         while first < last and labels[first] != "unload":
-            test = _Part(displacement[first:last], force[first:last], speed[first:last],
-                         speed[max(first - _SETTINGS.samples_before, 0):first], zero, float(np.ptp(force)), noise,
-                         least_drop, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
+            test = _RampOrHold(displacement[first:last], force[first:last], speed[first:last],
+                               speed[max(first - _SETTINGS.samples_before, 0):first], zero, float(np.ptp(force)), noise,
+                               least_drop, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
             candidates = (test.find_peak_of_ramp() if labels[first] == "ramp" else None, test.find_sudden_drop())
             peaks = [peak for peak in candidates if peak is not None]
             if not peaks:
@@ -138,8 +138,8 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
 
 
 @dataclass(frozen=True, eq=False)
-class _Part:
-    """A ramp or a hold.
+class _RampOrHold:
+    """A ramp or a hold of a test, in which a failure is searched.
 
     Attributes:
         displacement: m, shape (n,).
@@ -253,7 +253,7 @@ def _median_of_three(values: np.ndarray) -> np.ndarray:
 
 def _compute_speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return the speed at each sample, m/s: the mean speed of its straight part of the motion."""
-    corners = corners_of(time, displacement, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
+    corners = find_corners(time, displacement, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
     duration = np.diff(time[corners])
     speed = np.diff(displacement[corners]) / np.where(duration > 0, duration, 1.0)
     return speed[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, speed.size - 1)]

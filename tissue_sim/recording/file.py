@@ -173,7 +173,8 @@ def _format_csv(recording: Recording, path: Path) -> str:
         factor, offset = to_si(unit)
         values = (recording.channel(name) - offset) / factor
         if not np.isfinite(values).all():
-            raise InputError(f"a value does not fit a number in {unit}", file=path, field=name)
+            raise InputError(f"must be finite in {unit}, the unit of this channel in the file; got a value that is too "
+                             "large. Check the scale of the channel", file=path, field=name)
         header.append(f"{name} [{unit}]")
         cells.append(map(repr, values.tolist()))
     for name in (name for name in LABELS if name in recording.labels):

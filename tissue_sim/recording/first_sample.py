@@ -16,7 +16,7 @@ LOADS = ("force", "nominal stress")
 
 
 @dataclass(frozen=True)
-class ExtensionSettings:
+class ExtrapolationSettings:
     """Settings of `estimate_first_value`: extension of a curve to the first sample.
 
     Attributes:
@@ -41,11 +41,11 @@ class ExtensionSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = ExtensionSettings()
+_SETTINGS = ExtrapolationSettings()
 
 
-class _Extension(NamedTuple):
-    """A channel extended to time 0.
+class _ExtrapolatedStart(NamedTuple):
+    """Value of a channel extrapolated to time 0, with its standard error.
 
     Attributes:
         start: value at time 0.
@@ -104,7 +104,7 @@ def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
     return any(1 in each.samples and each.channel == name for each in screening.left_out)
 
 
-def _extrapolate_to_start(clock: np.ndarray, values: np.ndarray, rounding: float) -> _Extension | None:
+def _extrapolate_to_start(clock: np.ndarray, values: np.ndarray, rounding: float) -> _ExtrapolatedStart | None:
     """Extend a channel to time 0 by a line or a parabola through as many first samples as possible.
 
     Args:
@@ -125,7 +125,7 @@ def _extrapolate_to_start(clock: np.ndarray, values: np.ndarray, rounding: float
                 continue
             leverage = float(np.linalg.inv(design.T @ design)[0, 0])
             start = float(coefficients[0])
-            return _Extension(start, float(design[0] @ coefficients) - start, noise * np.sqrt(1.0 + leverage))
+            return _ExtrapolatedStart(start, float(design[0] @ coefficients) - start, noise * np.sqrt(1.0 + leverage))
     return None
 
 

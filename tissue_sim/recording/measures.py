@@ -175,8 +175,8 @@ def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recor
     return recording
 
 
-def stated_measures(recording: Recording) -> dict[str, Measure]:
-    """Return channel -> measure from which `convert_measures` converted the channel."""
+def measures_before_conversion(recording: Recording) -> dict[str, Measure]:
+    """Return the measures of the channels before `convert_measures`: name of the channel -> measure in the file."""
     stated = recording.metadata.get("measures")
     return {channel: MEASURES[name] for channel, name in (stated.items() if isinstance(stated, Mapping) else ())
             if channel in recording and name in MEASURES and MEASURES[name].channel == channel}

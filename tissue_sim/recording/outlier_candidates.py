@@ -117,7 +117,7 @@ class Channel:
         """Yield groups of samples that contradict their neighbours, with the value predicted for the first sample."""
         for candidates in (self.groups, self.singles):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], candidates, [False]]).astype(int)))
-            runs = [self._core(*run) for run in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+            runs = [self._find_core(*run) for run in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
             bad = np.zeros(self.values.size, bool)
             for first, last in runs:
                 bad[first:last] = True
@@ -125,17 +125,17 @@ class Channel:
             for first, last in runs:
                 if last - first > self.settings.longest:
                     continue
-                predicted = self._contradicted(first, last, good)
+                predicted = self._predict_if_outliers(first, last, good)
                 if predicted is None and last - first > 1:
                     # Next to an outlier a step comes early in the running median: one sample of the run may be right.
                     farthest = first + int(np.argmax(self.away[first:last]))
                     others = np.setdiff1d(np.arange(first, last), farthest)
                     first, last = farthest, farthest + 1
-                    predicted = self._contradicted(first, last, np.union1d(good, others))
+                    predicted = self._predict_if_outliers(first, last, np.union1d(good, others))
                 if predicted is not None:
                     yield tuple(range(first, last)), predicted
 
-    def _core(self, first: int, last: int) -> tuple[int, int]:
+    def _find_core(self, first: int, last: int) -> tuple[int, int]:
         """Return first sample and end of the part of a run that is far from the running median.
 
         Next to three outliers the running median is wrong by several steps.
@@ -143,7 +143,7 @@ class Channel:
         far = first + np.flatnonzero(self.away[first:last] >= self.settings.core * self.away[first:last].max())
         return int(far[0]), int(far[-1]) + 1
 
-    def _contradicted(self, first: int, last: int, good: np.ndarray) -> float | None:
+    def _predict_if_outliers(self, first: int, last: int, good: np.ndarray) -> float | None:
         """Return the prediction for sample `first` if samples `first` to `last` (not included) are outliers; else None.
 
         Args:
@@ -169,14 +169,14 @@ class Channel:
         limit = max(float(self.least[first]), (setting.of_fit_at_end if one_sided else setting.of_fit) * deviation,
                     float(np.ptp(self.values[around])) if one_sided else 0.0)
         if not np.all(np.abs(self.values[group] - predicted) > limit):
-            beyond = None if one_sided else self._beyond_step(group, around)
+            beyond = None if one_sided else self._predict_near_step(group, around)
             if beyond is None:
                 return None
             predicted = np.array([beyond])
         # Rounding errors of the fit are zero.
         return float(predicted[0]) if abs(predicted[0]) > 1e-9 * self.range else 0.0
 
-    def _beyond_step(self, group: np.ndarray, around: np.ndarray) -> float | None:
+    def _predict_near_step(self, group: np.ndarray, around: np.ndarray) -> float | None:
         """Return the prediction for a group of outliers near a step; None if the group belongs to the step.
 
         A line is fitted to the neighbours before, and one to the neighbours after their largest jump. A group on one

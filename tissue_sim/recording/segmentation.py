@@ -2,7 +2,7 @@
 
 A displacement of no more than the hysteresis is ignored. A motion reverses when it returns by more than the hysteresis
 (`Reversals`, sample by sample). Between reversals the motion is a polyline within half of the hysteresis
-(`corners_of`), and a line with no displacement beyond the hysteresis is a hold (`label_motion`).
+(`find_corners`), and a line with no displacement beyond the hysteresis is a hold (`label_motion`).
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Reversals:
         return [(self.direction * (-1) ** (newest - i), edges[i], edges[i + 1]) for i in range(newest + 1)]
 
 
-def corners_of(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> np.ndarray:
+def find_corners(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> np.ndarray:
     """Return the samples between which the motion is straight within `tolerance`, m.
 
     Source: Douglas and Peucker, Cartographica 10 (1973) 112.
@@ -122,7 +122,7 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
         shortest_hold: shortest hold, s; a shorter hold belongs to the previous segment.
     """
     tolerance = MOTION_SETTINGS.straightness * np.ptp(displacement) if tolerance is None else tolerance
-    corners = corners_of(time, displacement, tolerance)
+    corners = find_corners(time, displacement, tolerance)
     way = np.diff(displacement[corners])
     names = np.where(np.abs(way) <= 2 * tolerance, "hold", np.where(way > 0, "ramp", "unload"))
     for part in np.flatnonzero(names == "hold") if shortest_hold else ():
@@ -170,7 +170,7 @@ def number_runs(labels: np.ndarray) -> np.ndarray:
     return np.repeat(np.array(names), np.diff(np.append(begins, labels.size)))
 
 
-def load_and_unload(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+def find_loading_and_unloading(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Return the indices of the samples of the first loading and of the first unloading after it, without holds.
 
     Labels of segments determine both; without labels, the reversals of the displacement do.
@@ -183,7 +183,7 @@ def load_and_unload(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     load, unload = _split_by_labels(recording.labels["segment"]) if has_labels else _split_at_turns(depth)
     if not load.size:  # labels of another vocabulary
         load, unload = _split_at_turns(depth)
-    return load[one_way(depth[load], 1)], unload[one_way(depth[unload], -1)]
+    return load[select_monotone_samples(depth[load], 1)], unload[select_monotone_samples(depth[unload], -1)]
 
 
 def _split_by_labels(segment: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -215,7 +215,7 @@ def _split_at_turns(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return first, second
 
 
-def one_way(depth: np.ndarray, direction: int) -> np.ndarray:
+def select_monotone_samples(depth: np.ndarray, direction: int) -> np.ndarray:
     """Return the indices of samples of a branch between which the depth is strictly monotone.
 
     Samples of tremor and of rest at both ends are omitted. The first half of the branch keeps the last sample at each

@@ -22,7 +22,7 @@ SEGMENTS = ("approach", "preload", "preconditioning", "ramp", "hold", "unload", 
 
 @dataclass(frozen=True)
 class SegmentSettings:
-    """Settings of `segments_of`.
+    """Settings of `segment_arrays`.
 
     Attributes:
         preload_force: largest force of a preload, as a fraction of the largest force.
@@ -93,14 +93,14 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
         InputError: an unknown kind, a recording without motion and load.
     """
     kind = KINDS.find(kind, "kind") if isinstance(kind, str) else kind
-    motion, load, stressed = loading_of(recording, kind)
+    motion, load, stressed = get_motion_and_load(recording, kind)
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
-    return segments_of(motion, load, time, recording.labels["segment"] if stated else None, stressed=stressed)
+    return segment_arrays(motion, load, time, recording.labels["segment"] if stated else None, stressed=stressed)
 
 
-def segments_of(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
-                labels: np.ndarray | None = None, *, stressed: bool = False) -> Segmentation:
+def segment_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
+                   labels: np.ndarray | None = None, *, stressed: bool = False) -> Segmentation:
     """Find the segments of arrays; see `find_segments`.
 
     Args:
@@ -164,7 +164,7 @@ def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | 
     return not both_sides and not table
 
 
-def loading_of(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
+def get_motion_and_load(recording: Recording, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray, bool]:
     """Return motion and load, positive under load, shapes (n,), and whether they are strain and stress."""
     pairs = [*(kind.channels if kind is not None else ())] or [
         pair for one in KINDS.values() for pair in one.channels]

@@ -67,7 +67,7 @@ class EllipsoidShell(Specimen):
         """Longer semi-axis of the rim, m."""
         return max(self.semi_axis_x, self.semi_axis_y)
 
-    def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
+    def vertical_thickness(self, x: float = 0.0, y: float = 0.0) -> float:
         """Return the vertical distance between outer and inner surface at a point, m."""
         outer, inner = (
             c * math.sqrt(max(0.0, 1.0 - (x / a) ** 2 - (y / b) ** 2)) for a, b, c in (

@@ -56,17 +56,17 @@ class MeshSpecimen(Specimen):
             raise InputError("must be left out if mesh_file is a path; the mesh would be defined twice",
                              field="specimen.content")
         # A class attribute in most shapes; here it depends on the file.
-        object.__setattr__(self, "is_flat", self._seen.is_flat)
+        object.__setattr__(self, "is_flat", self._vertical_projection.is_flat)
 
     def __eq__(self, other: object) -> bool:
         """Whether the contents of the files and all other fields are equal; the names of the files are ignored."""
-        return isinstance(other, MeshSpecimen) and self._key == other._key
+        return isinstance(other, MeshSpecimen) and self._content_key == other._content_key
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self._content_key)
 
     @property
-    def _key(self) -> tuple:
+    def _content_key(self) -> tuple:
         return (self.digest, self.mesh_unit, self.mesh_base, self.mesh_top, self.name, self.density, self.gravity,
                 self.height_is)
 
@@ -92,13 +92,13 @@ class MeshSpecimen(Specimen):
         return self._mesh.digest
 
     @cached_property
-    def _seen(self) -> VerticalProjection:
-        from tissue_sim.mesh.solid_file import base_and_top, origin
+    def _vertical_projection(self) -> VerticalProjection:
+        from tissue_sim.mesh.solid_file import find_base_and_top, origin
         from tissue_sim.mesh.vertical_projection import VerticalProjection
 
         mesh = self._mesh
         try:
-            held, met = base_and_top(mesh, self.mesh_base, self.mesh_top)
+            held, met = find_base_and_top(mesh, self.mesh_base, self.mesh_top)
         except InputError as error:
             raise error.located(file=self.mesh_file) from None
         return VerticalProjection(mesh.points - origin(mesh, met), mesh.sides[met], mesh.sides[held], mesh.sides)
@@ -122,16 +122,16 @@ class MeshSpecimen(Specimen):
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
         """Return the distance of a point from the edge of the top, in plan view, m; negative outside."""
-        return self._seen.margin(x, y)
+        return self._vertical_projection.margin(x, y)
 
     @property
     def outer_radius(self) -> float:
         """Radius of the smallest circle about the axis that contains the body in plan view, m."""
-        return self._seen.outer_radius
+        return self._vertical_projection.outer_radius
 
-    def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
+    def vertical_thickness(self, x: float = 0.0, y: float = 0.0) -> float:
         """Return the vertical thickness of the body under a point, m."""
-        return self._seen.depth_at(x, y)
+        return self._vertical_projection.vertical_thickness(x, y)
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """Return the elements of the file, raised to the order of the elements of the grading.

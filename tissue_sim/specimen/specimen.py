@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 from tissue_sim.errors import InputError, require_length
 from tissue_sim.files import read_bytes
 from tissue_sim.parameters import Declaration, declared, parameter
+from tissue_sim.public_names import OldName, adopt_old_names
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
@@ -84,6 +85,8 @@ class Specimen(metaclass=_ByShape):
         'block'
     """
 
+    depth_at = OldName("vertical_thickness")
+
     shape: ClassVar[str]
     is_prism: ClassVar[bool] = True
     is_flat: ClassVar[bool] = True
@@ -102,6 +105,10 @@ class Specimen(metaclass=_ByShape):
         @property
         def height(self) -> float:
             """Distance between the base and the highest point, m; see `height_is`."""
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        adopt_old_names(cls, {"depth_at": "vertical_thickness"})
 
     def __post_init__(self):
         for name, what in declared(type(self)).items():
@@ -177,8 +184,8 @@ class Specimen(metaclass=_ByShape):
         """Radius of the smallest circle about the axis that contains the body in plan view, m."""
         raise NotImplementedError
 
-    def depth_at(self, x: float = 0.0, y: float = 0.0) -> float:
-        """Vertical thickness of the body under a point, m."""
+    def vertical_thickness(self, x: float = 0.0, y: float = 0.0) -> float:
+        """Return the vertical thickness of the body at a point (x, y), m."""
         return self.height
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:

@@ -20,9 +20,9 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
+    convert_tool_sizes_to_si,
     read_shape,
     shapes_without_file,
-    sizes_of_keys,
     tool_sizes,
 )
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen, specimen_sizes
@@ -310,7 +310,7 @@ def _make_tool(arguments, shape: str, profile: Path | None, scene_tool: Tool) ->
     stated = {key: value for key in known if (value := getattr(arguments, key)) is not None}
     kept = {name: getattr(scene_tool, name) for _, name, shapes in known.values()
             if {scene_tool.shape, shape} <= {*shapes}}
-    changes = sizes_of_keys(stated)
+    changes = convert_tool_sizes_to_si(stated)
     if profile is not None:
         return Tool(shape, profile_file=profile, **changes)
     return Tool(shape, **(kept | changes))

@@ -92,13 +92,13 @@ class SpringSolver(Solver):
     def ask_for_stiffness(self):
         self._asked = True
 
-    def sample(self):
+    def field_sample(self):
         return self._spring
 
     def fields(self, samples):
         return None
 
-    def surface(self):
+    def deformed_surface(self):
         return SpringSurface()
 
     def report(self):

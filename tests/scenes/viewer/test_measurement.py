@@ -16,7 +16,7 @@ from scenes.viewer.measurement import (
     residual,
 )
 from tissue_sim.experiment.kinds.indentation import NEEDLE
-from tissue_sim.recording.segmentation import load_and_unload
+from tissue_sim.recording.segmentation import find_loading_and_unloading
 
 DEPTH = 10e-3
 
@@ -52,7 +52,7 @@ def soft(d):
 @pytest.mark.parametrize("labels", [True, False])
 def test_branches_exclude_the_hold(labels):
     recording = tried(stiff, soft, hold=40, labels=labels)
-    load, unload = load_and_unload(recording)
+    load, unload = find_loading_and_unloading(recording)
     np.testing.assert_allclose(recording.force[load], stiff(recording.displacement[load]), rtol=1e-12)
     np.testing.assert_allclose(recording.force[unload], soft(recording.displacement[unload]), rtol=1e-12)
     assert load[[0, -1]].tolist() == [0, 200] and unload[[0, -1]].tolist() == [240, 440]
@@ -61,14 +61,14 @@ def test_branches_exclude_the_hold(labels):
 def test_unknown_labels_are_ignored():
     recording = tried(stiff, soft, hold=40)
     foreign = replace(recording, labels={"segment": np.char.add("phase ", recording.labels["segment"])})
-    for found, expected in zip(load_and_unload(foreign), load_and_unload(recording), strict=True):
+    for found, expected in zip(find_loading_and_unloading(foreign), find_loading_and_unloading(recording), strict=True):
         assert found.tolist() == expected.tolist()
 
 
 def test_a_noisy_displacement_gives_the_same_branches():
     recording = tried(stiff, soft, labels=False, points=2001)
     noise = 0.02e-3 * np.random.default_rng(1).normal(size=len(recording))
-    load, unload = load_and_unload(recording.with_channels(displacement=recording.displacement + noise))
+    load, unload = find_loading_and_unloading(recording.with_channels(displacement=recording.displacement + noise))
     assert load[0] < 40 and 1960 < load[-1] < 2040 and 1960 < unload[0] < 2040 and unload[-1] > 3960
     assert load.size > 300 and unload.size > 300
 
@@ -78,7 +78,7 @@ def test_only_the_first_cycle_is_used():
     for labels in (True, False):
         both = {name: np.concatenate([one.channel(name), two.channel(name)]) for name in ("displacement", "force")}
         segment = [*one.labels["segment"], *np.where(two.labels["segment"] == "ramp", "reload", "unload")]
-        load, unload = load_and_unload(ts.Recording(both, {"segment": segment} if labels else {}))
+        load, unload = find_loading_and_unloading(ts.Recording(both, {"segment": segment} if labels else {}))
         assert load[[0, -1]].tolist() == [0, 200] and unload[[0, -1]].tolist() == [200, 400]
 
 

@@ -17,7 +17,7 @@ from scenes.provenance import recording_provenance
 from scenes.viewer.page.saving import curve_files
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, recording_files
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, one_way
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, select_monotone_samples
 from tissue_sim.tool_force import ForceStatus
 
 
@@ -230,7 +230,8 @@ depths = st.lists(st.floats(0.0, 0.02), min_size=2, max_size=30)
 def test_a_monotone_branch_is_interpolated_exactly(steps):
     depth = np.cumsum(np.abs(steps) + 1e-6)
     force = np.random.default_rng(len(steps)).normal(size=depth.size)
-    assert one_way(depth, 1).tolist() == one_way(depth[::-1], -1).tolist() == list(range(depth.size))
+    assert select_monotone_samples(depth, 1).tolist() == list(range(depth.size))
+    assert select_monotone_samples(depth[::-1], -1).tolist() == list(range(depth.size))
     assert interpolate_branch(depth, force, 1, depth).tolist() == force.tolist()
     assert interpolate_branch(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
 
@@ -239,15 +240,15 @@ def test_a_monotone_branch_is_interpolated_exactly(steps):
 @given(depths, st.sampled_from([1, -1]))
 def test_one_way_is_strictly_monotone_and_reaches_both_ends(depth, direction):
     way = direction * np.array(depth)
-    kept = one_way(np.array(depth), direction)
+    kept = select_monotone_samples(np.array(depth), direction)
     assert (np.diff(way[kept]) > 0).all() and (np.diff(kept) > 0).all()
     assert way[kept].max() == way.max()
 
 
 def test_standing_samples_at_both_ends_are_removed():
     depth = np.array([0, 0, 0, 1, 2, 3, 3, 3]) * 1e-3
-    assert one_way(depth, 1).tolist() == [2, 3, 4, 5]
-    assert one_way(depth[::-1], -1).tolist() == [2, 3, 4, 5]
+    assert select_monotone_samples(depth, 1).tolist() == [2, 3, 4, 5]
+    assert select_monotone_samples(depth[::-1], -1).tolist() == [2, 3, 4, 5]
 
 
 @settings(max_examples=200, deadline=None)

@@ -79,7 +79,7 @@ class ProfileTool(Tool):
     @cached_property
     def outline(self) -> np.ndarray:
         """Outline of the file, (r, z), m, shape (n, 2)."""
-        from tissue_sim.experiment.tools.profile_file import first_fault, read_profile
+        from tissue_sim.experiment.tools.profile_file import find_first_invalid_point, read_profile
 
         if self.points is not None:
             import numpy as np
@@ -87,7 +87,7 @@ class ProfileTool(Tool):
             outline = np.array(self.points, dtype=float).reshape(-1, 2)
             if len(outline) < 2 or not np.isfinite(outline).all():
                 raise InputError("a profile needs at least two points, r and z in m", field="tool.points")
-            if fault := first_fault(outline):
+            if fault := find_first_invalid_point(outline):
                 raise InputError(fault[1], field=f"tool.points[{fault[0]}]")
             return outline
         if self.profile_file is None:

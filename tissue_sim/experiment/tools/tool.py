@@ -181,7 +181,7 @@ def tool_sizes() -> dict[str, Size]:
     return found
 
 
-def sizes_of_keys(stated: Mapping[str, float]) -> dict[str, float]:
+def convert_tool_sizes_to_si(stated: Mapping[str, float]) -> dict[str, float]:
     """Convert sizes from keys and units of files (see `tool_sizes`) to fields of a tool in SI."""
     known = tool_sizes()
     return {known[key].field: known[key].declaration.factor * value for key, value in stated.items()}

@@ -313,7 +313,7 @@ class Equations:
         np.add.at(volumes, self.mesh.connectivity, self.reference.volumes)
         return np.repeat(volumes, 2)
 
-    def along_with_tool(self) -> np.ndarray:
+    def compute_displacement_per_depth(self) -> np.ndarray:
         """Return the displacement per depth of the tool from the stiffness of the last step, shape (freedoms,)."""
         displacement = self.direction.astype(float)
         moved = self._free_freedoms

@@ -54,12 +54,12 @@ class Fields:
         """Return the fields with other `arrays`."""
         return replace(self, states=arrays[0], stresses=arrays[1] if len(arrays) > 1 else None)
 
-    def of_the_material(self) -> dict[str, Any]:
+    def material_data(self) -> dict[str, Any]:
         """Return the attributes that depend on the material; see `with_material`."""
         return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
 
     def with_material(self, changed: Mapping[str, Any]) -> Fields:
-        """Return the fields with other attributes of the material, from `of_the_material`."""
+        """Return the fields with other attributes of the material, from `material_data`."""
         return replace(self, **changed)
 
     def displacement(self, sample: int = -1) -> np.ndarray:

@@ -24,5 +24,9 @@ _SIZE = sum(size for _, size in _SIZES)
 
 
 def scratch():
-    """Return the Taichi field of the batch that is evaluated, shape (vectors,) of `LANES` numbers."""
+    """Return the Taichi field, shared by all kernels, for intermediate results of the batch that is evaluated.
+
+    The offsets of the arrays are `AT`. Each of the `_SIZE` entries is a vector with one component for each element of
+    the batch (`LANES` elements).
+    """
     return shared.scratch(LANES, _SIZE)

@@ -17,7 +17,7 @@ from tissue_sim.fem.axisymmetric.predictor import extrapolation
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_levels
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
-from tissue_sim.fem.axisymmetric.touch import bind_ahead, bring_down
+from tissue_sim.fem.axisymmetric.touch import bind_ahead, place_at_first_touch
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
 from tissue_sim.fem.solver import ErrorEstimate, Neighbours, OwnStiffness, ResolutionLevel, Solver, Step, StepStatus
@@ -85,7 +85,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self._sensitivity: Sensitivity | None = None
         # Target depth of the last iteration (m), and its number of linear solves.
         self._target_depth, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
-        self.datum = equations.settings[newton.Setting.TOUCH] = 0.0 if contact is None else bring_down(
+        self.datum = equations.settings[newton.Setting.TOUCH] = 0.0 if contact is None else place_at_first_touch(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.store_initial_bonds()
         self._max_depth = MAX_RELATIVE_DEPTH * float(np.ptp(mesh.nodes[:, 1]))
@@ -195,7 +195,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         _, _, _, force, _, _, stiffness = equations.report.tolist()
         if motion is None or stiffness <= 0.0:
             return None
-        more, stiffer = map(float, motion.ahead(self.committed.latest, dt, self._masses, equations.along_with_tool()))
+        more, stiffer = map(float, motion.ahead(self.committed.latest, dt, self._masses,
+                                                equations.compute_displacement_per_depth()))
         return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
@@ -249,8 +250,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """See `FreeTool.move_in_air`."""
         self.committed.move_tool(pose.depth)
 
-    def approach(self, pose: Pose) -> bool:
-        """See `FreeTool.approach`."""
+    def move_to_next_touch(self, pose: Pose) -> bool:
+        """Move a lifted tool to its next touch; return whether the touch begins as a first touch.
+
+        See `FreeTool.move_to_next_touch`.
+        """
         tolerance = AT_REST * float(self.equations.settings[newton.Setting.CONTACT_TOLERANCE])
         begins = not self.relaxes and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
         if begins:
@@ -259,8 +263,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
             self.move_in_air(pose)
         return begins
 
-    def meet(self, pose: Pose) -> None:
-        """See `FreeTool.meet`; binds the points with friction that touch in the first half of the increment."""
+    def bind_points_on_path(self, pose: Pose) -> None:
+        """Bind the points with friction that touch in the first half of an increment.
+
+        See `FreeTool.bind_points_on_path`.
+        """
         committed = self.committed
         if committed.motion is not None:
             committed.motion.restart()
@@ -319,7 +326,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         r = self.mesh.nodes[top, 0]
         return -float(simpson(self.equations.start[2 * top + 1] * r, x=r) / simpson(r, x=r))
 
-    def sample(self) -> Sample:
+    def field_sample(self) -> Sample:
         """Return the data of the last committed state from which `fields` computes fields."""
         equations = self.equations
         if not equations.remembers:
@@ -328,7 +335,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return Sample(self.state, stresses + equations.effects.stress if equations.effects.formulas else stresses)
 
     def fields(self, samples: Sequence[Sample]) -> Fields:
-        """Return the fields of states that `sample` returned."""
+        """Return the fields of states that `field_sample` returned."""
         equations = self.equations
         reference = equations.reference
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]
@@ -337,7 +344,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                       reference.pressure_modes, reference.weights, equations.moduli,
                       np.array(stresses) if stresses else None)
 
-    def surface(self) -> DeformedSurface:
+    def deformed_surface(self) -> DeformedSurface:
         """Return the surface at the last committed state, with z relative to the height of the first touch."""
         return deformed_surface(self.mesh, self.state, self.datum)
 

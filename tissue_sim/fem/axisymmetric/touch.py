@@ -14,7 +14,7 @@ TOUCH_ITERATIONS = 3
 LEAST_CLOSING = 1e-3
 
 
-def bring_down(mesh: Mesh, contact: Contact, surface: ContactPoints, displacement: np.ndarray) -> float:
+def place_at_first_touch(mesh: Mesh, contact: Contact, surface: ContactPoints, displacement: np.ndarray) -> float:
     """Place the tool at its first touch of the surface, and bind the points that touch a body.
 
     Args:
@@ -61,7 +61,7 @@ def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, de
         return
     positions = surface.positions(displacement, points)
     positions[:, 1] += lift
-    way = _way_to_touch(surface, points, positions, np.array([0.0, 1.0]))
+    way = _compute_distance_to_touch(surface, points, positions, np.array([0.0, 1.0]))
     meets = way <= 0.5 * descent
     points, positions = points[meets], positions[meets]
     positions[:, 1] += way[meets]
@@ -96,13 +96,14 @@ def bind_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, pr
     length = np.maximum(np.linalg.norm(end - start, axis=1), np.finfo(float).tiny)
     direction, way = (end - start) / length[:, None], np.zeros(points.size)
     for _ in range(TOUCH_ITERATIONS):
-        way = np.minimum(way + _way_to_touch(surface, points, start + way[:, None] * direction, direction), length)
+        here = start + way[:, None] * direction
+        way = np.minimum(way + _compute_distance_to_touch(surface, points, here, direction), length)
     surface.initial[points, 0] = contact_kernels.TOUCHED
     surface.initial[points, 1:] = start + way[:, None] * direction - surface.places[points]
 
 
-def _way_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndarray,
-                  direction: np.ndarray) -> np.ndarray:
+def _compute_distance_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndarray,
+                               direction: np.ndarray) -> np.ndarray:
     """Return how far points move in straight lines until they touch their bodies, from a linearised gap, m.
 
     The gap is linearised over half of its size, where the point stays at the same face of the body, so that edges have

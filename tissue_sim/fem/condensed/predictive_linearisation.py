@@ -59,14 +59,14 @@ class PredictiveLinearisation:
         Returns:
             None under the conditions of `BulkLinearisation.linearise`.
         """
-        stepper, ahead = self._stepper, self.pose_after(state, lead)
+        stepper, ahead = self._stepper, self.extrapolate_pose(state, lead)
         predicted = state
         if stepper.model is not None and state.model == stepper.model.number and state.epoch == self._epoch and (
                 ahead != state.pose):
             stepper.load_state(state)
             if stepper.step(ahead).converged:
                 predicted = replace(state, pose=ahead, forces=stepper.forces.copy())
-        model = self._linearisation.linearise(predicted, (state.pose, self.pose_after(state, serves)))
+        model = self._linearisation.linearise(predicted, (state.pose, self.extrapolate_pose(state, serves)))
         if model is None:
             return None
         has_contact = bool(predicted.forces.any()) or (state.touched and model.holds_tissue)
@@ -88,7 +88,7 @@ class PredictiveLinearisation:
         self._linearisation.set_material(material)
         self._material = number
 
-    def pose_after(self, state: ContactState, lead: float) -> Pose:
+    def extrapolate_pose(self, state: ContactState, lead: float) -> Pose:
         """Return the pose of the tool after a time, s, extrapolated with constant velocity."""
         passed = state.time - state.earlier
         if passed <= 0.0:

@@ -135,7 +135,7 @@ class PardisoPattern:
             ValueError: the pattern has no interface.
         """
         if self.interface is None:
-            raise ValueError("this pattern has no interface")
+            raise ValueError("this PardisoPattern has no interface equations; create it with interface=indices")
         return self.interface
 
     @property

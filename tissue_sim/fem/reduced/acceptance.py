@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tissue_sim.fem.reduced.compliance import MissingForce, contact_compliance
-from tissue_sim.fem.reduced.compliance_table import with_accepted
+from tissue_sim.fem.reduced.compliance_table import with_accepted_missing_forces
 from tissue_sim.fem.reduced.model import ReducedModel
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training import VERIFICATION, Snapshots
@@ -23,7 +23,8 @@ def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[
     """Return a reduced solid with the calibrated compliance table of its contact nodes.
 
     The reduced solid is simulated along the training paths. Its missing force and its true force error give the
-    missing forces that are accepted, see `with_accepted`. A reduced solid with a bonded tool is returned unchanged.
+    missing forces that are accepted, see `with_accepted_missing_forces`. A reduced solid with a bonded tool is returned
+    unchanged.
 
     Args:
         reduced: the reduced solid.
@@ -53,4 +54,4 @@ def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[
                 forces.append(float(np.linalg.norm(force)))
                 missing.append(missing_force.value())
                 errors.append(float(np.linalg.norm(force - wrench[:3])))
-    return replace(reduced, compliance=with_accepted(table, forces, missing, errors))
+    return replace(reduced, compliance=with_accepted_missing_forces(table, forces, missing, errors))

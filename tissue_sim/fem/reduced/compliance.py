@@ -55,7 +55,7 @@ class MissingForce:
 
     def error(self, force: float) -> float:
         """Return the estimated error, N, of a force on the tool of this norm, N."""
-        return max(0.0, self.value() - self._table.accepted_at(force))
+        return max(0.0, self.value() - self._table.accepted_missing_force_at(force))
 
     def _compute_weights(self, nodes: np.ndarray) -> np.ndarray:
         """Return the derivative of the missing force with respect to the nodal forces if these nodes touch, (n, 3)."""

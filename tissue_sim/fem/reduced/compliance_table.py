@@ -30,11 +30,11 @@ class ContactCompliance:
     accepted: np.ndarray
 
     @property
-    def accepting_all(self) -> ContactCompliance:
-        """Copy of the table that accepts every missing force, so that the error by missing compliance is 0."""
+    def with_unlimited_acceptance(self) -> ContactCompliance:
+        """Copy of the table with infinite accepted missing force, so that the error by missing compliance is 0."""
         return replace(self, forces=np.zeros(1), accepted=np.full(1, np.inf))
 
-    def accepted_at(self, force: float) -> float:
+    def accepted_missing_force_at(self, force: float) -> float:
         """Return the accepted missing force, N, at a force on the tool, N; proportional beyond the largest force."""
         last = float(self.forces[-1])
         if force > last > 0.0:
@@ -42,8 +42,8 @@ class ContactCompliance:
         return float(np.interp(force, self.forces, self.accepted))
 
 
-def with_accepted(table: ContactCompliance, forces: Sequence[float], missing: Sequence[float],
-                  errors: Sequence[float]) -> ContactCompliance:
+def with_accepted_missing_forces(table: ContactCompliance, forces: Sequence[float], missing: Sequence[float],
+                                 errors: Sequence[float]) -> ContactCompliance:
     """Return a table with the accepted missing forces from a set of compared states.
 
     In each state the accepted missing force is max(0, missing force - true error). The value at a force F is the

@@ -130,7 +130,7 @@ class LayerContact:
         return -self._pushes[self._modes :]
 
     @property
-    def rates_of_modes(self) -> np.ndarray:
+    def modal_force_rates(self) -> np.ndarray:
         """Derivative of the modal forces with respect to the pose of the tool, at fixed tissue, shape (modes, 6)."""
         modes = self._modes
         return -self._products[:modes, modes:]

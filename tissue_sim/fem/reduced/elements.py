@@ -74,7 +74,7 @@ class SampledElements:
         if rest is not None:
             self._at_rest = rest.displacement.reshape(-1, 3)[used].ravel()
             # The batches scale the pressure modes of an element by 1 / sqrt(weight).
-            self.rest_pressures = batches.in_lanes(rest.pressures[elements] * np.sqrt(shares)[:, None])
+            self.rest_pressures = batches.convert_elements_to_lanes(rest.pressures[elements] * np.sqrt(shares)[:, None])
         self._x_before[:] = self._at_rest
         self.at = np.zeros(modes)
         # Single precision halves the time; the stiffness is partly that of earlier steps anyway.
@@ -103,7 +103,7 @@ class SampledElements:
         """Modal forces of the last evaluation, N m per m, shape (modes,)."""
         return self._forces
 
-    def _rows_of_batches(self, lanes: np.ndarray, part: slice) -> np.ndarray:
+    def _select_rows_of_batches(self, lanes: np.ndarray, part: slice) -> np.ndarray:
         """Return the rows of an array of pressure modes that belong to a range of batches."""
         rows = len(lanes) // self._batches.batches
         return lanes[rows * part.start : rows * part.stop]
@@ -183,11 +183,11 @@ class SampledElements:
             named = region.set_material(stated, bulk, self._contact_radius) | batches.arrays(part) | {
                 "x": self._x, "motion": self._motion, "groups": self._groups[part], "wanted": self._wanted,
                 "blocks": blocks.reshape(len(blocks) * freedoms**2),
-                "standing": self._rows_of_batches(self._standing, part)}
+                "standing": self._select_rows_of_batches(self._standing, part)}
             # The pressures at rest belong to the bulk modulus of the full-order solid, not to the limited one.
             per_bulk = (1.0 / whole - 1.0 / bulk) / batches.moduli[part]
-            pressures = self._rows_of_batches(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
-            self._rows_of_batches(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
+            pressures = self._select_rows_of_batches(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
+            self._select_rows_of_batches(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
             with LOCK:
                 kernel = elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
                 region.kernel = BoundKernel.of(kernel, named)

@@ -43,7 +43,7 @@ class PlacedReduced(KernelOwner, Solver):
     _placement: Placement
 
     def _make_placement(self, bodies: list[Body]) -> None:
-        """Create the `Placement`, which computes the height of first contact."""
+        """Set `_placement`, which computes the height of first contact."""
         reduced = self.reduced
         mesh, places, specimen = reduced.mesh, reduced.places, reduced.model.experiment.specimen
         self._placement = Placement(

@@ -68,7 +68,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
             turn. Their layers and regions must equal those of the model.
         tried: number of test paths that are not used for training; at least one for each material.
         folder: folder of the finished training paths. A folder with paths of the same model is resumed.
-            `forget_strokes` removes the files after the reduced solid is saved.
+            `remove_training_path_files` removes the files after the reduced solid is saved.
         progress: called in the stages ``"strokes"``, ``"elements"`` and ``"trial"``.
 
     Raises:
@@ -144,8 +144,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
     report, factors = training.verify(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
                                       materials=materials, memory=memory)
-    return training.with_report(reduced, factors, strokes=strokes, boundary_strokes=count - strokes,
-                                materials=len(materials), tried=tried, **report)
+    return training.with_report_and_error_factors(reduced, factors, strokes=strokes, boundary_strokes=count - strokes,
+                                                  materials=len(materials), tried=tried, **report)
 
 
 class _Store:
@@ -162,7 +162,7 @@ class _Store:
         write_bytes(label, model.encode())
 
     def read(self, number: int) -> training.Snapshots | None:
-        path = self._file_of(number)
+        path = self._make_file_path(number)
         if path is None or not path.exists():
             return None
         try:
@@ -172,17 +172,17 @@ class _Store:
             return None  # an unreadable file is computed again
 
     def write(self, number: int, snapshots: training.Snapshots) -> None:
-        path = self._file_of(number)
+        path = self._make_file_path(number)
         if path is not None:
             stream = io.BytesIO()
             np.savez(stream, displacements=snapshots.displacements, wrenches=snapshots.wrenches)
             write_bytes(path, stream.getvalue())
 
-    def _file_of(self, number: int) -> Path | None:
+    def _make_file_path(self, number: int) -> Path | None:
         return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
 
 
-def forget_strokes(folder: Path) -> None:
+def remove_training_path_files(folder: Path) -> None:
     """Remove the training-path files of `reduce_solid` from a folder, and the folder if it is then empty."""
     for path in [*folder.glob("stroke_*.npz"), folder / "model.txt"]:
         path.unlink(missing_ok=True)

@@ -34,7 +34,7 @@ class Response:
         modes, held = len(residual), free.start
         error_modes = slice(free.stop, modes)
         right = np.empty((free.stop - held, 7 + modes - free.stop), order="F")
-        right[:, :6] = contact.rates_of_modes[free]
+        right[:, :6] = contact.modal_force_rates[free]
         if held:
             right[:, :6] += tangent[free, :held] @ prescribed_rates
         right[:, 6] = residual[free]
@@ -62,10 +62,10 @@ class Response:
         Returns:
             Estimated error, N; None without error modes and without `missing`.
         """
-        known = self._modes_error(factors, force) if self._free.stop < len(self._residual) else None
+        known = self._estimate_missing_mode_error(factors, force) if self._free.stop < len(self._residual) else None
         return known if missing is None else (known or 0.0) + missing.error(norm(force))
 
-    def _modes_error(self, factors: tuple[float, float], force: np.ndarray) -> float:
+    def _estimate_missing_mode_error(self, factors: tuple[float, float], force: np.ndarray) -> float:
         """Return the estimated error by missing modes, N."""
         free, held = self._free, self._free.start
         tangent = self._tangent
@@ -90,7 +90,7 @@ class Response:
         stiffness = contact.stiffness(sensitivity)
         if held:
             # The prescribed modes move nodes outside the bonded face, whose contact forces are part of the residual.
-            forces = self._tangent[:held] @ sensitivity + contact.rates_of_modes[:held]
+            forces = self._tangent[:held] @ sensitivity + contact.modal_force_rates[:held]
             return stiffness + sensitivity[:held].T @ forces
         # In directions without training data the modes have no response; the result would be the layer stiffness.
         known = np.array([box.sideways > 0.0] * 2 + [True] + [box.turn > 0.0] * 3)

@@ -129,7 +129,7 @@ class ReducedSolver(PlacedReduced):
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes
         tool_step = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
-        # For a tool that can lift off `_balance` removes the remaining residual, so the corrections are not needed.
+        # For a tool that can lift off, `_solve_linear_contact` removes the remaining residual without corrections.
         here = self.amplitudes + (self._prediction.predict(tool_step) if held and predicts else
                                   self._prediction.sensitivity @ tool_step)
         here[:held] = self._tool_motion.amplitudes(frame)
@@ -141,7 +141,8 @@ class ReducedSolver(PlacedReduced):
             base, forces = (self.amplitudes.copy(), base[1]), elements.forces.copy()
         if elements.has_complete_stiffness and inside and not (held or resumes):
             # Solve the contact on linear tissue first: most of a step is a change of contact and friction.
-            here, contact_forces, contact_rates = self._balance(here, base[0], forces, frame, pressed_in, tolerance)
+            here, contact_forces, contact_rates = self._solve_linear_contact(here, base[0], forces, frame,
+                                                                             pressed_in, tolerance)
         else:
             contact_forces, contact_rates = self._evaluate_contact(here, frame, pressed_in)
         updates_pressure = inside and np.array_equal(elements.at, base[0])
@@ -154,7 +155,7 @@ class ReducedSolver(PlacedReduced):
             forces, evaluated_at = elements.forces.copy(), here
             residual = forces + contact_forces
             residual_norm = norm(residual[free])
-            force_norm = self._force_norm(contact_forces, forces)
+            force_norm = self._compute_force_norm(contact_forces, forces)
             ratio = residual_norm / self._reference_force(force_norm)
             is_invalid = not (elements.smallest_volume_ratio > SETTINGS.min_volume_ratio and np.isfinite(ratio))
             if ratio <= max(tolerance, self.least_tolerance) and not is_invalid:
@@ -180,7 +181,8 @@ class ReducedSolver(PlacedReduced):
                 updates_all = halvings > 1 or iterations > SETTINGS.max_partial_updates
                 elements.evaluate(here, False, SETTINGS.stiffness_groups if updates_all else SETTINGS.groups_per_update)
             last, halvings, base = residual_norm, 0, (here, elements.pressures.copy())
-            here, contact_forces, contact_rates = self._balance(here, here, forces, frame, pressed_in, tolerance)
+            here, contact_forces, contact_rates = self._solve_linear_contact(here, here, forces, frame,
+                                                                             pressed_in, tolerance)
             updates_pressure, groups_to_compute = True, 0
             iterations += 1
             if has_linear_forces and iterations == 1 and not (self._suspect_groups or elements.has_history):
@@ -188,7 +190,7 @@ class ReducedSolver(PlacedReduced):
                 change = here - base[0]
                 added = elements.tangent @ change
                 residual = forces + added + contact_forces
-                force_norm = self._force_norm(contact_forces, forces + added)
+                force_norm = self._compute_force_norm(contact_forces, forces + added)
                 nonlinear_residual = SETTINGS.residual_safety * estimate_nonlinear_residual(
                     (forces - linear_forces)[free], previous_work, float(change @ added))
                 ratio = (norm(residual[free]) + nonlinear_residual) / self._reference_force(force_norm)
@@ -251,7 +253,7 @@ class ReducedSolver(PlacedReduced):
         self.contact.evaluate(amplitudes, frame, pressed_in, slips_on=slips_on)
         return self.contact.on_modes()
 
-    def _force_norm(self, contact_forces: np.ndarray, forces: np.ndarray) -> float:
+    def _compute_force_norm(self, contact_forces: np.ndarray, forces: np.ndarray) -> float:
         """Return the norm of the modal contact forces plus the norm of the forces on the bonded face."""
         return norm(contact_forces) + norm(forces[: self._lifting])
 
@@ -259,8 +261,8 @@ class ReducedSolver(PlacedReduced):
         """Return the force by which the residual norm is divided."""
         return max(force_norm, self._floor, SETTINGS.min_reference_force * self._largest_force)
 
-    def _balance(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: Frame, pressed_in: bool,
-                 tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _solve_linear_contact(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: Frame,
+                              pressed_in: bool, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solve the contact on linear tissue, f(a) = f_0 + K (a - a_0), by Newton's method with step halving.
 
         Args:
@@ -282,7 +284,7 @@ class ReducedSolver(PlacedReduced):
             tissue_forces = forces + tangent @ (at - reference)
             residual = (tissue_forces + contact_forces)[free]
             residual_norm = norm(residual)
-            reference_force = self._reference_force(self._force_norm(contact_forces, tissue_forces))
+            reference_force = self._reference_force(self._compute_force_norm(contact_forces, tissue_forces))
             if residual_norm <= goal * reference_force or solves >= SETTINGS.max_contact_solves:
                 return at, contact_forces, contact_rates
             if residual_norm > (1.0 - SETTINGS.sufficient_decrease) * last and halvings < SETTINGS.max_halvings:
@@ -350,13 +352,13 @@ class ReducedSolver(PlacedReduced):
         return (self.reduced.basis @ self._committed[0]).reshape(-1, 3) + self.reduced.places - self.mesh.nodes
 
     #: The sample of a state that `fields` needs is the displacement.
-    sample = displacement
+    field_sample = displacement
 
     def fields(self, samples: Sequence[Any]) -> Fields | None:
         """See `reduced_fields`."""
         return reduced_fields(self.mesh, self.material, samples, self.datum, self.reduced.element_layers)
 
-    def surface(self) -> SolidSurface:
+    def deformed_surface(self) -> SolidSurface:
         """Return the surface of the tissue in the last committed state."""
         return SolidSurface(self.mesh, self.displacement(), self.datum)
 

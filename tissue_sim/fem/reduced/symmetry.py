@@ -86,7 +86,7 @@ def symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
     return found
 
 
-def parities(group: Sequence[Symmetry]) -> tuple[list[Symmetry], list[Symmetry]]:
+def split_symmetry_group(group: Sequence[Symmetry]) -> tuple[list[Symmetry], list[Symmetry]]:
     """Split a symmetry group into an abelian subgroup of involutions and representatives of its cosets.
 
     Returns:

@@ -24,7 +24,7 @@ class ToolMotionBasis:
 
     def amplitudes(self, frame: Frame) -> np.ndarray:
         """Return the amplitudes of the prescribed modes for a frame of the tool, shape (count,)."""
-        return frame.motion_from(self.first)[: self.count]
+        return frame.compute_motion_from(self.first)[: self.count]
 
     def rates(self, frame: Frame) -> np.ndarray:
         """Return the derivative of the amplitudes with respect to position and rotation of the tool.

@@ -20,7 +20,7 @@ from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, Snapshots
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.settings import TRAINING, VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.symmetry import Symmetry, parities, symmetries
+from tissue_sim.fem.reduced.symmetry import Symmetry, split_symmetry_group, symmetries
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.elastic import element_forces, held_places, lifted_amplitudes, linear_response
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -60,13 +60,13 @@ def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Se
     solver.lift_off()
     for number, array in enumerate(solver.tissue.kept):
         array[:] = memory[number] if memory else 0.0
-    rest = solver.sample().displacement.ravel()
+    rest = solver.field_sample().displacement.ravel()
     displacements, wrenches, last_pose = [], [], poses[0]
     largest, doubts = 0.0, []
     for pose in poses:
         step = _step_with_subdivision(solver, last_pose, pose, tolerance)
         last_pose = pose
-        displacements.append(solver.sample().displacement.ravel() - rest)
+        displacements.append(solver.field_sample().displacement.ravel() - rest)
         wrenches.append(step.wrench)
         if (size := math.hypot(*step.wrench[:3])) > largest:
             largest, doubts = size, solver.warnings()
@@ -111,18 +111,19 @@ def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> 
 
     Args:
         states: displacements, m, shape (states, freedoms).
-        group: symmetry group; each mode is even or odd under the involutions of its abelian subgroup (`parities`).
+        group: symmetry group; each mode is even or odd under the involutions of its abelian subgroup
+            (`split_symmetry_group`).
         count: maximum number of modes.
 
     Returns:
         Modes above the noise, shape (freedoms, at most count), and all singular values, m, descending.
     """
-    commuting, cosets = parities(group)
+    commuting, cosets = split_symmetry_group(group)
     states = np.concatenate([states if one.is_identity else one.displacements(states) for one in cosets])
     parts = [states]
     for each in commuting:
         parts = [0.5 * (part + sign * each.displacements(part)) for part in parts for sign in (1.0, -1.0)]
-    found = [_singular_vectors(part, count) for part in parts]
+    found = [_compute_singular_vectors(part, count) for part in parts]
     # The images of a state under the subgroup have equal norms, which scales the singular values.
     singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
     vectors = np.concatenate([vectors for _, vectors in found])
@@ -133,7 +134,7 @@ def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> 
     return vectors[best[is_signal]].T, np.sort(singular)[::-1]
 
 
-def _singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+def _compute_singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Return all singular values, descending, and at most `count` right singular vectors as rows, of values above 0."""
     # Method of snapshots: the Gram matrix of the states is much smaller than the covariance of the freedoms.
     values, vectors = np.linalg.eigh(states @ states.T)
@@ -256,7 +257,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
     # A second solid with fewer modes adds states whose error is caused by modes rather than by sampled elements.
     more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // VERIFICATION.modes_per_omitted_mode
     table = reduced.compliance
-    plain = replace(reduced, error_factors=(1.0, 0.0), compliance=None if table is None else table.accepting_all)
+    plain = replace(reduced, error_factors=(1.0, 0.0),
+                    compliance=None if table is None else table.with_unlimited_acceptance)
     small, fewer = (ReducedSolver(replace(plain, watched=reduced.watched + each), reduced.model.material)
                     for each in (0, more if reduced.watched else 0))
     missed, forces, estimates, explained, kinds, lost, steps = [], [], [], [], [], 0, 0
@@ -283,7 +285,8 @@ def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequenc
             kinds.append(done % max(1, len(materials)))
             estimates.append(step.force_error or 0.0)
             explained.append(0.0 if table is None or small.missing_force is None else max(
-                0.0, small.missing_force.value() - table.accepted_at(float(np.linalg.norm(step.wrench[:3])))))
+                0.0, small.missing_force.value()
+                - table.accepted_missing_force_at(float(np.linalg.norm(step.wrench[:3])))))
             others.append((coarse.force_error or 0.0, float(np.linalg.norm(wrench[:3])),
                            float(np.linalg.norm(np.subtract(coarse.wrench[:3], wrench[:3])))))
         if progress:
@@ -364,11 +367,11 @@ def _rest(solver: SolidSolver) -> Rest | None:
     if not solver.tissue.specific_weight:
         return None
     solver.lift_off()
-    standing = solver.sample()
+    standing = solver.field_sample()
     return Rest(standing.displacement.ravel(), standing.pressures)
 
 
-def with_report(reduced: ReducedModel, factors: tuple[float, float], **more: Any) -> ReducedModel:
+def with_report_and_error_factors(reduced: ReducedModel, factors: tuple[float, float], **more: Any) -> ReducedModel:
     """Return a copy with additional entries of the report and with the factors of the error estimate."""
     return replace(reduced, report={**reduced.report, **more}, error_factors=factors)
 

@@ -194,7 +194,7 @@ class ElementBatches:
             N, shape (elements, freedoms of an element).
         """
         rates = self._arrange_by_element(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
-        return np.einsum("em,emi->ei", self.by_element(pressures), rates)
+        return np.einsum("em,emi->ei", self.convert_lanes_to_elements(pressures), rates)
 
     @property
     def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -206,12 +206,12 @@ class ElementBatches:
         """Set the ratio of the moduli of each element to those of its material, shape (elements,)."""
         self.moduli[:] = ratios[self._elements]
 
-    def by_element(self, amplitudes: np.ndarray) -> np.ndarray:
+    def convert_lanes_to_elements(self, amplitudes: np.ndarray) -> np.ndarray:
         """Convert amplitudes of the pressure modes from lanes to elements, shape (elements, modes)."""
         return self._arrange_by_element(amplitudes, self._modes)
 
-    def in_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Convert amplitudes from elements to lanes; the inverse of `by_element`."""
+    def convert_elements_to_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
+        """Convert amplitudes from elements to lanes; the inverse of `convert_lanes_to_elements`."""
         return self._arrange_in_lanes(amplitudes)
 
     def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
@@ -227,7 +227,7 @@ class ElementBatches:
         change = self.gaps.reshape(self.batches, self._modes, LANES) + (rates * moved).sum(axis=2)
         self.pressures += ((np.reshape(kappa, (-1, 1)) * self.moduli)[:, None] * change).reshape(-1, LANES)
 
-    def keep_volume_rates(self) -> None:
+    def store_volume_rates(self) -> None:
         """Store the present derivatives of the volumes as those in the matrix."""
         self.known_rates[:] = self.volume_rates
 

@@ -117,8 +117,8 @@ class ContactNodes:
         areas = np.maximum(self.areas, 1e-3 * self.areas.max(initial=0.0))
         self.springs[:] = SOLID_PENALTY.normal * modulus * np.sqrt(areas)
 
-    def bring_down(self, start: Pose, datum: float, displacement: np.ndarray,
-                   settled: ContactNodes | None = None) -> None:
+    def place_at_first_touch(self, start: Pose, datum: float, displacement: np.ndarray,
+                             settled: ContactNodes | None = None) -> None:
         """Place the tool at its first touch, and connect the nodes that touch a body with friction there.
 
         Args:
@@ -291,7 +291,7 @@ class ContactNodes:
                                   normal, limit, mu, springs, stick * springs, normals, slip, ways, curved, turn)
         return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
 
-    def keep_rates(self) -> None:
+    def store_rates(self) -> None:
         """Store the present derivatives, without those of the laws, as those in the matrix."""
         self.known_rates[:] = self.rates - self.law_rates
 
@@ -302,7 +302,7 @@ class ContactNodes:
 
     def release(self) -> int:
         """Release held nodes that pull more than the laws bear at an equilibrium; returns their number."""
-        bears = np.where(self.moves, self.laws.pull_of(self.nodes), 0.0)
+        bears = np.where(self.moves, self.laws.compute_largest_pull(self.nodes), 0.0)
         pulls = (self.held == Bond.HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
         self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), Bond.TOUCHED, Bond.FREE)
         return int(pulls.sum())

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.experiment.contact_law import ContactLaw, Traction, strength, traction_of
+from tissue_sim.experiment.contact_law import ContactLaw, Traction, evaluate_traction, strength
 
 #: Step of the difference quotient of a pull with respect to the gap, in units of the reach.
 _STEP = 1e-6
@@ -31,7 +31,7 @@ class NodeLaws:
     def __bool__(self) -> bool:
         return bool(self._laws)
 
-    def pull_of(self, nodes: np.ndarray) -> np.ndarray:
+    def compute_largest_pull(self, nodes: np.ndarray) -> np.ndarray:
         """Largest pull on nodes at zero gap and pressure, N, shape (n,)."""
         return np.zeros(nodes.size) if self._areas is None else self.strength * self._areas[nodes]
 
@@ -86,4 +86,4 @@ class NodeLaws:
     def _evaluate_traction(self, law: ContactLaw, gap: np.ndarray, pressure: np.ndarray, slips: tuple[np.ndarray, ...]
                            ) -> Traction:
         # Copies, because a formula may change its arguments, which are passed to the next law.
-        return traction_of(law, gap.copy(), pressure.copy(), (slips[0].copy(), slips[1].copy()), self._face)
+        return evaluate_traction(law, gap.copy(), pressure.copy(), (slips[0].copy(), slips[1].copy()), self._face)

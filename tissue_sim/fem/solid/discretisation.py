@@ -166,7 +166,7 @@ def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: floa
         other = _make_solver_on_mesh(model, mesh, pose, datum, can_move=can_move)
     except (InputError, ConvergenceError):
         return None
-    solver.hand_over(other)
+    solver.copy_settings_to(other)
     return other
 
 
@@ -341,7 +341,14 @@ def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
 
 
 def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
-    """Moving bodies: the tool with the nodes that may touch it, if its first touch is at a pose."""
+    """Return the moving bodies: the tool, in parts, each with the nodes that may touch it.
+
+    Args:
+        experiment: tool and interfaces.
+        mesh: undeformed mesh.
+        bonded: indices of the nodes that the tool holds.
+        start: pose of the tool at first touch.
+    """
     tool, mu = experiment.tool, _friction_coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:

@@ -25,8 +25,11 @@ def held_freedoms(solver: SolidSolver) -> np.ndarray:
 
 
 def lifted_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
-    """Motion of a tool that holds tissue from its first touch to a pose, see `Frame.motion_from`, shape (12,)."""
-    return Frame(pose, solver.datum).motion_from(Frame(solver._start, solver.datum))
+    """Return the motion of a tool that holds tissue from its first touch to a pose, shape (12,).
+
+    See `Frame.compute_motion_from`.
+    """
+    return Frame(pose, solver.datum).compute_motion_from(Frame(solver._start, solver.datum))
 
 
 def linear_response(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
@@ -56,7 +59,7 @@ def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: fl
     rest, pressures, _ = solver._rest
     solver.x[:] = rest + displacement
     forces = solver.tissue.element_forces(bulk_ratio, pressures)
-    solver._go_back()
+    solver._restore_committed_state()
     return forces
 
 

@@ -69,17 +69,21 @@ class SolidFields:
         return tuple(each for each in (self.displacements, self.pressures, self.stresses) if each is not None)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> SolidFields:
-        """Return the same fields with other arrays of the state, in the order of `arrays`."""
+        """Return a copy with other displacements, pressures and stresses.
+
+        Args:
+            arrays: displacements, pressures and stresses, in this order; fields that are None here are left out.
+        """
         more = iter(arrays[1:])
         return replace(self, displacements=arrays[0], pressures=None if self.pressures is None else next(more),
                        stresses=None if self.stresses is None else next(more))
 
-    def of_the_material(self) -> dict[str, Any]:
+    def material_data(self) -> dict[str, Any]:
         """Return the values that depend on the material: material, bulk moduli (Pa), relative moduli."""
         return {"material": self.material, "bulk_modulus": self.bulk_modulus, "moduli": self.moduli}
 
     def with_material(self, changed: Mapping[str, Any]) -> SolidFields:
-        """Return the same fields with other values of `of_the_material`."""
+        """Return the same fields with other values of `material_data`."""
         return replace(self, **changed)
 
     def part(self, elements: np.ndarray) -> SolidFields:
@@ -145,13 +149,13 @@ class SolidFields:
         modulus = self.moduli[:, None]
         p = 0.0 if self.pressures is None else np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
         if name == "energy":
-            energy, _ = self._principal_response(principal_stretches(left))
+            energy, _ = self._evaluate_principal_response(principal_stretches(left))
             own = modulus * self.material.instantaneous_factor * energy
             return own + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
         scale = modulus / J
         if self.stresses is None and name in ("pressure", "von_mises"):
             # From principal stresses, without their directions.
-            _, tau = self._principal_response(principal_stretches(left))
+            _, tau = self._evaluate_principal_response(principal_stretches(left))
             if name == "pressure":
                 return -(scale * tau.mean(axis=-1) + p)
             return scale * np.sqrt(1.5 * ((tau - tau.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1))
@@ -177,7 +181,7 @@ class SolidFields:
             found[elements] = replace(self.part(elements), material=material).at_points(name, sample)
         return found
 
-    def _principal_response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluate_principal_response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.material.energy_law.principal_response(stretches, self.material.parameters)
 
     def _isochoric_stress(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
@@ -185,7 +189,7 @@ class SolidFields:
         if self.stresses is not None:
             return F @ self.stresses[sample][..., _SYMMETRIC] @ F.swapaxes(-1, -2)
         squares, ways = np.linalg.eigh(left)
-        _, tau = self._principal_response(np.sqrt(squares))
+        _, tau = self._evaluate_principal_response(np.sqrt(squares))
         return (ways * tau[..., None, :]) @ ways.swapaxes(-1, -2)
 
     def _interpolate_at_points(self, nodal: np.ndarray) -> np.ndarray:

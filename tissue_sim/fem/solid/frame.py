@@ -24,7 +24,7 @@ class Frame:
         x0, y0, z0 = pose.position
         self.origin = np.array([x0, y0, z0 + datum])
 
-    def motion_from(self, first: Frame) -> np.ndarray:
+    def compute_motion_from(self, first: Frame) -> np.ndarray:
         """Motion from another frame: displacement, m, and change of the rotation matrix row by row, shape (12,)."""
         return np.concatenate([self.origin - first.origin, (self.rotation - first.rotation).ravel()])
 
@@ -32,7 +32,7 @@ class Frame:
         """Transform points from the frame of the mesh to that of the tool, m, shape (n, 3)."""
         return (points - self.origin) @ self.rotation
 
-    def out_of(self, points: np.ndarray) -> np.ndarray:
+    def transform_to_mesh(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the tool to that of the mesh, m, shape (n, 3)."""
         return points @ self.rotation.T + self.origin
 

@@ -189,12 +189,12 @@ class SolidLinearisation:
         for array, rest in zip(solver._committed, solver._rest, strict=True):
             array[:] = rest
         solver.tissue.prepare(0.0)
-        solver._go_back()
+        solver._restore_committed_state()
 
     def _restart(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
         """Linearise at the present state, or at rest if that is not possible."""
         solver, self._coming = self._solver, None
-        for go_back in (solver._go_back, self._rest):
+        for go_back in (solver._restore_committed_state, self._rest):
             go_back()
             pose = solver.pose if self._holds else state.pose
             if not self._assemble_forces(True):

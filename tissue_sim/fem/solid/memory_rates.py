@@ -74,8 +74,8 @@ class MemoryRates:
                                  + np.tensordot(self._decays[k], memory.internal, 1)
                                  - gain.sum() * self._before[k] - self._gains[k].sum() * memory.before)
 
-    def begin_aside(self) -> bool:
-        """Move points near their largest energy density away from the kink there, until `end_aside`.
+    def begin_shift_from_kink(self) -> bool:
+        """Shift points near their largest energy density away from the kink there, until `end_shift_from_kink`.
 
         Differences must not cross the kink. Points under increasing load are treated as on first load, which changes no
         force; for others `KinkSettings.below` of the largest value is added to it.
@@ -94,8 +94,8 @@ class MemoryRates:
                 largest[near] = aside[near]
         return bool(self._kept)
 
-    def end_aside(self) -> None:
-        """Restore the values before `begin_aside`."""
+    def end_shift_from_kink(self) -> None:
+        """Restore the values before `begin_shift_from_kink`."""
         for array, before in self._kept:
             array[:] = before
 

@@ -77,14 +77,14 @@ class PlacedSolver(KernelOwner, Solver):
         self.__dict__.update(other.__dict__)
         return True
 
-    def _with_error(self, step: Step) -> Step:
+    def _add_error_estimate(self, step: Step) -> Step:
         """Add the estimated error of the force to a converged step, if stiffness is requested in every step."""
         if not self._asked:
             return step
         error = faceting_error(self.contact, self.mesh, self.committed_displacement, math.hypot(*step.wrench[:3]))
         return step if error is None else replace(step, force_error=error)
 
-    def hand_over(self, other: Any) -> None:
+    def copy_settings_to(self, other: Any) -> None:
         """Copy material, mass and requests to another solver of the same model."""
         if self._asked:
             other.ask_for_stiffness()
@@ -120,8 +120,11 @@ class PlacedSolver(KernelOwner, Solver):
         """Displacement of all nodes at the last committed state, m, shape (nodes, 3)."""
         return self._committed[0].reshape(-1, 3)
 
-    def approach(self, pose: Pose) -> bool:
-        """See `FreeTool.approach`."""
+    def move_to_next_touch(self, pose: Pose) -> bool:
+        """Move a lifted tool to its next touch; return whether the touch begins as a first touch.
+
+        See `FreeTool.move_to_next_touch`.
+        """
         begins = (self.placement is not None and not self.relaxes and self._is_at_rest
                   and self.place_tool(raised(pose, -self.height_above(pose))))
         if begins:

@@ -217,7 +217,7 @@ class SolidSensitivity:
         if not m:
             return
         residual = parts.tissue.batches.residual.copy()
-        aside = [each for each in self._memories if each.begin_aside()]
+        aside = [each for each in self._memories if each.begin_shift_from_kink()]
         if aside:
             parts.assemble()
         for each in self._memories:
@@ -232,7 +232,7 @@ class SolidSensitivity:
         self._anchors = state.anchor_rates(self._select_contact_rows(motion) + self._apart, self._anchors)
         self._motion = motion
         for each in aside:
-            each.end_aside()
+            each.end_shift_from_kink()
         parts.tissue.batches.residual[:] = residual
 
     def _differentiate_forces(self, k: int) -> np.ndarray:

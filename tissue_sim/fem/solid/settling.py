@@ -85,7 +85,7 @@ def settle(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen:
     factor = 1.0
     for _ in range(50):
         solver = stand(mesh.stretched(factor))
-        steps = _let_settle(solver, specimen.specific_weight)
+        steps = _apply_weight_in_steps(solver, specimen.specific_weight)
         stands = factor * height - solver.sag
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
             return solver, Settling(stand, solver.mesh, specimen, steps)
@@ -96,7 +96,7 @@ def settle(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen:
                            f"{specimen.specific_weight:g} N/m3; check density and moduli")
 
 
-def _let_settle(solver: SolidSolver, specific_weight: float) -> list[tuple[float, list[np.ndarray]]]:
+def _apply_weight_in_steps(solver: SolidSolver, specific_weight: float) -> list[tuple[float, list[np.ndarray]]]:
     """Apply the weight in as few steps as converge; returns `Settling.steps`."""
     carried, part, steps = 0.0, 1.0, []
     while carried < 1.0:
@@ -112,7 +112,7 @@ def _let_settle(solver: SolidSolver, specific_weight: float) -> list[tuple[float
             if part < SETTLING.smallest_part:
                 raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
                                        f"{carried:.0%} of the weight ({step.status.message}); check density and moduli")
-    solver.rest_here()
+    solver.set_resting_state()
     return steps
 
 

@@ -85,7 +85,8 @@ class SolidSolver(PlacedSolver):
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
-        self.contact.bring_down(start, datum, self.x.reshape(-1, 3), None if settled is None else settled.contact)
+        self.contact.place_at_first_touch(start, datum, self.x.reshape(-1, 3),
+                                          None if settled is None else settled.contact)
         self._matrix = FreeDofSystem(self.batches.matrix, self._free, freedoms[self.contact.nodes])
         self._sparse = SparseSolver()
         self._tangent = Tangent(self.tissue, self.contact, self._matrix, self._sparse, self._free)
@@ -130,7 +131,7 @@ class SolidSolver(PlacedSolver):
             self._mass.prepare(self._committed[0], dt, inertial)
         frame = Frame(pose, self.datum)
         if not resumes:
-            self._go_back()
+            self._restore_committed_state()
         outcome = self._iterate(frame, tolerance, max_iterations)
         if outcome.status is StepStatus.CONVERGED:
             if inertial and self._mass is not None and self._asked:
@@ -144,10 +145,10 @@ class SolidSolver(PlacedSolver):
             self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
             self._pose = pose
             self._largest_force = max(self._largest_force, float(np.linalg.norm(outcome.wrench[:3])))
-            self._last = outcome = self._with_error(outcome)
+            self._last = outcome = self._add_error_estimate(outcome)
         return outcome
 
-    def _go_back(self) -> None:
+    def _restore_committed_state(self) -> None:
         """Return to the last committed state."""
         self.x[:], self.batches.pressures[:], self.contact.forces[:] = self._committed
         self.contact.begin()
@@ -161,7 +162,7 @@ class SolidSolver(PlacedSolver):
         way = np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
         # Nodes in contact with the tool move with it in the first linear solution.
-        tool_way = frame.out_of(here.into(self._contact_positions())) - self._contact_positions()
+        tool_way = frame.transform_to_mesh(here.into(self._contact_positions())) - self._contact_positions()
         pending = (max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0))
                    > NEWTON.rest_motion * float(np.ptp(self.mesh.nodes)))
         changeable, bending, iterations, halvings, waits = ALL_POINTS, 0.0, 0, 0, 0
@@ -249,7 +250,7 @@ class SolidSolver(PlacedSolver):
 
     def held_displacement(self, frame: Frame) -> np.ndarray:
         """Displacements of the nodes that the tool holds, for a frame of the tool, m, shape (3 n,)."""
-        return (frame.out_of(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
+        return (frame.transform_to_mesh(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
 
     @property
     def _state(self) -> tuple[np.ndarray, ...]:
@@ -262,7 +263,7 @@ class SolidSolver(PlacedSolver):
     def _assemble(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble(tangent)
         if tangent:
-            self.batches.keep_volume_rates()
+            self.batches.store_volume_rates()
         if self._mass is not None:
             self._mass.add_inertial_forces(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
@@ -318,7 +319,7 @@ class SolidSolver(PlacedSolver):
         saved = self.save()
         self._derivatives = SolidSensitivity.of(parts, neighbours, self.material, self.set_material)
         self.restore(saved)
-        self._go_back()
+        self._restore_committed_state()
         if start is not None:
             self._derivatives.begin(start)
         return self._derivatives
@@ -330,7 +331,7 @@ class SolidSolver(PlacedSolver):
         self.contact.forget()
         self.stand_still()
         self._pose, self._largest_force = self._start, 0.0
-        self._go_back()
+        self._restore_committed_state()
 
     def save(self) -> SavedState:
         """Return the committed state for `restore`."""
@@ -348,7 +349,7 @@ class SolidSolver(PlacedSolver):
         moving = () if self._mass is None else self._mass.motion.kept
         return (*self._committed, *self.contact.kept, *self.tissue.kept, *moving)
 
-    def rest_here(self) -> None:
+    def set_resting_state(self) -> None:
         """Make the committed state the resting state, without a tool."""
         self._rest = tuple(array.copy() for array in self._committed)
 
@@ -357,13 +358,14 @@ class SolidSolver(PlacedSolver):
         """Mean settlement of the top under the weight at the first touch, m."""
         return -float(np.average(self._rest[0][2::3], weights=self.mesh.areas("top")))
 
-    def sample(self) -> Sample:
+    def field_sample(self) -> Sample:
         """Return the data of the last committed state that `fields` needs."""
         x, pressures, _ = self._committed
-        return Sample(x.reshape(-1, 3).copy(), self.batches.by_element(pressures), self.tissue.stresses())
+        return Sample(x.reshape(-1, 3).copy(), self.batches.convert_lanes_to_elements(pressures),
+                      self.tissue.stresses())
 
     def fields(self, samples: Sequence[Sample]) -> SolidFields:
-        """Return fields of states, given by `sample`."""
+        """Return fields of states, given by `field_sample`."""
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]
         return SolidFields(self.mesh, self.material, self.tissue.bulk_by_element,
                            np.array([sample.displacement for sample in samples]),
@@ -371,7 +373,7 @@ class SolidSolver(PlacedSolver):
                            self.batches.weights, self.batches.element_moduli, np.array(stresses) if stresses else None,
                            self.datum)
 
-    def surface(self) -> SolidSurface:
+    def deformed_surface(self) -> SolidSurface:
         """Return the surface at the last committed state."""
         return SolidSurface(self.mesh, self.committed_displacement, self.datum)
 

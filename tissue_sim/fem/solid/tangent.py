@@ -61,7 +61,7 @@ class Tangent:
     def factorise(self, symmetric: bool) -> Factor | None:
         """Factorise the matrix that was assembled last, with the contact stiffness; None if it is singular."""
         self._matrix.add(self._contact.rates)
-        self._contact.keep_rates()
+        self._contact.store_rates()
         self.factor, self.stale = self._sparse.factorise(self._matrix.free, symmetric=symmetric), False
         return self.factor
 

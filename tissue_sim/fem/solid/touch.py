@@ -96,9 +96,9 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
     tool = _Tool(moving, start, float(np.ptp(mesh.nodes[:, 2])))
     top = places[mesh.sets["top"]]
     if "top" not in mesh.faces:
-        return Touch(tool.met_by(top))
+        return Touch(tool.find_touch_datum(top))
     sides = SidePoints(mesh.element, places[mesh.faces["top"]])
-    datum = tool.met_by(np.concatenate([top, sides.middles]))
+    datum = tool.find_touch_datum(np.concatenate([top, sides.middles]))
     # Other faces cannot be nearer than the point that was met first.
     reaches = sides.radii + sides.bulges + _SETTINGS.slack * tool.scale
     near = np.flatnonzero(tool.gaps(sides.middles, datum) <= reaches)
@@ -167,8 +167,8 @@ class _Tool:
         best = min(self.nearest(point[None], away), key=lambda each: each.gap[0])
         return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
 
-    def met_by(self, points: np.ndarray) -> float:
-        """Height `datum` at which the tool on its way down touches the first of some points, m, shape (n, 3)."""
+    def find_touch_datum(self, points: np.ndarray) -> float:
+        """Return the height `datum`, m, at which the descending tool touches the first of the points, m, (n, 3)."""
         if abs(self.gaps(points, 0.0).min()) < _SETTINGS.slack * self.scale:
             return 0.0
         from scipy.optimize import brentq

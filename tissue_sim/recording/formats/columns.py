@@ -126,7 +126,7 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
     """Read recordings like `read_blocks`, each with the marks of its numbers; ambiguous marks are not an error."""
     path = Path(path)
     if decimal is not None:
-        check_decimal(decimal)
+        validate_decimal_mark(decimal)
     wanted = check_columns(columns)
     if isinstance(skip_lines, bool) or not isinstance(skip_lines, int) or skip_lines < 0:
         raise InputError(f"must be a whole number from 0; got {skip_lines!r}. Give a number of lines.",
@@ -156,8 +156,8 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
     return tuple(found[number - 1] for number in chosen) if chosen else tuple(found)
 
 
-def check_decimal(decimal: Any, field: str = "decimal") -> str:
-    """Return the decimal mark if it is valid.
+def validate_decimal_mark(decimal: Any, field: str = "decimal") -> str:
+    """Require that a decimal mark is valid, and return the mark.
 
     Raises:
         InputError: neither point nor comma; with the field.

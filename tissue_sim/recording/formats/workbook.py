@@ -14,7 +14,7 @@ from typing import Any
 import python_calamine as calamine
 import xlrd
 
-from tissue_sim.errors import InputError, located, nearest, reason_of
+from tissue_sim.errors import InputError, format_exception, located, nearest
 from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
 from tissue_sim.recording.formats.cell_units import without_cell_units
 from tissue_sim.recording.formats.number_text import ExactNumber
@@ -77,7 +77,7 @@ def read_sheets(path: Path, sheet: str | int | Sequence[str | int] | None = None
     except BaseException as error:
         if isinstance(error, KeyboardInterrupt | SystemExit | GeneratorExit | MemoryError):
             raise
-        raise InputError(f"cannot be read as {EXPECTED_SPREADSHEET}: {reason_of(error)}; open the file in a "
+        raise InputError(f"cannot be read as {EXPECTED_SPREADSHEET}: {format_exception(error)}; open the file in a "
                          "spreadsheet program and save the file again", file=path) from None
     filled = tuple(each for each in found if each.rows)
     if not filled:
