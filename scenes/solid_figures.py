@@ -10,7 +10,7 @@ from scenes.colour_scale import colour_scale
 from scenes.field_labels import LABELS
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.sections import intersect_triangles, section
+from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles
 from tissue_sim.mesh.subdivision import side_edges, surface_triangles, tetrahedra
 from tissue_sim.pose import Pose
 
@@ -64,22 +64,22 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
     nodes = deformed_nodes(fields, sample)
     heights = distance_from_plane(nodes, pose)
-    crossings, triangles = section(mesh.connectivity[:, tetrahedra(mesh.element)].reshape(-1, 4), heights)
-    points = crossings.carry(nodes)
-    values = crossings.carry(fields.at_nodes(name, sample) * LABELS[name][1])
+    crossings, triangles = cut_tetrahedra(mesh.connectivity[:, tetrahedra(mesh.element)].reshape(-1, 4), heights)
+    points = crossings.interpolate(nodes)
+    values = crossings.interpolate(fields.at_nodes(name, sample) * LABELS[name][1])
     # The picture is seen from -y; the reversed order of the corners turns the triangles towards the viewer.
     picture = axes.tripcolor(Triangulation(1e3 * points[:, 0], 1e3 * points[:, 2], triangles[:, ::-1]), values,
                              shading="gouraud", cmap="viridis", vmin=scale.low, vmax=scale.high)
     picture.set_in_layout(False)  # faster: the layout would measure each triangle
     sides = surface_triangles(mesh.element, mesh.connectivity[:, mesh.element.faces].reshape(
         -1, mesh.element.faces.shape[1]))
-    edges = _project_lines(intersect_triangles(sides, heights).carry(nodes))
+    edges = _project_lines(intersect_triangles(sides, heights).interpolate(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
     outside = surface_triangles(mesh.element, np.concatenate(list(mesh.faces.values())))
-    edges = _project_lines(intersect_triangles(outside, heights).carry(nodes))
+    edges = _project_lines(intersect_triangles(outside, heights).interpolate(nodes))
     axes.add_collection(LineCollection(edges, colors="0.15", linewidths=1.0))
     undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
-    outline = intersect_triangles(outside, distance_from_plane(undeformed, pose)).carry(undeformed)
+    outline = intersect_triangles(outside, distance_from_plane(undeformed, pose)).interpolate(undeformed)
     axes.add_collection(LineCollection(_project_lines(outline), colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
     low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
     width, plate = 0.59 * np.ptp(1e3 * nodes[:, 0]), 0.04 * (high - low).max()

@@ -80,7 +80,7 @@ class Parameter:
 
 def symbol_at(path: str, declaration: Declaration) -> str:
     """Symbol of a declaration at a path, with a number if there are several of the kind: ``g1``."""
-    return declaration.symbol + "".join(str(token + 1) for token in tokens(path) if isinstance(token, int))
+    return declaration.symbol + "".join(str(token + 1) for token in split_path(path) if isinstance(token, int))
 
 
 @runtime_checkable
@@ -158,10 +158,10 @@ def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
         InputError: an unknown path; the message names the nearest.
     """
     known = parameters(model)
-    return [_find(model, name, known) for name in names]
+    return [_find_parameter(model, name, known) for name in names]
 
 
-def _find(model: Any, name: str, known: Mapping[str, Parameter]) -> Parameter:
+def _find_parameter(model: Any, name: str, known: Mapping[str, Parameter]) -> Parameter:
     for path in (name, f"material.{name}"):
         if path in known:
             return known[path]
@@ -190,8 +190,8 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     """
     tree: dict = {}
     for path, number in values.items():
-        *outer, last = tokens(path)
-        if not _has(_find_part(part, path.rpartition(".")[0]), last):
+        *outer, last = split_path(path)
+        if not _has_parameter(_find_part(part, path.rpartition(".")[0]), last):
             raise InputError(f"there is no parameter {path!r}{nearest(path, parameters(part))}", field="parameters")
         branch = tree
         for token in outer:
@@ -200,11 +200,11 @@ def with_values(part: Part, values: Mapping[str, float]) -> Part:
     return _replace_values(part, tree)
 
 
-def tokens(path: str) -> list[str | int]:
+def split_path(path: str) -> list[str | int]:
     """Split a path: ``terms[0].g`` -> ``["terms", 0, "g"]``.
 
     Examples:
-        >>> tokens("terms[0].g")
+        >>> split_path("terms[0].g")
         ['terms', 0, 'g']
     """
     return [name if name else int(index) for name, index in _TOKEN.findall(path)]
@@ -246,7 +246,7 @@ def from_keys(kind: type[Part], content: Mapping[str, float], field: str, **othe
 
 def _find_part(part: Any, path: str) -> Any:
     """Object at a path, the part itself at the empty path; None if there is none."""
-    for token in tokens(path):
+    for token in split_path(path):
         if isinstance(token, int):
             part = part[token] if isinstance(part, tuple) and token < len(part) else None
         else:
@@ -254,7 +254,7 @@ def _find_part(part: Any, path: str) -> Any:
     return part
 
 
-def _has(part: Any, name: str | int) -> bool:
+def _has_parameter(part: Any, name: str | int) -> bool:
     """Whether the part itself, not one below it, has a parameter of the name."""
     if not is_dataclass(part):
         return False

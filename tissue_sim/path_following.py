@@ -19,7 +19,7 @@ from tissue_sim.tool_force import (
     ForceStatus,
     NextForce,
     ToolForce,
-    carried_on,
+    extrapolate_wrench,
     force_of_increment,
     is_known_well,
     shortened,
@@ -149,12 +149,12 @@ class ToolPathMixin:
                                  compute_time=time.perf_counter() - began)
         return self._answer
 
-    def _distance(self, start: Pose, end: Pose) -> float:
+    def _bound_displacement(self, start: Pose, end: Pose) -> float:
         """Upper bound of the displacement of contact points in a rigid motion, m."""
         x, y, z, a, b, c = motion(start, end)
         return math.hypot(x, y, z) + self._radius * math.hypot(a, b, c)
 
-    def _touch_late(self, inertial: bool) -> None:
+    def _split_tick_at_touch(self, inertial: bool) -> None:
         """Let a late tick begin at the touch if the tool returns to the tissue in it; see `_step_in_air`."""
         solver, pending, here = self._solver, self._pending, self._solver.pose
         first = pending.ticks[0]
@@ -182,7 +182,7 @@ class ToolPathMixin:
             solver.move_in_air(between(here, end, fraction_in_air(solver, here, end)))
         return solver.pose
 
-    def _follow(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
+    def _step_in_parts(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
         """Step to a pose in as many parts as needed.
 
         Args:
@@ -197,15 +197,15 @@ class ToolPathMixin:
         while status is None:
             started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._counts_mass
             if creep is None and self._attempt is None:
-                if len(pending.ticks) > 1 and allowance.fitting() < LEAST_SOLVES * len(pending.ticks):
-                    pending.merge(here, self._radius, self._straightness(inertial), PATH.inertial_time,
+                if len(pending.ticks) > 1 and allowance.count_fitting_solves() < LEAST_SOLVES * len(pending.ticks):
+                    pending.merge(here, self._radius, self._get_straightness_tolerance(inertial), PATH.inertial_time,
                                   timed=inertial or solver.relaxes)
                 if is_behind and not pending.meets:
-                    self._touch_late(inertial)
+                    self._split_tick_at_touch(inertial)
                 if pending.meets:
                     here = self._move_to_touch()
             first = pending.ticks[0]
-            way, part = self._distance(here, first.pose), self._share * self._largest_part
+            way, part = self._bound_displacement(here, first.pose), self._share * self._largest_part
             # Parts of equal length, because the mass of the tissue resists a short part like an impact.
             share = 1.0 / max(1, math.ceil(way / part - PATH.rounding)) if way else 1.0
             # Without rounding the last part ends where the tool is.
@@ -225,13 +225,13 @@ class ToolPathMixin:
                 limit = PATH.most_extrapolated_solves if order > 0 else PATH.most_solves
                 attempt = Attempt(target, dt, order, limit)
             most = attempt.limit - attempt.spent
-            fitting = allowance.fitting()
+            fitting = allowance.count_fitting_solves()
             if fitting < 1:
                 status = ForceStatus.LATE
-                allowance.end()
+                allowance.finish_parts()
                 break
             allowed = min(most, fitting)
-            asks = self._stiffness_request(allowance, allowed)
+            asks = self._choose_stiffness_request(allowance, allowed)
             if creep is None:
                 step = solver.step(target, dt, tolerance=self.tolerance, max_iterations=allowed, own_stiffness=asks,
                                    predictor_order=attempt.order, inertial=weighs, resumes=attempt is self._attempt)
@@ -241,14 +241,15 @@ class ToolPathMixin:
                 step, target, dt, self._creep = replace(creep.last, iterations=0), creep.pose, creep.dt, None
             solves, residual = solves + step.iterations, step.residual
             # The static stiffness takes one answer, computed or not; a reserved solve is not part of the allowance.
-            allowance.take(step.iterations, 1 + (weighs and asks is OwnStiffness.IF_LEFT and step.iterations < allowed))
+            allowance.subtract_solves(
+                step.iterations, 1 + (weighs and asks is OwnStiffness.IF_LEFT and step.iterations < allowed))
             if not step.found_own_stiffness:
-                self._clock.follow(time.perf_counter() - started, step.iterations)
+                self._clock.update_estimate(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
                 continue
             attempt, self._attempt = replace(attempt, spent=attempt.spent + step.iterations), None
             if step.status is StepStatus.CONVERGED:
-                self._take(step, dt, weighs)
+                self._store_equilibrium(step, dt, weighs)
                 self._estimate_waves(motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.relaxes
@@ -300,7 +301,7 @@ class ToolPathMixin:
             status, outside = ForceStatus.STOPPED, True
         if status is ForceStatus.STOPPED:
             pending.give_up()
-        return self._answered(pose, tick, status, outside, solves, residual, began)
+        return self._make_step_result(pose, tick, status, outside, solves, residual, began)
 
     def _estimate_waves(self, way: Screw, dt: float, *, weighs: bool) -> None:
         """Estimate the error of the force by waves in tissue with mass that a step does not resolve.
@@ -314,26 +315,26 @@ class ToolPathMixin:
         """
         waves, at, scale = self._pending.waves, self._equilibrium, self._wave_scale
         if not weighs or at.step_stiffness is None:
-            waves.rest(None if self._is_unloaded else way, dt)
+            waves.register_step_without_mass(None if self._is_unloaded else way, dt)
             return
         waves.advance(at.stiffness, at.step_stiffness, way, dt, scale)
         self._has_waves = not self._is_above and (
             waves.is_supersonic or not is_known_well(at.wrench, waves.force, scale.floor))
 
-    def _straightness(self, inertial: bool) -> float:
+    def _get_straightness_tolerance(self, inertial: bool) -> float:
         """Largest distance of late poses from a straight line that replaces them, m."""
         if inertial or self._solver.relaxes or self._keeps_path:
             return PATH.straightness * self._largest_part
         return math.inf
 
-    def _stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
+    def _choose_stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
         """Decide whether a part of at most `allowed` linear solves also computes the static stiffness."""
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
             return OwnStiffness.OMITTED
         if age >= PATH.reserved_after * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
             return OwnStiffness.RESERVED
-        return OwnStiffness.IF_LEFT if allowance.fitting(answers=2) > 0 else OwnStiffness.OMITTED
+        return OwnStiffness.IF_LEFT if allowance.count_fitting_solves(answers=2) > 0 else OwnStiffness.OMITTED
 
     @property
     def _counts_mass(self) -> bool:
@@ -343,20 +344,20 @@ class ToolPathMixin:
         least = PATH.inertial_time
         return self.inertia == "on" or (self._lingers < least and self._motion_check.quiet >= least)
 
-    def _answered(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int, residual: float,
-                  began: float) -> ToolForce:
+    def _make_step_result(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int,
+                          residual: float, began: float) -> ToolForce:
         """Make the result of a step to a pose of the solver."""
         at, tool, waiting = self._equilibrium, self._tool, self._pending.time
         wrench, ahead, within = at.wrench, None, None
         if status is ForceStatus.CONVERGED:
-            ahead = self._ahead(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
+            ahead = self._predict_next_force(tick) if self.looks_ahead and at.inertial and tick > 0.0 else None
             within = at.step_stiffness
             is_known = is_known_well(wrench, self.error, self._error_floor)
             if self._pending.is_incomplete or self._has_waves or not is_known:
                 status = ForceStatus.LATE
         elif not outside:
             # Mass resists the acceleration within a step, not a steady motion.
-            wrench = self._carried_on(wrench, motion(at.pose, pose))
+            wrench = self._extrapolate_last_wrench(wrench, motion(at.pose, pose))
             if status is ForceStatus.STOPPED:
                 wrench = shortened(wrench, self._largest_force + force_of_increment(at.stiffness, self._largest_part))
         # An equilibrium without the waves of the tissue, or after another path, has an unknown error.
@@ -364,21 +365,21 @@ class ToolPathMixin:
         if error is not None and not self._is_above:
             error += self._pending.waves.force
         return ToolForce(wrench, at.stiffness, status, solves, residual, time.perf_counter() - began, at.inertial,
-                         waiting, at.pose if tool.twist is None else tool.given(at.pose), ahead, within,
+                         waiting, at.pose if tool.twist is None else tool.to_simulator_pose(at.pose), ahead, within,
                          at.stiffness_time + waiting, error, waiting, True,
                          least_tool_mass(at.stiffness, at.step_stiffness, tick))
 
-    def _ahead(self, tick: float) -> NextForce | None:
+    def _predict_next_force(self, tick: float) -> NextForce | None:
         """Predict the force of the next step, of length `tick`, s, after a converged one."""
         ahead, left = self._solver.ahead(tick), self._left
         return ahead if ahead is None or left == 1.0 else ahead.scaled(left)
 
-    def _carried_on(self, wrench: Screw, way: Screw) -> Screw:
+    def _extrapolate_last_wrench(self, wrench: Screw, way: Screw) -> Screw:
         """Extrapolate the wrench of the last equilibrium; tissue that cannot attract the tool does not pull."""
-        wrench = carried_on(wrench, self._equilibrium.stiffness, way)
+        wrench = extrapolate_wrench(wrench, self._equilibrium.stiffness, way)
         return wrench if self._pulls or wrench[2] > 0.0 else AT_REST.wrench
 
-    def _take(self, step: Step, dt: float, inertial: bool) -> None:
+    def _store_equilibrium(self, step: Step, dt: float, inertial: bool) -> None:
         """Store the result of an equilibrium."""
         self._has_waves = False
         left = self._left = self._reduced.commit(self._solver.pose.depth, dt)

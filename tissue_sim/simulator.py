@@ -181,10 +181,7 @@ class Simulator(ToolPathMixin, KernelOwner):
             self._switch_to_finest_mesh_in_budget()
 
     def _switch_to_finest_mesh_in_budget(self) -> None:
-        """Measure the ticks of the meshes, and replace the solver by that of the finest mesh that fits into the budget.
-
-        Only the first call has an effect.
-        """
+        """Measure ticks, and replace the solver by that of the finest mesh in the budget; at the first call only."""
         levels, self._levels = self._levels, ()
         depth = float(np.max(self.model.experiment.protocol.displacement))
         made: dict[str, Simulator] = {}
@@ -295,7 +292,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._note_motion(target, tick)
         tool.pose, self._pose = pose, target
         self._pending.extend(target, dt)
-        answer = self._follow(target, tick, began, is_behind)
+        answer = self._step_in_parts(target, tick, began, is_behind)
         self._answer = answer if on_axis else replace(answer, is_on_axis=False)
         return self._answer
 

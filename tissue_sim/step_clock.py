@@ -60,7 +60,7 @@ class StepClock:
         self.fixed = self.solve = solve
         self._solves, self._time, self._variance, self._covariance = 1.0, 2.0 * solve, 0.0, 0.0
 
-    def fitting(self, time: float, first: bool = False) -> int:
+    def count_fitting_solves(self, time: float, first: bool = False) -> int:
         """Number of solves that fit into a time together with the fixed part of the step.
 
         Args:
@@ -73,7 +73,7 @@ class StepClock:
         """
         return max(int((time - self.fixed) / self.solve), int(first)) if time >= self.fixed else -1
 
-    def follow(self, time: float, solves: int) -> None:
+    def update_estimate(self, time: float, solves: int) -> None:
         """Update the estimate with a step that took this time, s, and made this number of solves."""
         expected = self.fixed + solves * self.solve
         time = min(time, _SETTINGS.outlier_factor * expected)
@@ -139,7 +139,7 @@ class Allowance:
         self._clock, self._ends, self._left = clock, ends, _UNBOUNDED if most is None else most
         self._begins, self.is_bounded = True, most is not None or ends is not None
 
-    def fitting(self, answers: int = 1) -> int:
+    def count_fitting_solves(self, answers: int = 1) -> int:
         """Number of solves that the next part may make in addition to its stiffnesses; below one: it may not begin.
 
         Args:
@@ -148,7 +148,7 @@ class Allowance:
         fits = self._left - answers
         if self._ends is not None:
             left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
-            fits = min(fits, self._clock.fitting(left, first=self._begins))
+            fits = min(fits, self._clock.count_fitting_solves(left, first=self._begins))
         return fits
 
     def has_time(self, solves: int, answers: int) -> bool:
@@ -156,14 +156,14 @@ class Allowance:
         if self._ends is None:
             return True
         left = self._ends - time.perf_counter() - (answers - 1) * self._clock.fixed
-        return self._clock.fitting(left) >= solves
+        return self._clock.count_fitting_solves(left) >= solves
 
-    def take(self, solves: int, answers: int = 1) -> None:
+    def subtract_solves(self, solves: int, answers: int = 1) -> None:
         """Subtract a part with these solves and stiffnesses (`answers`)."""
         self._left -= solves + answers
         self._begins = self._begins and solves == 0
 
-    def end(self) -> None:
+    def finish_parts(self) -> None:
         """Call when no further part fits; if none was begun, the estimate of the clock is lowered."""
         if self._begins and self._left > 1:
             self._clock.halve_fixed_time()

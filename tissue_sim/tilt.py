@@ -31,11 +31,12 @@ def tilted(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
         return recording
     curve = LoadingCurve(recording.with_channels(displacement=depth))
     samples = np.arange(recording.force.size, dtype=float)
-    force = sum(share * curve.force_behind(_delayed_depth(depth, lag), 0.0, samples) for lag, share in strips(tilt))
+    force = sum(share * curve.force_behind(_delayed_depth(depth, lag), 0.0, samples)
+                for lag, share in split_into_strips(tilt))
     return recording.with_channels(force=force)
 
 
-def strips(tilt: float) -> list[tuple[float, float]]:
+def split_into_strips(tilt: float) -> list[tuple[float, float]]:
     """Return lag behind the side that touches first, m, and fraction of the area, for each strip of a tilted face."""
     # Gauss-Chebyshev quadrature of the second kind, whose weight is the width of the disc.
     angle = np.arange(1, _POINTS + 1) * np.pi / (_POINTS + 1)

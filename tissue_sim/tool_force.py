@@ -25,7 +25,7 @@ def axial_stiffness(stiffness: float) -> Matrix:
     return (_NONE, _NONE, (0.0, 0.0, stiffness, 0.0, 0.0, 0.0), _NONE, _NONE, _NONE)
 
 
-def carried_on(wrench: Screw, stiffness: Matrix, way: Screw) -> Screw:
+def extrapolate_wrench(wrench: Screw, stiffness: Matrix, way: Screw) -> Screw:
     """Extrapolate a wrench linearly: wrench - stiffness times a motion, m and rad, of the tool."""
     x, y, z, u, v, w = way
     a, b, c, d, e, f = [part - (row[0] * x + row[1] * y + row[2] * z + row[3] * u + row[4] * v + row[5] * w)

@@ -67,7 +67,7 @@ class ToolTrack:
         """Return the part of a pose that the solver uses, without the rotation about the tool's own axis."""
         return solver.project_pose(self.without_own_rotation(pose))
 
-    def given(self, pose: Pose) -> Pose:
+    def to_simulator_pose(self, pose: Pose) -> Pose:
         """Convert a pose of the solver to a pose as passed to the simulator; the inverse of `without_own_rotation`."""
         return pose if self.twist is None else with_twist(pose, self.twist)
 

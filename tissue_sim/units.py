@@ -108,11 +108,11 @@ def quantity_of(unit: str | None) -> str | None:
     return None if name is None else UNITS[name][0]
 
 
-def shown(unit: str) -> tuple[str, float]:
+def get_display_unit(unit: str) -> tuple[str, float]:
     """Return the unit in which values of an SI unit are displayed, and the factor from SI to it.
 
     Examples:
-        >>> shown("Pa")
+        >>> get_display_unit("Pa")
         ('kPa', 0.001)
     """
     return _SHOWN.get(unit, (unit, 1.0))

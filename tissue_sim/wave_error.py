@@ -88,7 +88,7 @@ class WaveError:
             setattr(other, name, getattr(self, name))
         return other
 
-    def rest(self, way: Screw | None, dt: float) -> None:
+    def register_step_without_mass(self, way: Screw | None, dt: float) -> None:
         """Register a step in which the mass does not count.
 
         Args:

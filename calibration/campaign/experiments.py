@@ -25,7 +25,7 @@ from tissue_sim.parameters import declared, from_keys
 from tissue_sim.rig.file import load_rig
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
-from tissue_sim.specimen.specimen import with_article
+from tissue_sim.specimen.specimen import add_article
 
 #: Field of an experiment or a tool -> key of the campaign; the sizes of tools are added.
 _KEYS = {"tool": "tool", "tool.profile_file": "tool", "friction": "friction", "friction_base": "friction_base",
@@ -108,7 +108,7 @@ def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
         raise InputError(f"unknown solver {name!r}{nearest(name, SOLVERS)}", field=f"{place}.solver")
     if specimen is not None and not round_ and name == ROUND_SOLVER:
         raise InputError(f"the axisymmetric solver requires a cylinder; {specimen.name!r} is "
-                         f"{with_article(specimen.shape)}. Leave solver out, or set solver = {SPACE_SOLVER!r}",
+                         f"{add_article(specimen.shape)}. Leave solver out, or set solver = {SPACE_SOLVER!r}",
                          field=f"{place}.solver")
     return name
 

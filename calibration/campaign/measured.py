@@ -23,7 +23,7 @@ from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.screening import Screening
 from tissue_sim.recording.segmentation import label_motion, number_runs
-from tissue_sim.specimen.specimen import with_article
+from tissue_sim.specimen.specimen import add_article
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -351,7 +351,7 @@ def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -
     motion, load = stated
     if test.specimen is not None and not test.specimen.is_prism:
         raise InputError(f"{path.name} contains {' and '.join(stated)}, and {test.specimen.name!r} is "
-                         f"{with_article(test.specimen.shape)} without constant cross-section; use "
+                         f"{add_article(test.specimen.shape)} without constant cross-section; use "
                          f"{' and '.join(mechanical)}", field="recordings")
     height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
     return (height * test.kind.strain(recording.channel(motion)), test.kind.sign * area * recording.channel(load),

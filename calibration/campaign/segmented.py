@@ -10,7 +10,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
-from tissue_sim.recording.origin import other_kind, other_tool
+from tissue_sim.recording.origin import describe_other_kind, describe_other_tool
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import Segmentation, segment_arrays
 
@@ -134,10 +134,10 @@ def notes_with_air(recording: SegmentedRecording, first: int, *, stressed: bool)
 def origin_notes(recording: Recording, test: Test) -> dict[str, str]:
     """Return notes if the metadata of a recording state another kind of test or another tool than the campaign."""
     notes = {}
-    if kind := other_kind(recording, test.kind.name):
+    if kind := describe_other_kind(recording, test.kind.name):
         notes["kind"] = f"the file states the kind {kind}; the fit uses {test.kind.name}"
     tool = None if test.experiment is None else test.experiment.tool
-    if tool is not None and (other := other_tool(recording, tool.shape, tool.radius)):
+    if tool is not None and (other := describe_other_tool(recording, tool.shape, tool.radius)):
         notes["tool"] = f"the file states a {other}; the fit uses another tool"
     return notes
 

@@ -9,7 +9,7 @@ from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.schema import PRISM
 from tissue_sim.errors import InputError
 from tissue_sim.recording.recording import Recording
-from tissue_sim.specimen.specimen import with_article
+from tissue_sim.specimen.specimen import add_article
 
 #: Largest relative difference between the specimen size in a recording and in the campaign.
 SIZE_TOLERANCE = 0.02
@@ -31,7 +31,7 @@ def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path)
     recorded = metadata.get("shape", "cylinder" if "radius_mm" in metadata else None)
     any_shape = test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms
     if not any_shape and isinstance(recorded, str) and recorded not in (shape, PRISM):
-        raise InputError(f"the campaign states {with_article(shape)} and {path.name} states {with_article(recorded)}; "
+        raise InputError(f"the campaign states {add_article(shape)} and {path.name} states {add_article(recorded)}; "
                          "correct the wrong one", file=campaign.path, field=f"{field}.shape")
     for key, size in test.specimen.sizes.items():
         stated = metadata.get(key)

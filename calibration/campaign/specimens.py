@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.parameters import declared
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
-from tissue_sim.specimen.specimen import keys_of, specimen_of_keys, with_article
+from tissue_sim.specimen.specimen import add_article, keys_of, specimen_of_keys
 
 #: Keys of a prism -> whether the key is required.
 _PRISM_KEYS = {"area_mm2": True, "height_mm": True}
@@ -54,9 +54,9 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
     if entry.area_mm2 is not None:
         given["area_mm2"] = entry.area_mm2
     if lacks := [key for key, needed in has.items() if needed and key not in given]:
-        raise InputError(f"{with_article(shape)} requires {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
+        raise InputError(f"{add_article(shape)} requires {lacks[0]}, which is missing", field=f"{field}.{lacks[0]}")
     if others := [key for key in given if key not in has]:
-        raise InputError(f"{with_article(shape)} has {next(iter(has))}, not {others[0]}; leave {others[0]} out",
+        raise InputError(f"{add_article(shape)} has {next(iter(has))}, not {others[0]}; leave {others[0]} out",
                          field=f"{field}.{others[0]}")
     if shape == PRISM:
         # Homogeneous tests depend on cross-section and height only: a cylinder of the same area is equivalent.
@@ -110,7 +110,7 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
     if found is None:
         return None
     shape = table.specimen[list(specimens).index(found.name)].shape
-    description = f"{found.name!r} is {with_article(shape)}"
+    description = f"{found.name!r} is {add_article(shape)}"
     if shape == PRISM and kind.closed_form is None:
         raise InputError(f"{entry.kind} requires the shape of the specimen; {description}, of which only the "
                          "cross-section is known. State the shape, such as 'cylinder' with radius_mm",

@@ -18,7 +18,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
-from tissue_sim.parameters import tokens
+from tissue_sim.parameters import split_path
 from tissue_sim.specimen import Specimen
 
 
@@ -219,7 +219,7 @@ class ClosedFormTest:
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
                                                                                   prony.tau - step]))
             for unknown in answer.space.varied:
-                name, path = unknown.name, tokens(unknown.path)
+                name, path = unknown.name, split_path(unknown.path)
                 if unknown.of_law and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value
                              for other, value in zip(law.parameters, answer.values.tolist(), strict=True)]

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from tissue_sim.recording.contact import Contact
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.screening import EQUAL_LOAD, Screening, numbered
+from tissue_sim.recording.screening import EQUAL_LOAD, Screening, format_sample_numbers
 
 
 def list_recording_assumptions(screening: Screening, contact: Contact | None, *, has_air: bool | None, stressed: bool,
@@ -29,7 +29,7 @@ def _list_assumptions(screening: Screening, contact: Contact | None, *, has_air:
     control = screening.control
     if screening.samples:
         sentences = [*(each.sentence for each in screening.left_out), *(each.sentence for each in screening.saturation)]
-        yield Assumption("samples left out", numbered(screening.samples), tuple(sentences))
+        yield Assumption("samples left out", format_sample_numbers(screening.samples), tuple(sentences))
     if contact is not None and contact.found:
         yield Assumption("contact", "after air" if has_air else "at the first sample",
                          (contact.in_words(stressed=stressed),))

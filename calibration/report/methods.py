@@ -26,7 +26,7 @@ from calibration.report.population import format_population
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
 from tissue_sim.laws import find_law
-from tissue_sim.specimen.specimen import with_article
+from tissue_sim.specimen.specimen import add_article
 
 #: Subject -> (citation in the text, entry in the list of references).
 _REFERENCES = {
@@ -91,7 +91,7 @@ def _data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequence[M
         if test.specimen is not None:
             words += (f", specimen of height {test.specimen.height * 1e3:.4g} mm and cross-section "
                       f"{test.specimen.area * 1e6:.4g} mm2") if test.specimen.is_prism else \
-                f", {with_article(test.specimen.shape)} ({test.specimen.in_words})"
+                f", {add_article(test.specimen.shape)} ({test.specimen.in_words})"
         if test.experiment is not None and test.experiment.tool.radius is not None:
             words += f", {test.experiment.tool.shape} tool of radius {test.experiment.tool.radius * 1e3:g} mm"
         if test.max_strain is not None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from haptics.loop.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, Vector, added, motion, scaled
-from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, carried_on, pose_of
+from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, extrapolate_wrench, pose_of
 
 _NO_WRENCH: Screw = (0.0,) * 6
 _NO_STIFFNESS: Matrix = (_NO_WRENCH,) * 6
@@ -51,7 +51,7 @@ class LocalModel:
 
     def evaluate(self, pose: Pose) -> Screw:
         """Return the wrench at a pose, N and N m."""
-        return carried_on(self.wrench, self.stiffness_matrix, motion(self.pose, pose))
+        return extrapolate_wrench(self.wrench, self.stiffness_matrix, motion(self.pose, pose))
 
 
 #: Model with zero wrench, used before the first model and after a model that is too old.

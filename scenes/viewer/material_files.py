@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.material.file import MaterialFile, read_material_file, write_material_file
 from tissue_sim.material.material import BULK_RATIOS, Material
 from tissue_sim.parameters import Parameter, parameters, with_values
-from tissue_sim.units import shown
+from tissue_sim.units import get_display_unit
 
 #: Suffix of material files.
 SUFFIX = ".material.json"
@@ -110,14 +110,14 @@ def exact_values(material: Material) -> dict[str, str]:
     """Return the value of each parameter with nine digits and its unit on the page, by the path of the parameter."""
     texts = {}
     for each in parameters(material).values():
-        unit, factor = shown(each.declaration.unit)
+        unit, factor = get_display_unit(each.declaration.unit)
         texts[each.path] = f"{factor * each.value:.9g} {unit}".rstrip()
     return texts
 
 
 def _slider_range(material: Material, parameter: Parameter) -> SliderRange:
     name, value = parameter.path, parameter.value
-    unit, factor = shown(parameter.declaration.unit)
+    unit, factor = get_display_unit(parameter.declaration.unit)
     scale = material.mu0 if unit == "kPa" else 1.0
     if value == 0 or (name in material.parameters and abs(value) < SETTINGS.zero_tolerance * scale):
         ends = [_nearest_accepted(material, name, value, -scale), _nearest_accepted(material, name, value, scale)]

@@ -16,7 +16,7 @@ from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.fields import extrapolate
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.mesh.sections import clip, intersect_triangles, section
+from tissue_sim.mesh.sections import cut_tetrahedra, cut_triangles, intersect_triangles
 from tissue_sim.mesh.subdivision import side_edges, surface_triangles, tetrahedra
 
 
@@ -189,8 +189,8 @@ class SolidBody:
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.faces, strict=True):
             sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
             ends = intersect_triangles(surface_triangles(element, sides), heights)
-            kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
-            on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
+            kept = (ends.interpolate(along).reshape(-1, 2) >= 0.0).all(axis=1)
+            on_face = ends.interpolate(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.to_scene_frame(on_face))
         return np.concatenate(lines)
 
@@ -237,8 +237,8 @@ class SolidBody:
         lines = [wedge.to_scene_frame(wedge.clip_lines(rim, raised))]
         for (heights, along), (_, normal) in zip(wedge.heights_over_faces(local), wedge.opening.faces, strict=True):
             ends = intersect_triangles(touching, heights)
-            kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
-            on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
+            kept = (ends.interpolate(along).reshape(-1, 2) >= 0.0).all(axis=1)
+            on_face = ends.interpolate(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.to_scene_frame(on_face))
         return np.concatenate(lines)
 
@@ -265,9 +265,9 @@ class SolidBody:
                        wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
         for heights, along, elements in self._find_cut_elements(positions, wedge):
-            crossings, triangles = section(self.cells[elements].reshape(-1, 4), heights)
-            edge, _, kept = clip(triangles, crossings.carry(along))
-            yield edge.extend(crossings.carry(positions)), kept, edge.extend(crossings.carry(values))
+            crossings, triangles = cut_tetrahedra(self.cells[elements].reshape(-1, 4), heights)
+            edge, _, kept = cut_triangles(triangles, crossings.interpolate(along))
+            yield edge.extend(crossings.interpolate(positions)), kept, edge.extend(crossings.interpolate(values))
 
 
 def _has_flagged_node(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:

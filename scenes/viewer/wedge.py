@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from scenes.viewer.revolution import Opening
-from tissue_sim.mesh.sections import clip
+from tissue_sim.mesh.sections import cut_triangles
 from tissue_sim.pose import Pose
 
 #: Distance from a cutting plane below which a point counts as on the plane, in sizes of the body.
@@ -114,7 +114,7 @@ class Wedge:
         at_points = [points, *values]
         for number in range(len(self.opening.faces)):
             heights, _ = self.heights_over_faces(self.to_tool_frame(at_points[0]))[number]
-            crossings, below, rest = clip(rest, heights)
+            crossings, below, rest = cut_triangles(rest, heights)
             at_points = [crossings.extend(each) for each in at_points]
             parts.append(below)
         return at_points[0], np.concatenate(parts), at_points[1:]

@@ -256,7 +256,7 @@ def test_what_cannot_be_written_leaves_nothing(tmp_path, labels, metadata, name,
 
 
 def test_a_number_too_large_for_mm_is_refused(tmp_path):
-    with pytest.raises(InputError, match="does not fit"), np.errstate(over="ignore"):
+    with pytest.raises(InputError, match="must be finite in mm"), np.errstate(over="ignore"):
         write_recording(Recording({"displacement": [1e308] * 5, "force": [0.0] * 5}), tmp_path / "r.csv")
     assert not list(tmp_path.iterdir())
 

@@ -111,8 +111,8 @@ class TestForces:
         solver = training.make_full_order_solver(whole, mesh)
         poses = [ts.Pose.at_depth(depth) for depth in (1e-3, 2e-3, 3e-3)]
         taken = training.simulate_snapshots(solver, poses)
-        reduced = training.assemble(whole, mesh, box, [taken], [poses], count=3, tolerance=0.5, softness=1e-3,
-                                    bulk_ratio=1e9)
+        reduced = training.build_reduced_model(whole, mesh, box, [taken], [poses], count=3, tolerance=0.5,
+                                               softness=1e-3, bulk_ratio=1e9)
         count = len(mesh.connectivity)
         reduced = replace(reduced, elements=np.arange(count), shares=np.ones(count))
         small = ReducedSolver(reduced, MATERIAL)

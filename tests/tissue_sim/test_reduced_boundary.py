@@ -9,7 +9,7 @@ import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import with_compliance
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance, with_accepted_missing_forces
-from tissue_sim.fem.reduced.symmetry import symmetries
+from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import boundary_training_paths, training_path
 from tissue_sim.pose import motion
 
@@ -43,8 +43,8 @@ def central(fine_ball):
     poses = [training_path(number, small, START, holds=False, reach=reach) for number in range(4)]
     solver = training.make_full_order_solver(fine_ball.model, fine_ball.mesh)
     taken = [training.simulate_snapshots(solver, each) for each in poses]
-    made = training.assemble(fine_ball.model, fine_ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
-                             softness=fine_ball.softness, bulk_ratio=fine_ball.bulk_ratio)
+    made = training.build_reduced_model(fine_ball.model, fine_ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
+                                        softness=fine_ball.softness, bulk_ratio=fine_ball.bulk_ratio)
     return with_compliance(made, solver, poses, taken, [MATERIAL] * len(poses))
 
 
@@ -87,7 +87,7 @@ class TestStrokes:
     @pytest.mark.slow
     def test_images_are_not_followed(self, ball):
         solver = training.make_full_order_solver(ball.model, ball.mesh)
-        images = [each.matrix for each in symmetries(solver, START)]
+        images = [each.matrix for each in find_symmetries(solver, START)]
         assert len(boundary_training_paths(BOX, START, holds=False, reach=5e-3, images=images)) == 2
 
     def test_a_box_without_width_has_one(self):

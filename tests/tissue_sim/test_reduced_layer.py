@@ -55,13 +55,13 @@ class TestLayer:
         layer.commit()
         moved = np.add(at, [3e-6, -1e-6, 2e-6])
         layer.evaluate(moved, pose, True)
-        _, rates = layer.on_modes()
+        _, rates = layer.get_modal_forces()
         width = 1e-9
         for axis in range(3):
             sides = []
             for sign in (1.0, -1.0):
                 layer.evaluate(moved + sign * width * np.eye(3)[axis], pose, True)
-                sides.append(layer.on_modes()[0])
+                sides.append(layer.get_modal_forces()[0])
             np.testing.assert_allclose(rates[:, axis], (sides[0] - sides[1]) / (2 * width), rtol=1e-4,
                                        atol=1e-3 * np.abs(rates).max())
 
@@ -79,14 +79,14 @@ class TestLayer:
         if follows:
             answer[:] = 0.1 * np.random.default_rng(0).standard_normal((3, 6)) * [1.0, 1.0, 1.0, 5e-3, 5e-3, 5e-3]
         layer.evaluate(at, Frame(pose, 0.0), True)
-        rates, stiffness = layer.modal_force_rates + layer.on_modes()[1] @ answer, layer.stiffness(answer)
+        rates, stiffness = layer.modal_force_rates + layer.get_modal_forces()[1] @ answer, layer.stiffness(answer)
         for axis in range(6):
             width = 1e-9 if axis < 3 else 1e-7
             pushes, wrenches = [], []
             for change in (width * np.eye(6)[axis], -width * np.eye(6)[axis]):
                 there = turned(ts.Pose(tuple(pose.position + change[:3]), pose.orientation), tuple(change[3:]))
                 layer.evaluate(at + answer @ change, Frame(there, 0.0), True)
-                pushes.append(layer.on_modes()[0])
+                pushes.append(layer.get_modal_forces()[0])
                 wrenches.append(layer.wrench)
             for found, sides, sign in ((rates, pushes, 1.0), (stiffness, wrenches, -1.0)):
                 np.testing.assert_allclose(found[:, axis], sign * (sides[0] - sides[1]) / (2.0 * width), rtol=close,
@@ -99,4 +99,4 @@ class TestLayer:
         for place in (at + change, at - change, at):
             layer.evaluate(place, self.frame(0.0, 0.0, -3e-3), True)
             sides.append(layer.wrench[:3])
-        np.testing.assert_allclose(layer.force_of(2.0 * change), sides[0] - sides[1], rtol=1e-5)
+        np.testing.assert_allclose(layer.compute_linear_force_change(2.0 * change), sides[0] - sides[1], rtol=1e-5)

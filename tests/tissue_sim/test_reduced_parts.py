@@ -11,7 +11,7 @@ from scenes.cli import main
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.symmetry import symmetries
+from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import training_path
 from tissue_sim.fem.solid.tissue import Tissue, element_layers
 from tissue_sim.fem.solver import StepStatus
@@ -186,12 +186,12 @@ class TestLayers:
             way = training_path(number, skinned.box, start, holds=True, reach=6e-3)[::4]
             ways.append(way)
             taken.append(training.simulate_snapshots(solver, way))
-        looked_at = list(training.iterate_samples(taken, ways, materials, [symmetries(solver, start)[0]], start))
+        looked_at = list(training.iterate_samples(taken, ways, materials, [find_symmetries(solver, start)[0]], start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
         unseen = training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
-        report, _ = training.verify(skinned, solver, [unseen, unseen], materials=materials)
-        of_soft, _ = training.verify(skinned, solver, [unseen], materials=[soft])
-        of_stiff, _ = training.verify(skinned, solver, [unseen], materials=materials[:1])
+        report, _ = training.verify_and_calibrate(skinned, solver, [unseen, unseen], materials=materials)
+        of_soft, _ = training.verify_and_calibrate(skinned, solver, [unseen], materials=[soft])
+        of_stiff, _ = training.verify_and_calibrate(skinned, solver, [unseen], materials=materials[:1])
         assert of_soft["force_rms_N"] < 0.02 * of_stiff["force_rms_N"]
         errors = np.array([each["force_rms_error"] for each in (of_soft, of_stiff)])
         assert report["force_rms_error"] == pytest.approx(np.sqrt(np.mean(errors**2)), rel=1e-3)
@@ -255,9 +255,10 @@ class TestSides:
         box = ts.PoseBox(1e-3, DEPTH)
         mesh = training.training_mesh(model, box, "realtime")
         start = model.experiment.tool_pose(0.0)
-        assert len(symmetries(training.make_full_order_solver(model, mesh), start)) == 2, "across the other axis alone"
+        found = find_symmetries(training.make_full_order_solver(model, mesh), start)
+        assert len(found) == 2, "across the other axis alone"
         plain = replace(model, material=SOFT)
-        assert len(symmetries(training.make_full_order_solver(plain, replace(mesh, regions={})), start)) == 8
+        assert len(find_symmetries(training.make_full_order_solver(plain, replace(mesh, regions={})), start)) == 8
         made = ts.reduce_solid(model, box, strokes=6, modes=16, tried=2)
         assert made.report["symmetries"] == 2 and made.report["force_rms_error"] < 0.01
 

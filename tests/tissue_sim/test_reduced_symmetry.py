@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.symmetry import split_symmetry_group, symmetries
+from tissue_sim.fem.reduced.symmetry import find_symmetries, split_symmetry_group
 from tissue_sim.fem.reduced.training_paths import training_path
 from tissue_sim.pose import motion
 
@@ -45,7 +45,7 @@ def scene(name):
 def test_images_are_what_the_solid_does(name):
     """A stroke's image, against the same stroke reflected and solved."""
     whole, box, solver, start = scene(name)
-    group = symmetries(solver, start)
+    group = find_symmetries(solver, start)
     assert len(group) == SCENES[name][3] and group[0].is_identity
     poses = training_path(3, box, start, holds=whole.experiment.friction == "bonded", reach=8e-3)
     own = training.simulate_snapshots(solver, poses, tolerance=1e-10)
@@ -66,7 +66,7 @@ def test_images_are_what_the_solid_does(name):
 def test_a_rotation_turns_as_poses_do():
     """An image of an image of a pose is the pose's under both, one after the other."""
     _, _, solver, start = scene("held")
-    group = symmetries(solver, start)
+    group = find_symmetries(solver, start)
     pose = training_path(5, ts.PoseBox(1e-3, DEPTH, 0.05), start, holds=True, reach=8e-3)[4]
     for one in group:
         for other in group:
@@ -81,7 +81,7 @@ class TestNone:
 
     @staticmethod
     def count(solver, start=None):
-        return len(symmetries(solver, start or ts.Pose.at_depth(0.0)))
+        return len(find_symmetries(solver, start or ts.Pose.at_depth(0.0)))
 
     @pytest.mark.parametrize("moved", ["a node", "a set"])
     def test_of_a_mesh(self, moved):
@@ -120,7 +120,7 @@ class TestModes:
     def test_they_are_those_of_the_images(self):
         """The modes of states and all their images, each even or odd under the mirrors; singular values as of all."""
         _, _, solver, start = scene("touched")
-        group = symmetries(solver, start)
+        group = find_symmetries(solver, start)
         commuting, cosets = split_symmetry_group(group)
         assert len(commuting) == 2 and len(cosets) == 2
         states = np.random.default_rng(0).normal(size=(3, solver.x.size))
@@ -136,7 +136,7 @@ class TestModes:
     def test_without_symmetries_they_are_those_of_the_states(self):
         _, _, solver, start = scene("touched")
         states = np.random.default_rng(1).normal(size=(5, solver.x.size))
-        found, singular = training.compute_modes(states, symmetries(solver, start)[:1], 4)
+        found, singular = training.compute_modes(states, find_symmetries(solver, start)[:1], 4)
         _, values, vectors = np.linalg.svd(states, full_matrices=False)
         np.testing.assert_allclose(singular, values, rtol=1e-9)
         np.testing.assert_allclose(np.abs(np.einsum("fi,if->i", found, vectors[:4])), 1.0, atol=1e-9)
@@ -146,16 +146,16 @@ class TestModes:
 def test_images_make_a_reduced_solid_better():
     """Three strokes with their images against the three alone, on one that neither was made of."""
     whole, box, solver, start = scene("held")
-    group = symmetries(solver, start)
+    group = find_symmetries(solver, start)
     poses = [training_path(number, box, start, holds=True, reach=8e-3) for number in range(3)]
     taken = [training.simulate_snapshots(solver, each) for each in poses]
     errors = []
     for own in (group[:1], group):
-        reduced = training.assemble(whole, solver.mesh, box, taken, poses, count=16, tolerance=6e-3, softness=1e-3,
-                                    bulk_ratio=300.0, group=own)
+        reduced = training.build_reduced_model(whole, solver.mesh, box, taken, poses, count=16, tolerance=6e-3,
+                                               softness=1e-3, bulk_ratio=300.0, group=own)
         assert reduced.report["symmetries"] == len(own)
         unseen = training_path(training.VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
-        report, _ = training.verify(reduced, solver, [unseen])
+        report, _ = training.verify_and_calibrate(reduced, solver, [unseen])
         assert report["not_converged"] == 0.0
         errors.append(report["force_rms_error"])
     assert errors[1] < 0.6 * errors[0] and errors[1] < 0.01

@@ -5,7 +5,7 @@ import pytest
 from solid_meshes import block as solid_block
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.sections import clip, intersect_triangles, section
+from tissue_sim.mesh.sections import cut_tetrahedra, cut_triangles, intersect_triangles
 from tissue_sim.mesh.solid import block_mesh, needle_solid
 from tissue_sim.mesh.subdivision import side_edges, side_triangles, surface_triangles, tetrahedra
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
@@ -104,14 +104,14 @@ def test_section_of_a_block_has_the_exact_area_and_linear_values(element, normal
     mesh = block(element)
     middle = [0.0, 0.0, 0.5 * (mesh.nodes[:, 2].max() + mesh.nodes[:, 2].min())]
     nodes = mesh.nodes - middle
-    crossings, triangles = section(cells_of(mesh), nodes @ normal - distance)
-    points = crossings.carry(nodes)
+    crossings, triangles = cut_tetrahedra(cells_of(mesh), nodes @ normal - distance)
+    points = crossings.interpolate(nodes)
     np.testing.assert_allclose(points @ normal, distance, atol=1e-15)
     pieces = normals(points, triangles)
     assert (pieces @ normal > -1e-18).all(), "all turn upwards"
     assert np.linalg.norm(pieces.sum(axis=0)) == pytest.approx(area_of_box(normal, distance), rel=1e-12)
     slope = np.array([3.0, -7.0, 11.0])
-    np.testing.assert_allclose(crossings.carry(nodes @ slope + 2.0), points @ slope + 2.0, rtol=1e-12)
+    np.testing.assert_allclose(crossings.interpolate(nodes @ slope + 2.0), points @ slope + 2.0, rtol=1e-12)
 
 
 @every_element
@@ -124,8 +124,9 @@ def test_section_along_the_sides_of_elements_is_there_once(element, axis):
     for place, expected in ((lines[0], area), (lines[element.order], area), (lines[-1], 0.0)):
         heights = mesh.nodes[:, axis] - place
         heights[abs(heights) < 1e-12] = 0.0
-        crossings, triangles = section(cells_of(mesh), heights)
-        assert np.linalg.norm(normals(crossings.carry(mesh.nodes), triangles), axis=1).sum() == pytest.approx(expected)
+        crossings, triangles = cut_tetrahedra(cells_of(mesh), heights)
+        areas = np.linalg.norm(normals(crossings.interpolate(mesh.nodes), triangles), axis=1)
+        assert areas.sum() == pytest.approx(expected)
 
 
 @every_element
@@ -135,18 +136,18 @@ def test_a_clipped_surface_and_the_section_close_the_body(element):
     normal = np.array([0.3, -0.9, 0.2]) / np.linalg.norm([0.3, -0.9, 0.2])
     heights = (mesh.nodes - [6e-3, 0.0, -0.02]) @ normal
     outside = surface_triangles(element, np.concatenate(list(mesh.faces.values())))
-    crossings, below, above = clip(outside, heights)
+    crossings, below, above = cut_triangles(outside, heights)
     points = crossings.extend(mesh.nodes)
-    np.testing.assert_allclose(crossings.carry(heights), 0.0, atol=1e-16)
+    np.testing.assert_allclose(crossings.interpolate(heights), 0.0, atol=1e-16)
     both = normals(points, below).sum(axis=0) + normals(points, above).sum(axis=0)
     np.testing.assert_allclose(both, 0.0, atol=1e-15)
-    ends, triangles = section(cells_of(mesh), heights)
-    cut = normals(ends.carry(mesh.nodes), triangles)
+    ends, triangles = cut_tetrahedra(cells_of(mesh), heights)
+    cut = normals(ends.interpolate(mesh.nodes), triangles)
     np.testing.assert_allclose(normals(points, below).sum(axis=0) + cut.sum(axis=0), 0.0, atol=1e-12)
     assert np.linalg.norm(cut.sum(axis=0)) == pytest.approx(np.linalg.norm(cut, axis=1).sum())
     # The line in which the surface meets the plane runs around the section.
     line = intersect_triangles(outside, heights)
-    segments = line.carry(mesh.nodes).reshape(-1, 2, 3)
+    segments = line.interpolate(mesh.nodes).reshape(-1, 2, 3)
     corners, counts = np.unique(segments.reshape(-1, 3).round(9), axis=0, return_counts=True)
     assert len(corners) > 10 and (counts == 2).all()
 
@@ -154,5 +155,5 @@ def test_a_clipped_surface_and_the_section_close_the_body(element):
 def test_clipping_at_nodes_leaves_no_slivers():
     mesh = block_mesh(*(np.linspace(-1.0, 1.0, 3) for _ in range(3)), HEX8P0)
     outside = surface_triangles(HEX8P0, np.concatenate(list(mesh.faces.values())))
-    _, below, above = clip(outside, mesh.nodes[:, 0])
+    _, below, above = cut_triangles(outside, mesh.nodes[:, 0])
     assert len(below) == len(above) == len(outside) // 2

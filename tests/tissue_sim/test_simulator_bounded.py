@@ -7,7 +7,7 @@ import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.solver import StepStatus
-from tissue_sim.tool_force import carried_on
+from tissue_sim.tool_force import extrapolate_wrench
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
 #: Specimen.
@@ -102,7 +102,7 @@ def test_a_late_answer_is_the_last_equilibrium_carried_on():
                 if last.status is CONVERGED:
                     way = (0.0, 0.0, WAY[k - 1] - depth, 0.0, 0.0, 0.0)
                     assert answer.force == pytest.approx(
-                        max(0.0, carried_on(last.wrench, last.stiffness_matrix, way)[2]))
+                        max(0.0, extrapolate_wrench(last.wrench, last.stiffness_matrix, way)[2]))
         last = answer
     assert last.status is CONVERGED and last.age == 0.0
 

@@ -25,8 +25,9 @@ def simulator(friction, few=None):
     made.warm_up()
     if few is not None:
         made._clock = SimpleNamespace(
-            fixed=0.0, fitting=lambda time, first=False: MANY if made._equilibrium.pose.depth > 0.0 else few,
-            follow=lambda *_: None, doubt=lambda: None, begin=lambda _: None)
+            fixed=0.0,
+            count_fitting_solves=lambda time, first=False: MANY if made._equilibrium.pose.depth > 0.0 else few,
+            update_estimate=lambda *_: None, doubt=lambda: None, begin=lambda _: None)
     return made
 
 

@@ -61,7 +61,7 @@ def test_with_time_for_one_solve_a_step_it_takes_as_many_steps_as_solves(case, m
         one.set_parameters(C10=3.0 * LAW["C10"], C20=0.05 * LAW["C20"])
     expected = free.step(6e-3, 1e-3)
     sim.budget = 10.0
-    monkeypatch.setattr(sim._clock, "fitting", lambda time, first=False: 1 if first else 0)
+    monkeypatch.setattr(sim._clock, "count_fitting_solves", lambda time, first=False: 1 if first else 0)
     answers = [sim.step(6e-3, 1e-3)]
     while answers[-1].status is ts.ForceStatus.LATE and len(answers) < 200:
         answers.append(sim.step(6e-3, 1e-3))

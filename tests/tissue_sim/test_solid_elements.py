@@ -62,7 +62,7 @@ def test_tangent_is_the_derivative_of_the_forces(element, name, past):
         # The pressures follow the volume as they do in a linear solution.
         batches.volume_rates[:], batches.gaps[:] = rates, 0.0
         batches.store_volume_rates()
-        tissue.tissue.follow(step * way)
+        tissue.tissue.update_pressures(step * way)
         return forces(tissue)
 
     h = 1e-7

@@ -13,7 +13,7 @@ from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, PronyTerm, internal_stress
+from tissue_sim.material.viscoelasticity import Prony, PronyTerm, compute_internal_stress
 
 SERIES = Prony((PronyTerm(0.3, 2.0), PronyTerm(0.2, 50.0)))
 NEO_HOOKE = ts.Material("neo_hooke", {"C10": 1000.0})
@@ -74,7 +74,7 @@ def test_internal_stress_is_the_recursion():
         Q = decay[n] * Q + gain[n] * (S[n] - before)[:, None]
         before = S[n]
         expected.append(Q)
-    np.testing.assert_allclose(SERIES.g * internal_stress(dt, S, SERIES.tau), expected, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(SERIES.g * compute_internal_stress(dt, S, SERIES.tau), expected, rtol=1e-12, atol=1e-15)
 
 
 def test_relaxation_modulus():

@@ -72,7 +72,7 @@ def test_an_even_acceleration_is_resolved():
 
 def test_rest_forgets_the_waves_and_keeps_the_velocity():
     waves = advanced([0.05])
-    waves.rest((0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK)
+    waves.register_step_without_mass((0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK)
     assert waves.force == 0.0
     waves.advance(axial_stiffness(0.0), axial_stiffness(1e3), (0.0, 0.0, 0.05 * TICK, 0.0, 0.0, 0.0), TICK,
                   WaveScale.of(model(), DENSITY))
@@ -82,7 +82,7 @@ def test_rest_forgets_the_waves_and_keeps_the_velocity():
 def test_a_copy_is_independent():
     waves = advanced([0.05])
     before, other = waves.force, waves.copy()
-    other.rest(None, TICK)
+    other.register_step_without_mass(None, TICK)
     assert waves.force == before > 0.0
 
 

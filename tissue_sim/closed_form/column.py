@@ -99,7 +99,7 @@ class Column:
         Raises:
             InputError: no stable equilibrium under the weight exists.
         """
-        curve = self._curve(law, values, 0.0)
+        curve = self._compute_curve(law, values, 0.0)
         if not curve.states:
             weight = self.specimen.specific_weight * self.specimen.height
             raise InputError(f"{law.name} with these parameters does not carry the specimen's weight, {weight:.4g} Pa "
@@ -109,30 +109,31 @@ class Column:
 
     def nominal_stress(self, law: Law, displacement, values) -> np.ndarray:
         """Minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
-        return self._along(law, displacement, values, lambda curve: curve.stress)
+        return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress)
 
     def nominal_stress_slope(self, law: Law, displacement, values) -> np.ndarray:
         """d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
-        return self._along(law, displacement, values, lambda curve: curve.stress.derivative())
+        return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress.derivative())
 
     def nominal_stress_derivatives(self, law: Law, displacement, values) -> np.ndarray:
         """d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
 
         The sag depends on the parameters, and so does the undeformed height if the settled height is given.
         """
-        return self._along(law, displacement, values, lambda curve: curve.stress_derivatives, len(law.parameters))
+        return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress_derivatives,
+                                    len(law.parameters))
 
     def base_stretch(self, law: Law, displacement, values) -> np.ndarray:
         """Stretch of the slice on the base, the smallest of all, shape of `displacement`."""
-        return self._along(law, np.maximum(displacement, 0.0), values,
-                           lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
+        return self._evaluate_curve(law, np.maximum(displacement, 0.0), values,
+                                    lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
 
-    def _curve(self, law: Law, values, depth: float) -> _Curve:
+    def _compute_curve(self, law: Law, values, depth: float) -> _Curve:
         return _curve(self.specimen, law, tuple(law.as_array(values).tolist()), depth)
 
-    def _along(self, law: Law, displacement, values, choose, *width: int) -> np.ndarray:
+    def _evaluate_curve(self, law: Law, displacement, values, choose, *width: int) -> np.ndarray:
         displacement = np.asarray(displacement, dtype=float)
-        curve = self._curve(law, values, float(displacement.max(initial=0.0)))
+        curve = self._compute_curve(law, values, float(displacement.max(initial=0.0)))
         touching = displacement >= 0
         reached = touching & (displacement <= curve.end)
         result = np.zeros((*displacement.shape, *width))

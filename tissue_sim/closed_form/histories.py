@@ -18,7 +18,7 @@ from tissue_sim.laws import Law
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.material.softening import Softening
-from tissue_sim.material.viscoelasticity import Prony, internal_stress
+from tissue_sim.material.viscoelasticity import Prony, compute_internal_stress
 
 #: Largest change of log(stretch), or of the shear strain, in a step within which S is linear in time; longer steps are
 #: divided. The error of the force is proportional to its square: 3e-6 of the largest force in a ramp, hold and return
@@ -140,7 +140,7 @@ class HomogeneousHistory:
         """
         dt, _, samples = self._divided_history
         stress, weights = self._compute_elastic_stress(law, values, factor, softening), self._stress_weights[samples]
-        relaxing = internal_stress(dt, stress, tau)[samples]
+        relaxing = compute_internal_stress(dt, stress, tau)[samples]
         return np.sum(weights * stress[samples], axis=1), np.einsum("nc,nct->nt", weights, relaxing)
 
 

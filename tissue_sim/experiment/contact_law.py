@@ -83,7 +83,7 @@ def evaluate_traction(law: ContactLaw, gap: Any, pressure: Any, slip: tuple[Any,
     return found
 
 
-def strength(laws: tuple[ContactLaw, ...], face: float) -> float:
+def sum_pulls_at_touch(laws: tuple[ContactLaw, ...], face: float) -> float:
     """Sum of the pulls of all laws at zero gap, pressure and slip, Pa; `face` is the area of the tool's face, m2.
 
     Raises:

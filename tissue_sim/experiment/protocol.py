@@ -60,7 +60,7 @@ class Protocol:
 
     def __post_init__(self):
         for name in ("time", "displacement"):
-            self._keep(name, np.array(getattr(self, name), dtype=float))
+            self._set_read_only(name, np.array(getattr(self, name), dtype=float))
         if self.time.ndim != 1 or self.time.shape != self.displacement.shape or self.time.size == 0:
             raise InputError(f"time and displacement must be two lists of the same length; got {self.time.shape} and "
                              f"{self.displacement.shape}.", field="protocol")
@@ -74,9 +74,9 @@ class Protocol:
             labels = np.array(getattr(self, name))
             if labels.shape != self.time.shape or labels.dtype.kind not in kind:
                 raise InputError(f"expected {self.time.size} {words}, one for each sample", field=f"protocol.{name}")
-            self._keep(name, labels)
+            self._set_read_only(name, labels)
 
-    def _keep(self, name: str, array: np.ndarray) -> None:
+    def _set_read_only(self, name: str, array: np.ndarray) -> None:
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 

@@ -46,7 +46,7 @@ def export(material: Material) -> str:
     law = material.energy_law
     own = law.kernel_coefficients(material.values) if law.name in _POLYNOMIALS else material.values
     numbers = [*own, *volumetric]
-    lines = [f"*MATERIAL, NAME={_name(material)}", f"*HYPERELASTIC, {keyword}{moduli and f', MODULI={moduli}'}"]
+    lines = [f"*MATERIAL, NAME={_make_label(material)}", f"*HYPERELASTIC, {keyword}{moduli and f', MODULI={moduli}'}"]
     lines += [", ".join(f"{number:.12g}" for number in numbers[i:i + _PER_LINE])
               for i in range(0, len(numbers), _PER_LINE)]
     if material.viscoelastic is not None:
@@ -69,7 +69,7 @@ def _hyperelastic_options(name: str) -> tuple[str, int]:
     raise InputError(f"Abaqus has no keyword for the law {name!r}; write a user subroutine", field="to")
 
 
-def _name(material: Material) -> str:
+def _make_label(material: Material) -> str:
     """Label for Abaqus: letters, digits and underscores, first a letter, at most 80 characters."""
     label = re.sub(r"\W+", "_", material.name or material.law, flags=re.ASCII).strip("_").upper()[:80]
     return label if label[:1].isalpha() else f"TISSUE_{label}"[:80]

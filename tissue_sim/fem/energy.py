@@ -82,7 +82,7 @@ def inverse_root_function():
     return inverse_root
 
 
-def packed(size: int) -> tuple[tuple[int, int], ...]:
+def packed_indices(size: int) -> tuple[tuple[int, int], ...]:
     """Row and column of the entries of a symmetric matrix in packed storage: lower triangle, row by row."""
     return tuple((m, n) for m in range(size) for n in range(m + 1))
 
@@ -92,10 +92,10 @@ def soften_function(size: int):
     """Return the Taichi function ``soften(W, largest, loss, modulus, share, P, A) -> (P, A)``.
 
     Args:
-        size: number of stress components P; A is the tangent in packed storage, see `packed`.
+        size: number of stress components P; A is the tangent in packed storage, see `packed_indices`.
     """
     ti = initialise()
-    entries = packed(size)
+    entries = packed_indices(size)
 
     @ti.func
     def soften(W, largest, loss, modulus, share, P, A):

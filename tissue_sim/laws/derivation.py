@@ -52,11 +52,11 @@ def derived(derive: Callable[[], tuple[Any, Any] | None], *, kept_as: tuple | No
     import sympy as sp
 
     function = sp.lambdify(*formula, modules="numpy" if names is None else [dict(names)], cse=True)
-    _keep(path, "".join(linecache.getlines(function.__code__.co_filename)))
+    _write_cache_file(path, "".join(linecache.getlines(function.__code__.co_filename)))
     return function
 
 
-def printed(write: Callable[[], str], *, kept_as: tuple | None) -> str:
+def print_with_cache(write: Callable[[], str], *, kept_as: tuple | None) -> str:
     """Return a text that sympy prints, from the cache if possible; `kept_as` as in `derived`."""
     path = _cache_path(kept_as)
     if path is not None:
@@ -64,7 +64,7 @@ def printed(write: Callable[[], str], *, kept_as: tuple | None) -> str:
             if text := path.read_text(encoding="utf-8"):
                 return text
     text = write()
-    _keep(path, text)
+    _write_cache_file(path, text)
     return text
 
 
@@ -77,7 +77,7 @@ def _cache_path(kept_as: tuple | None, source: str | None = None) -> Path | None
     return cache_folder() / "formulas" / key[:32]
 
 
-def _keep(path: Path | None, text: str) -> None:
+def _write_cache_file(path: Path | None, text: str) -> None:
     if path is not None:
         # Without a writable cache the derivation is only repeated.
         with suppress(InputError):

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.laws.derivation import derived, printed
+from tissue_sim.laws.derivation import derived, print_with_cache
 from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
@@ -215,8 +215,8 @@ class Law:
 
     def _print_formula(self, by: str) -> str:
         """Formula from a printer function of sympy, given by its name."""
-        return printed(lambda: self._print_in_parameter_order(getattr(sp, by)),
-                       kept_as=None if self.kept_as is None else (*self.kept_as, by))
+        return print_with_cache(lambda: self._print_in_parameter_order(getattr(sp, by)),
+                                kept_as=None if self.kept_as is None else (*self.kept_as, by))
 
     def _print_in_parameter_order(self, write) -> str:
         """Formula with its terms in the order of the parameters; sympy would sort them otherwise."""

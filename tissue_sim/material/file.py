@@ -36,7 +36,7 @@ from tissue_sim.material.schema import (
     entries_of,
     parts_of,
 )
-from tissue_sim.parameters import Parameter, parameters, tokens
+from tissue_sim.parameters import Parameter, parameters, split_path
 from tissue_sim.version import __version__
 
 #: Version of the format; files of version 1 (law and bulk response only) are valid files of version 2.
@@ -139,7 +139,7 @@ class MaterialFile(Entry, frozen=True, kw_only=True):
         """Known standard errors, SI, by path as in `tissue_sim.parameters`; for a file in SI."""
         stated, content = {}, msgspec.to_builtins(self)
         for path, each in _with_errors(self.material).items():
-            *place, key = tokens(each.file_path)
+            *place, key = split_path(each.file_path)
             entry = reduce(getitem, place, content)
             own = entry.get("parameters", {})
             error = own[key].get("standard_error") if key in own else entry.get("standard_errors", {}).get(key)

@@ -16,7 +16,7 @@ from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.material.puncture import Puncture
 from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony, PronyTerm
-from tissue_sim.parameters import Declaration, declared, parameters, tokens, with_values
+from tissue_sim.parameters import Declaration, declared, parameters, split_path, with_values
 
 #: Path -> class of the parts that a material has at most once.
 SINGLE: dict[str, type] = {"softening": Softening, "poroelasticity": Poroelasticity, "puncture": Puncture}
@@ -83,7 +83,7 @@ def make_material(law: str, parameters: Mapping[str, float], others: Mapping[str
     effects: dict[str, dict[str, float]] = {}
     regions: dict[str, dict[str, float]] = {}
     for path, value in others.items():
-        *place, last = tokens(find_declaration(path)[0])
+        *place, last = split_path(find_declaration(path)[0])
         match place:
             case ["bulk"]:
                 response = Bulk(str(last), value)

@@ -56,7 +56,7 @@ def population_entry(stated: Mapping[str, Any], known: Mapping[str, Parameter]) 
         InputError: a parameter that the material does not have, or a wrong shape; with the field.
     """
     entry = decode(as_json_types(stated), PopulationEntry, "population")
-    _check(entry, known)
+    _require_valid_entry(entry, known)
     return entry.scaled([known[name].file_path for name in entry.order],
                         [1.0 / known[name].declaration.factor for name in entry.order])
 
@@ -71,11 +71,11 @@ def check_and_convert_population(entry: PopulationEntry, known: Mapping[str, flo
     Raises:
         InputError: an unknown parameter, a wrong shape, or a matrix that is not a covariance.
     """
-    _check(entry, known)
+    _require_valid_entry(entry, known)
     return entry.scaled(entry.order, [known[name] for name in entry.order])
 
 
-def _check(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
+def _require_valid_entry(entry: PopulationEntry, known: Mapping[str, Any]) -> None:
     for name in entry.order:
         if name not in known:
             raise InputError(f"this material has no parameter {name!r}{nearest(name, known)}", field="population.order")

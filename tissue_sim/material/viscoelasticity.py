@@ -108,12 +108,12 @@ class Prony:
         Source: decay_i = exp(-dt/tau_i), gain_i = g_i (1 - exp(-dt/tau_i)) tau_i/dt (Taylor, Pister and Goudreau,
         IJNME 2 (1970) 45).
         """
-        decay, gain = _step(dt, self.tau)
+        decay, gain = _compute_step_coefficients(dt, self.tau)
         gain = self.g * gain
         return 1.0 - self.relaxing + gain.sum(axis=-1), decay, gain
 
 
-def internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.ndarray:
+def compute_internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.ndarray:
     """Compute Q_i / g_i for a history of the elastic stress S that starts from zero and is linear between its points.
 
     Args:
@@ -124,7 +124,7 @@ def internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.
     Returns:
         Pa, shape (n, components, terms).
     """
-    decay, gain = _step(dt, tau)
+    decay, gain = _compute_step_coefficients(dt, tau)
     change = np.diff(elastic, axis=0, prepend=np.zeros_like(elastic[:1]))
     decay, Q = decay[:, None, :], gain[:, None, :] * change[:, :, None]
     # The recursion is a composition of affine maps; doubling the length of the compositions takes log2 n passes.
@@ -136,7 +136,7 @@ def internal_stress(dt: np.ndarray, elastic: np.ndarray, tau: np.ndarray) -> np.
     return Q
 
 
-def _step(dt, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _compute_step_coefficients(dt, tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return decay_i and gain_i / g_i of steps of length dt, s; shapes (*dt.shape, terms)."""
     x = np.asarray(dt, dtype=float)[..., None] / tau
     return np.exp(-x), np.where(x > 0, -np.expm1(-x) / np.where(x > 0, x, 1.0), 1.0)

@@ -27,17 +27,17 @@ class Crossings:
     ends: np.ndarray
     share: np.ndarray
 
-    def carry(self, values: np.ndarray) -> np.ndarray:
+    def interpolate(self, values: np.ndarray) -> np.ndarray:
         """Interpolate values at the nodes, shape (nodes, ...), linearly to the points, shape (m, ...)."""
         first, second = values[self.ends[:, 0]], values[self.ends[:, 1]]
         return first + self.share.reshape(-1, *(1,) * (values.ndim - 1)) * (second - first)
 
     def extend(self, values: np.ndarray) -> np.ndarray:
         """Return the values at the nodes followed by those at the points, shape (nodes + m, ...)."""
-        return np.concatenate([values, self.carry(values)])
+        return np.concatenate([values, self.interpolate(values)])
 
 
-def section(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
+def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
     """Return the section of tetrahedra at height zero.
 
     Args:
@@ -74,7 +74,7 @@ def intersect_triangles(triangles: np.ndarray, heights: np.ndarray) -> Crossings
     return Crossings(crossings.ends[lines], crossings.share[lines])
 
 
-def clip(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray, np.ndarray]:
+def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray, np.ndarray]:
     """Cut triangles at height zero into triangles below and above.
 
     Args:

@@ -188,7 +188,7 @@ def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, 
     number[np.unique(corners)] = np.arange(np.unique(corners).size)
     held, met = find_base_and_top(mesh, base, top)
     chosen = {"base": mesh.sides[held], "top": mesh.sides[met], "side": np.delete(mesh.sides, np.union1d(held, met), 0)}
-    nodes = nodes - origin(mesh, met)
+    nodes = nodes - find_origin(mesh, met)
     all_faces = connectivity[:, element.faces].reshape(-1, element.faces.shape[1])
     keys = _number_faces(all_faces[:, element.face_corners], len(points))
     sorter = np.argsort(keys)
@@ -198,7 +198,7 @@ def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, 
                      dict(mesh.regions))
 
 
-def origin(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
+def find_origin(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
     """Return the centre (x, y) of the bounding box of the top and the height of its highest node, m, shape (3,)."""
     high = mesh.points[np.unique(mesh.sides[met])]
     return np.array([*(0.5 * (high.min(axis=0) + high.max(axis=0)))[:2], high[:, 2].max()])

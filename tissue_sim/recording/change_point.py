@@ -102,7 +102,7 @@ class Profile:
         return float(self.places[self.at]), float(self.powers[self.at])
 
     @property
-    def least(self) -> float:
+    def smallest_squares(self) -> float:
         """Sum of squares of the best fit, N2."""
         return float(self.least_squares[self.at])
 
@@ -110,17 +110,17 @@ class Profile:
     def ratio(self) -> np.ndarray:
         """Likelihood ratio at each place, shape (n,)."""
         with np.errstate(invalid="ignore", over="ignore"):
-            return (self.least_squares - self.least) / self.variance
+            return (self.least_squares - self.smallest_squares) / self.variance
 
     @property
     def interval(self) -> tuple[float, float]:
         """Displacements, m, at which the ratio crosses its limit; infinite on a side without a crossing."""
         ratio, at = self.ratio, self.at
         below, above = np.flatnonzero(ratio[:at] > self.limit), np.flatnonzero(ratio[at:] > self.limit)
-        return (self._crossing(below[-1], below[-1] + 1) if below.size else -np.inf,
-                self._crossing(at + above[0], at + above[0] - 1) if above.size else float(self.places[-1]))
+        return (self._interpolate_crossing(below[-1], below[-1] + 1) if below.size else -np.inf,
+                self._interpolate_crossing(at + above[0], at + above[0] - 1) if above.size else float(self.places[-1]))
 
-    def _crossing(self, out: int, inside: int) -> float:
+    def _interpolate_crossing(self, out: int, inside: int) -> float:
         """Interpolate the displacement between two places at which the ratio equals its limit, m."""
         ratio, places = self.ratio, self.places
         if not np.isfinite(ratio[out]):
@@ -165,7 +165,7 @@ class ChangePointFit:
         """Remove the projection on zero and drift from rows, shape (m, n)."""
         return rows - (rows @ self._base) @ self._base.T
 
-    def _columns(self, places: np.ndarray, powers: np.ndarray) -> list[np.ndarray]:
+    def _evaluate_terms(self, places: np.ndarray, powers: np.ndarray) -> list[np.ndarray]:
         """Return the terms of the law after contact, each of shape (places * powers, n); powers: (places, m)."""
         depth = np.maximum(self.part.displacement - places[:, None], 0.0)[:, None] / self._scale
         logarithm = np.log(depth, where=depth > 0, out=np.full(depth.shape, -np.inf))
@@ -174,7 +174,7 @@ class ChangePointFit:
         columns += [first * np.sqrt(depth)] if self.half else []
         return [column.reshape(-1, depth.shape[-1]) for column in columns]
 
-    def squares(self, places: np.ndarray, powers: np.ndarray, *, bounded: bool = True) -> np.ndarray:
+    def compute_squares(self, places: np.ndarray, powers: np.ndarray, *, bounded: bool = True) -> np.ndarray:
         """Return the sums of squares, N2, shape of `powers`, (places, m); infinite if the force does not start upwards.
 
         Before the start of the motion there are no samples in the air, and a drift and a start of the law have the same
@@ -182,9 +182,9 @@ class ChangePointFit:
         """
         together = max(1, _SETTINGS.chunk_numbers // (powers.shape[1] * self._data.size))
         if places.size > together:
-            return np.concatenate([self.squares(places[k:k + together], powers[k:k + together], bounded=bounded)
+            return np.concatenate([self.compute_squares(places[k:k + together], powers[k:k + together], bounded=bounded)
                                    for k in range(0, places.size, together)])
-        columns = [self._project(self._whiten(column)) for column in self._columns(places, powers)]
+        columns = [self._project(self._whiten(column)) for column in self._evaluate_terms(places, powers)]
         answer, coefficients = _solve_least_squares(columns, self._data)
         answer, leading = answer.reshape(powers.shape), coefficients[0].reshape(powers.shape)
         if bounded:
@@ -201,7 +201,7 @@ class ChangePointFit:
         powers = np.broadcast_to(np.linspace(low, high, count), (places.size, count))
         half, found, best = (high - low) / 8, np.full(places.size, np.inf), np.full(places.size, low)
         for level in range(4 if high > low else 1):
-            squares = self.squares(places, powers)
+            squares = self.compute_squares(places, powers)
             at = squares.argmin(1)
             better = squares[rows, at] < found
             found, best = np.where(better, squares[rows, at], found), np.where(better, powers[rows, at], best)
@@ -248,7 +248,7 @@ class ChangePointFit:
             places = np.linspace(places[max(at - 1, 0)], places[min(at + 1, places.size - 1)], 9)
         return answer
 
-    def profile(self, best: tuple[float, float]) -> Profile:
+    def compute_profile(self, best: tuple[float, float]) -> Profile:
         """Return the likelihood profile around the best fit, fine at the ends of the 95 % interval."""
         from scipy import special
 
@@ -293,31 +293,27 @@ class ChangePointFit:
         return max(self.freedom * (1 - self.correlation) / (1 + self.correlation), 5.0)
 
     def estimate_noise_correlation(self, place: float, power: float) -> float:
-        """Return the correlation of the noise of neighbouring samples for a fit with this contact and exponent.
+        """Return the correlation of the noise of neighbouring samples, for a fit with these values.
 
-        Contact and exponent count as fitted parameters.
-
-        Args:
-            place: displacement of contact, m.
-            power: exponent of the force after contact.
+        Contact (`place`, m) and exponent (`power`) count as fitted parameters.
         """
-        self.coefficients(place, power)
+        self.fit_coefficients(place, power)
         design = np.vstack([self._design, *self._leading_terms_at_shifted_parameters(place, power)]).T
         return _estimate_correlation(self.part.force - self.part.force[0], design)
 
-    def squares_without_contact(self) -> float:
+    def compute_squares_without_contact(self) -> float:
         """Return the sum of squares of a fit with zero and drift alone, N2."""
         return float(self._data @ self._data)
 
-    def coefficients(self, place: float, power: float) -> np.ndarray:
+    def fit_coefficients(self, place: float, power: float) -> np.ndarray:
         """Return the coefficients: zero less the first force, drift over the part, and terms of the law, N."""
-        columns = [column[0] for column in self._columns(np.array([place]), np.array([[power]]))]
+        columns = [column[0] for column in self._evaluate_terms(np.array([place]), np.array([[power]]))]
         t = (self.part.time - self.part.time[0]) / ((self.part.time[-1] - self.part.time[0]) or 1.0)
         self._design = np.stack([np.ones(t.size), t, *columns])
         wanted = self._whiten(self.part.force - self.part.force[0])
         return np.linalg.lstsq(self._whiten(self._design).T, wanted, rcond=None)[0]
 
-    def drift_error(self, place: float, power: float, variance: float) -> float:
+    def compute_drift_error(self, place: float, power: float, variance: float) -> float:
         """Return the standard error of the drift over the part, N; contact and exponent are fitted, too.
 
         Args:
@@ -325,28 +321,29 @@ class ChangePointFit:
             power: exponent of the force after contact.
             variance: variance of the whitened residual, N2.
         """
-        self.coefficients(place, power)
+        self.fit_coefficients(place, power)
         moved = [each - self._design[2] for each in self._leading_terms_at_shifted_parameters(place, power)]
         weighed = self._whiten(np.vstack([self._design, *moved]))
         size = np.linalg.norm(weighed, axis=1).clip(1e-150)
         covariance = np.linalg.pinv((weighed / size[:, None]) @ (weighed / size[:, None]).T)
         return float(np.sqrt(max(variance * covariance[1, 1], 0.0)) / size[1])
 
-    def zero_without_drift(self, place: float, power: float) -> float:
+    def fit_zero_without_drift(self, place: float, power: float) -> float:
         """Return the zero less the first force, N, of a fit without drift."""
-        self.coefficients(place, power)
+        self.fit_coefficients(place, power)
         design = np.delete(self._design, 1, axis=0)
         wanted = self._whiten(self.part.force - self.part.force[0])
         return float(np.linalg.lstsq(self._whiten(design).T, wanted, rcond=None)[0][0])
 
     def _leading_terms_at_shifted_parameters(self, place: float, power: float) -> list[np.ndarray]:
         """Return the leading term at a shifted contact, and at a shifted exponent, shapes (n,)."""
-        return [self._columns(np.array([place - _SETTINGS.difference_step * self._scale]), np.array([[power]]))[0][0],
-                self._columns(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
+        shifted = place - _SETTINGS.difference_step * self._scale
+        return [self._evaluate_terms(np.array([shifted]), np.array([[power]]))[0][0],
+                self._evaluate_terms(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
 
-    def residual(self, place: float, power: float) -> np.ndarray:
+    def compute_residual(self, place: float, power: float) -> np.ndarray:
         """Return the residual of the force without whitening, N, shape (n,)."""
-        coefficients = self.coefficients(place, power)
+        coefficients = self.fit_coefficients(place, power)
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
 

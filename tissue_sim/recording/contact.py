@@ -201,7 +201,7 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
     fitted = ChangePointFit(part, terms + 1, exponents)
     best = fitted.refine_fit(fitted.search_coarsely())
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.estimate_noise_correlation(*best))
-    found = _build_contact(loading, fitted, fitted.profile(best), adequate=chance > _SETTINGS.doubtful)
+    found = _build_contact(loading, fitted, fitted.compute_profile(best), adequate=chance > _SETTINGS.doubtful)
     each = round(loading.step / recorded.step)
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
     return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
@@ -220,9 +220,9 @@ def _test_misfit(part: Part, terms: int, exponents: tuple[float, float]) -> tupl
     best = fitted.refine_fit(best)
     place, power = np.array([best[0]]), np.array([[best[1]]])
     larger = ChangePointFit(part, terms + 2, exponents, fitted.correlation, half=True)
-    least, more = (fit.squares(place, power, bounded=False)[0, 0] for fit in (fitted, larger))
+    least, more = (fit.compute_squares(place, power, bounded=False)[0, 0] for fit in (fitted, larger))
     ratio = max(least - more, 0.0) / 3 / max(more / larger.freedom, part.rounding**2, 1e-300)
-    return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.residual(*best)))
+    return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.compute_residual(*best)))
 
 
 def _build_contact(loading: _Loading, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
@@ -230,17 +230,17 @@ def _build_contact(loading: _Loading, fitted: ChangePointFit, profile: Profile, 
     from scipy import special
 
     part, (place, power) = fitted.part, profile.best
-    straight, freedom = fitted.squares_without_contact(), fitted.freedom
-    ratio = max(straight - profile.least, 0.0) / (fitted.terms + 2) / profile.variance
+    straight, freedom = fitted.compute_squares_without_contact(), fitted.freedom
+    ratio = max(straight - profile.smallest_squares, 0.0) / (fitted.terms + 2) / profile.variance
     low, high = profile.interval
-    coefficients = fitted.coefficients(place, power)
-    deviation = float(np.std(fitted.residual(place, power)))
+    coefficients = fitted.fit_coefficients(place, power)
+    deviation = float(np.std(fitted.compute_residual(place, power)))
     first = int(np.argmax(part.displacement > place)) if part.displacement[-1] > place else part.displacement.size
     span = (part.time[-1] - part.time[0]) or 1.0
     zero, drift = float(coefficients[0] + part.force[0]), float(coefficients[1] / span)
-    error = fitted.drift_error(place, power, profile.variance) / span
+    error = fitted.compute_drift_error(place, power, profile.variance) / span
     if abs(drift) < _SETTINGS.drift_errors * error:
-        zero, drift, error = fitted.zero_without_drift(place, power) + float(part.force[0]), 0.0, 0.0
+        zero, drift, error = fitted.fit_zero_without_drift(place, power) + float(part.force[0]), 0.0, 0.0
     found = Contact("found", float(place), (float(low), float(high)), zero, drift,
                     int(np.argmax(loading.whole.displacement > place)), float(power), deviation, loading.step, first,
                     part.displacement.size - first, adequate, error)

@@ -163,7 +163,7 @@ class _RampOrHold:
     least: float
     tremor: float
 
-    def _least_losses(self, peak: np.ndarray) -> np.ndarray:
+    def _compute_least_losses(self, peak: np.ndarray) -> np.ndarray:
         """Return the least loss of force after each peak, N; infinite for a peak that is too low."""
         risen = peak - min(self.zero, float(self.force[0]))
         return np.where(risen > max(_SETTINGS.least_rise * self.range, 2 * _SETTINGS.least_noise * self.noise),
@@ -176,7 +176,8 @@ class _RampOrHold:
         smooth = _median_of_three(self.force)
         highest = np.maximum.accumulate(smooth)
         peak = np.maximum.accumulate(np.where(smooth >= highest, np.arange(smooth.size), 0))
-        lower = (highest - smooth > self._least_losses(highest)) & (self.displacement >= self.displacement[peak])
+        lower = highest - smooth > self._compute_least_losses(highest)
+        lower &= self.displacement >= self.displacement[peak]
         speed = np.append(self.before, self.speed)
         for place in np.flatnonzero(lower).tolist():
             last = self.before.size + peak[place]
@@ -201,7 +202,7 @@ class _RampOrHold:
         # A tissue that relaxes loses force as soon as the motion slows down.
         after, speed = self.speed[at + _SETTINGS.sudden_samples], self.speed[at - _SETTINGS.sudden_samples]
         forward &= (after >= _SETTINGS.same_speed * speed) | (speed <= 0)
-        drops = np.flatnonzero((lost > self._least_losses(self.force[at])) & forward
+        drops = np.flatnonzero((lost > self._compute_least_losses(self.force[at])) & forward
                                & (lost > _SETTINGS.sudden_ratio * before + _SETTINGS.least_noise * self.noise))
         if not drops.size:
             return None

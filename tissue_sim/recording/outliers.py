@@ -13,7 +13,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.outlier_candidates import SETTINGS, Channel, OutlierSettings
-from tissue_sim.recording.screening import LeftOut, numbered
+from tissue_sim.recording.screening import LeftOut, format_sample_numbers
 
 
 def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSettings = SETTINGS, *,
@@ -46,7 +46,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
             for group, predicted in candidates[name]:
                 if _belongs_to_test(name, group, channels, settings):
                     continue
-                wrong = start.wrong(name) if start.includes(group, channels, settings) else group
+                wrong = start.find_wrong_samples(name) if start.includes(group, channels, settings) else group
                 if wrong and (wrong == group or not _belongs_to_test(name, wrong, channels, settings)):
                     new[name, tuple(kept[list(wrong)].tolist())] = predicted
         if not new:
@@ -83,7 +83,7 @@ def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], 
                              f"the {name} reads {shown}, and {where} {words(name, predicted)}"
                              f"{_explain_load_drop(which, group, total, values, predicted)}"))
     if len(seen) > SETTINGS.most * total and len(seen) > SETTINGS.longest:
-        samples = numbered(tuple(sample + 1 for sample in sorted(seen)))
+        samples = format_sample_numbers(tuple(sample + 1 for sample in sorted(seen)))
         raise InputError(f"{len(seen)} of {total} samples are outliers ({samples}): the sensor or the reading of the "
                          "columns is at fault; correct the file, or state leave_out in its test")
     return tuple(found)
@@ -123,7 +123,7 @@ class _Start:
         return bool(np.all(np.diff(load) * load[0] > 0)) and _rises_from_rest(
             motion, settings, is_counted=channels["motion"].is_counted)
 
-    def wrong(self, name: str) -> tuple[int, ...]:
+    def find_wrong_samples(self, name: str) -> tuple[int, ...]:
         """Return the wrong samples of the group: the first load, unless it is already left out."""
         return (0,) if name == "load" and self.motion is None else ()
 
@@ -135,7 +135,7 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, C
     motion, load = channels["motion"], channels["load"]
     at_end = first == 0 or last == motion.values.size
     if not at_end:
-        step = abs(motion.jump(first, last))
+        step = abs(motion.compute_change_across(first, last))
         return name == "load" and step > max(settings.event * (last - first + 1) * motion.largest_step(first, last),
                                              0.02 * motion.range) and _follows_motion(group, channels, settings)
     if first == 0 and last > 1 and all(_rises_from_rest(one.values[:last + 1], settings, is_counted=one.is_counted)
@@ -167,7 +167,7 @@ def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], set
         return False
     if abs(correlation) < settings.correlated:
         return True
-    direction = float(np.sign(motion.jump(first, last) * correlation))
+    direction = float(np.sign(motion.compute_change_across(first, last) * correlation))
     neighbours = direction * load[[first - 1, last]]
     return bool(np.all(direction * load[first:last] >= neighbours.min() - channels["load"].least[first]))
 

@@ -50,7 +50,7 @@ class LeftOut:
     @property
     def sentence(self) -> str:
         """The samples and the reason."""
-        return f"{numbered(self.samples)} left out: {self.reason}"
+        return f"{format_sample_numbers(self.samples)} left out: {self.reason}"
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class Screening:
     @property
     def doubts(self) -> tuple[str, ...]:
         """One sentence for each group of outliers that is kept."""
-        return tuple(f"{numbered(each.samples)} kept, as leave_out does not list it: {each.reason}"
+        return tuple(f"{format_sample_numbers(each.samples)} kept, as leave_out does not list it: {each.reason}"
                      for each in self.suspected)
 
     @property
@@ -227,7 +227,7 @@ class Screening:
         return tuple(found)
 
 
-def numbered(samples: tuple[int, ...]) -> str:
+def format_sample_numbers(samples: tuple[int, ...]) -> str:
     """Format numbers of samples: ``sample 61``, ``samples 3 and 4`` or ``samples 40 to 80``."""
     if len(samples) == 1:
         return f"sample {samples[0]}"

@@ -93,7 +93,7 @@ class MeshSpecimen(Specimen):
 
     @cached_property
     def _vertical_projection(self) -> VerticalProjection:
-        from tissue_sim.mesh.solid_file import find_base_and_top, origin
+        from tissue_sim.mesh.solid_file import find_base_and_top, find_origin
         from tissue_sim.mesh.vertical_projection import VerticalProjection
 
         mesh = self._mesh
@@ -101,7 +101,7 @@ class MeshSpecimen(Specimen):
             held, met = find_base_and_top(mesh, self.mesh_base, self.mesh_top)
         except InputError as error:
             raise error.located(file=self.mesh_file) from None
-        return VerticalProjection(mesh.points - origin(mesh, met), mesh.sides[met], mesh.sides[held], mesh.sides)
+        return VerticalProjection(mesh.points - find_origin(mesh, met), mesh.sides[met], mesh.sides[held], mesh.sides)
 
     @property
     def height(self) -> float:

@@ -43,12 +43,12 @@ class _ByShape(type):
         unknown = [name for name in named if name not in entries]
         if unknown or len(values) > len(entries):
             what = _spell_name(unknown[0]) if unknown else "more sizes"
-            raise InputError(f"{with_article(kind.shape)} has no {what}; leave it out",
+            raise InputError(f"{add_article(kind.shape)} has no {what}; leave it out",
                              field=f"specimen.{unknown[0] if unknown else 'shape'}")
         named |= zip(entries, values, strict=False)
         for name, entry in entries.items():
             if entry.default is entry.default_factory is MISSING and named.get(name) is None:
-                raise InputError(f"{with_article(kind.shape)} needs {with_article(name)}", field=f"specimen.{name}")
+                raise InputError(f"{add_article(kind.shape)} needs {add_article(name)}", field=f"specimen.{name}")
         return type.__call__(kind, **named)
 
 
@@ -138,7 +138,7 @@ class Specimen(metaclass=_ByShape):
         Raises:
             InputError: the body is not a prism.
         """
-        raise InputError(f"{with_article(self.shape)} has no constant cross-section and no closed form; use the solver "
+        raise InputError(f"{add_article(self.shape)} has no constant cross-section and no closed form; use the solver "
                          "\"solid\" (--solid)", field="specimen.shape")
 
     @property
@@ -160,7 +160,7 @@ class Specimen(metaclass=_ByShape):
         Raises:
             InputError: a file cannot be read.
         """
-        content = [read_bytes(getattr(self, self.texts[key]), f"the {key} of {with_article(self.shape)}")
+        content = [read_bytes(getattr(self, self.texts[key]), f"the {key} of {add_article(self.shape)}")
                    for key in self.paths]
         return hashlib.sha256(b"".join(content)).hexdigest() if content else ""
 
@@ -210,7 +210,7 @@ class Specimen(metaclass=_ByShape):
         Raises:
             InputError: the shape does not support this.
         """
-        raise InputError(f"the mesh of {with_article(self.shape)} cannot be moved to another geometry; do not fit "
+        raise InputError(f"the mesh of {add_article(self.shape)} cannot be moved to another geometry; do not fit "
                          "sizes of the specimen or of its tool", field="topology")
 
 
@@ -222,7 +222,7 @@ def _spell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
-def with_article(name: str) -> str:
+def add_article(name: str) -> str:
     """Name of a shape or a size with its article: ``an ellipsoid shell``."""
     return f"{'an' if name[0] in 'aeiou' else 'a'} {_spell_name(name)}"
 
@@ -285,7 +285,7 @@ def specimen_texts() -> dict[str, tuple[str, ...]]:
     for shape, kind in SPECIMENS.items():
         for key in kind.texts:
             if key in specimen_sizes():
-                raise InputError(f"{with_article(shape)} uses the key {key} for a text and another shape for a size; "
+                raise InputError(f"{add_article(shape)} uses the key {key} for a text and another shape for a size; "
                                  "rename one of them", field="tissue_sim.specimens")
             found[key] = (*found.get(key, ()), shape)
     return found

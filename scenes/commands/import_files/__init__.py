@@ -19,7 +19,7 @@ from scenes.commands.shared.parsing import (
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
-from tissue_sim.specimen.specimen import keys_of, with_article
+from tissue_sim.specimen.specimen import add_article, keys_of
 
 SUMMARY = "read data files of a test machine, detect their format and write a campaign file"
 EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
@@ -181,7 +181,7 @@ def _make_specimen_keys(arguments) -> dict[str, float | str]:
     allowed = _GENERAL_SIZES if shape is None else keys_of(shape)
     if other := next((key for key in stated if key not in allowed), None):
         problem = f"is not a size of a cylinder. Add --shape {specimen_sizes()[other].shapes[0]}" if shape is None \
-            else f"is not a size of {with_article(shape)}. Leave this flag out"
+            else f"is not a size of {add_article(shape)}. Leave this flag out"
         raise InputError(problem, field=f"--{other.replace('_', '-')}")
     return stated if shape is None else {"shape": shape, **stated}
 

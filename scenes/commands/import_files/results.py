@@ -8,7 +8,7 @@ from rich.markup import escape
 
 from calibration.importing.assumption_table import HEADINGS, assumption_rows, list_unused_columns
 from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
-from tissue_sim.units import shown
+from tissue_sim.units import get_display_unit
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -91,7 +91,7 @@ def _format_reach(part: Part, motion: Motion) -> str:
     """
     if any(column.missing for column in part.reading.columns if column.channel == motion.channel):
         return f"{max(motion.reach, key=abs):.4g} ?"
-    unit, factor = shown("m") if motion.channel == "displacement" else ("", 1.0)
+    unit, factor = get_display_unit("m") if motion.channel == "displacement" else ("", 1.0)
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
 
 

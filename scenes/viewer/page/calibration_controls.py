@@ -15,7 +15,7 @@ from scenes.viewer.material_files import SUFFIX
 from scenes.viewer.page.notices import reply_to, send_file
 from scenes.viewer.recording_upload import read_recording_upload
 from scenes.viewer.scene import Scene
-from tissue_sim.units import shown
+from tissue_sim.units import get_display_unit
 
 _SMALL = "font-size:0.85em;padding:0.2em 0.75em"
 
@@ -143,7 +143,7 @@ def calibration_html(state: CalibrationState) -> str:
 
 def _parameter_text(name: str, value: float, si_unit: str) -> str:
     """Name, value and display unit of a parameter that is given in SI."""
-    unit, factor = shown(si_unit)
+    unit, factor = get_display_unit(si_unit)
     return f"{name} {factor * value:.5g} {unit}".rstrip()
 
 
@@ -151,7 +151,7 @@ def _result_html(result: CalibrationResult) -> str:
     """Table of the fitted parameters with 95 % intervals, then RMSE and warnings."""
     rows = []
     for name, found in result.values.items():
-        unit, factor = shown(found.unit)
+        unit, factor = get_display_unit(found.unit)
         interval = "none" if found.interval is None else " to ".join(f"{factor * end:.4g}" for end in found.interval)
         note = f" ({found.note})" if found.note else ""
         rows.append(f"<tr><td>{escape(name)}</td><td>{factor * found.value:.4g} {escape(unit)}</td>"

@@ -29,12 +29,12 @@ class _ByShape(type):
         kind = TOOLS.find(shape, field="tool")
         entries = {entry.name: entry for entry in fields(kind)}
         if len(unnamed) > len(entries):
-            raise _missing_size_error(kind, "radius" if not entries else "more sizes")
+            raise _make_missing_size_error(kind, "radius" if not entries else "more sizes")
         sizes = {name: value for name, value in (*zip(entries, unnamed, strict=False), *sizes.items())
                  if value is not None and (value or name in entries)}
         for name in sizes:
             if name not in entries:
-                raise _missing_size_error(kind, name)
+                raise _make_missing_size_error(kind, name)
         for entry in entries.values():
             if entry.default is entry.default_factory is MISSING and entry.name not in sizes:
                 raise InputError(f"a {shape} tool needs a {_spell_name(entry.name)}", field=f"tool.{entry.name}")
@@ -135,7 +135,7 @@ def _spell_name(name: str) -> str:
     return name.replace("_", " ")
 
 
-def _missing_size_error(kind: type[Tool], name: str) -> InputError:
+def _make_missing_size_error(kind: type[Tool], name: str) -> InputError:
     problem = "a plate covers the whole top face and has no radius" if kind.is_plate else \
         f"a {kind.name} tool has no {_spell_name(name)}"
     return InputError(f"{problem}; leave it out", field=f"tool.{name}")

@@ -41,11 +41,11 @@ def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
     """
     ti = initialise()
     count = 1 + sum(1 + len(formula.parameters) for formula in formulas)
-    tried = _sum(formulas, [TRIED] * 3, [TRIED] * count)
+    tried = _sum_tractions(formulas, [TRIED] * 3, [TRIED] * count)
     constant = [not hasattr(value, "lanes") for value in tried]
 
     def total(gap, pressure, slip, settings):
-        values = _sum(formulas, [gap, pressure, slip], settings)
+        values = _sum_tractions(formulas, [gap, pressure, slip], settings)
         return expressions(values, traced([gap], lanes=False)[0])
 
     @ti.func
@@ -55,7 +55,7 @@ def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
     return LawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
 
 
-def _sum(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
+def _sum_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
     """Return normal and tangential traction, and their derivatives with gap and slip, summed over all laws."""
     (gap, pressure, slip), (face, *numbers) = traced(place, lanes=False), traced(settings, lanes=False)
     total = [0.0] * 4

@@ -15,7 +15,7 @@ from tissue_sim.mesh import Mesh
 BLUNT = 0.5
 
 
-def coefficient(interface: str | float) -> float:
+def friction_coefficient(interface: str | float) -> float:
     """Return the coefficient of friction of an interface for tissue that touches it during the test."""
     if not isinstance(interface, str):
         return interface
@@ -36,10 +36,11 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
         Contact pairs; None if no edge may come into contact.
     """
     homogeneous = experiment.homogeneous if homogeneous is None else homogeneous
-    low, high = (None, None) if homogeneous else _sides(mesh)
-    pairs = _base(experiment, mesh, low)
+    low, high = (None, None) if homogeneous else _split_side_edges(mesh)
+    pairs = _make_base_pairs(experiment, mesh, low)
     if tool:
-        pairs += _plate(experiment, mesh, high) if experiment.tool.is_plate else _needle(experiment, mesh)
+        pairs += (_make_plate_pairs(experiment, mesh, high) if experiment.tool.is_plate
+                  else _make_needle_pairs(experiment, mesh))
     if not any(len(pair.edges) for pair in pairs):
         return None
     if experiment.tool.is_plate:
@@ -52,21 +53,21 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
                    np.pi * experiment.contact_radius**2, level)
 
 
-def _sides(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
+def _split_side_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return the edges of the lower and of the upper half of the side."""
     side = mesh.edges("side")
     high = mesh.nodes[side, 1].mean(axis=1) > 0.5 * mesh.nodes[:, 1].min()
     return side[~high], side[high]
 
 
-def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
+def _make_base_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
     """Return the pairs with the base.
 
     The side may bulge onto the base. A base with friction also holds the bottom, which stays in contact.
     """
     bottom = mesh.nodes[:, 1].min()
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = coefficient(experiment.base_interface)
+    mu = friction_coefficient(experiment.base_interface)
     pairs = []
     if experiment.base_interface not in ("bonded", "frictionless"):
         pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True))
@@ -75,9 +76,9 @@ def _base(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[P
     return pairs
 
 
-def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
+def _make_plate_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
     """Return the contact pairs of a plate profile with mesh edges: the top, unless bonded, and the upper side."""
-    profile, mu = experiment.tool.profile, coefficient(experiment.friction)
+    profile, mu = experiment.tool.profile, friction_coefficient(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":
         pairs.append(Pair(profile, mesh.edges("top"), (mu, mu), tied=mu == STICK))
@@ -86,11 +87,11 @@ def _plate(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[
     return pairs
 
 
-def _needle(experiment: Experiment, mesh: Mesh) -> list[Pair]:
+def _make_needle_pairs(experiment: Experiment, mesh: Mesh) -> list[Pair]:
     """Return the pairs with the needle: the whole top; under a bonded face only the top next to the face."""
     tool = experiment.tool
     profile = tool.profile
-    friction = coefficient(experiment.friction), coefficient(experiment.friction_wall)
+    friction = friction_coefficient(experiment.friction), friction_coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
         blunt = profile.rounding >= BLUNT * experiment.contact_radius and friction[0] != STICK
         return [Pair(profile, mesh.edges("top"), friction, between_nodes=blunt)]

@@ -16,7 +16,7 @@ from typing import Protocol
 import numpy as np
 
 from tissue_sim.fem.axisymmetric.equations import Equations
-from tissue_sim.fem.axisymmetric.predictor import extrapolation
+from tissue_sim.fem.axisymmetric.predictor import extrapolation_weights
 from tissue_sim.fem.axisymmetric.state import SavedState, State
 from tissue_sim.fem.solver import Step, StepStatus
 
@@ -114,7 +114,7 @@ def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_i
             if has_begun:
                 rest[:] = state.latest[: rest.size]
             else:
-                weights = extrapolation(state.depths, depth, 1)
+                weights = extrapolation_weights(state.depths, depth, 1)
                 rest[:] = sum(weight * state.history[slot, : rest.size]
                               for weight, slot in zip(weights, state.slots, strict=True))
             origin = rest.copy()

@@ -10,7 +10,7 @@ Every function works on lists of numbers (one point) and on lists of vectors (se
 from functools import cache
 from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import invariant_derivatives, packed, stretch_derivatives, taichi_function
+from tissue_sim.fem.energy import invariant_derivatives, packed_indices, stretch_derivatives, taichi_function
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.public_names import LazyModule
@@ -21,7 +21,7 @@ else:
     sp = LazyModule("sympy")
 
 #: Row and column of each entry of the packed symmetric 5 x 5 tangent.
-PACKED = packed(5)
+PACKED = packed_indices(5)
 #: Second derivatives of the in-plane determinant: (F_zZ, F_rR) and (F_zR, F_rZ).
 COFACTOR_SIGNS = {(3, 0): 1.0, (2, 1): -1.0}
 

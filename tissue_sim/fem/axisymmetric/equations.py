@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.contact_law import strength
+from tissue_sim.experiment.contact_law import sum_pulls_at_touch
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
 from tissue_sim.fem.axisymmetric.contact import PENALTY, Contact, ContactPoints
@@ -90,7 +90,7 @@ class Equations:
         if contact is not None:
             reach = max((law.reach for law in contact.laws), default=0.0)
             self.settings[newton.Setting.CONTACT_TOLERANCE: newton.Setting.INERTIA] = (
-                contact.tolerance, strength(contact.laws, contact.face), reach)
+                contact.tolerance, sum_pulls_at_touch(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
         self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
         self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
@@ -193,7 +193,7 @@ class Equations:
         self.effects.prepare(dt)
 
     def predict(self, weights: list[float]) -> None:
-        """Set the weights of the latest states in the initial state of the next step; see `extrapolation`."""
+        """Set the weights of the latest states in the initial state of the next step; see `extrapolation_weights`."""
         self.weights[:] = weights
         self._predicted = sum(weight * depth for weight, depth in zip(weights, self.state.depths, strict=False))
 

@@ -13,7 +13,7 @@ from tissue_sim.fem.axisymmetric.contact import Contact, SpanColumn
 from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.axisymmetric.predictor import extrapolation
+from tissue_sim.fem.axisymmetric.predictor import extrapolation_weights
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_levels
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
@@ -142,8 +142,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations, state = self.equations, self.committed
         if not resumes:
             by_time = inertial and len(state.times) > 1
-            equations.predict(extrapolation(state.times, dt, predictor_order) if by_time
-                              else extrapolation(state.depths, depth, predictor_order))
+            equations.predict(extrapolation_weights(state.times, dt, predictor_order) if by_time
+                              else extrapolation_weights(state.depths, depth, predictor_order))
         equations.prepare(dt)
         equations.settings[newton.Setting.INERTIA] = rate
         self._iterated *= resumes

@@ -116,7 +116,7 @@ class LayerContact:
         rows = 3 * int(self._report[LayerResult.TOUCHING])
         np.dot(self._met[:rows].T, self._answers[:rows], out=self._products)
 
-    def on_modes(self) -> tuple[np.ndarray, np.ndarray]:
+    def get_modal_forces(self) -> tuple[np.ndarray, np.ndarray]:
         """Return minus the modal contact forces on the tissue, (modes,), and their derivative, (modes, modes).
 
         The derivative is a view, valid until the next evaluation.
@@ -135,7 +135,7 @@ class LayerContact:
         modes = self._modes
         return -self._products[:modes, modes:]
 
-    def force_of(self, change: np.ndarray) -> np.ndarray:
+    def compute_linear_force_change(self, change: np.ndarray) -> np.ndarray:
         """Return the linear change of the force on the tool, N, shape (3,), for changed amplitudes, (modes,)."""
         modes = self._modes
         return self._products[modes : modes + 3, :modes] @ change

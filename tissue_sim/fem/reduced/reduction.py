@@ -18,7 +18,7 @@ from tissue_sim.errors import InputError, located
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import with_compliance
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_parts
-from tissue_sim.fem.reduced.symmetry import symmetries
+from tissue_sim.fem.reduced.symmetry import find_symmetries
 from tissue_sim.fem.reduced.training_paths import boundary_training_paths, training_path
 from tissue_sim.files import read_text
 from tissue_sim.material.material import Material
@@ -109,7 +109,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}{digests} from {solver.datum:.12g} m"
     store = _Store(folder, f"{label} {tuple(also)!r}" if also else label)
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
-    group = symmetries(solver, start)
+    group = find_symmetries(solver, start)
     usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SYMMETRY_SAVING[holds]))
     strokes, modes, tried = strokes or usual, modes or MODES[holds], max(tried, len(materials))
     images = [each.matrix for each in group]
@@ -130,7 +130,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         taken.append(done)
         tell("strokes", len(taken), count)
     elements_of_all = len(mesh.connectivity)
-    reduced = training.assemble(
+    reduced = training.build_reduced_model(
         model, mesh, box, taken, poses, count=modes, tolerance=sampling, softness=softness,
         bulk_ratio=bulk_ratio, group=group, materials=of_stroke,
         progress=lambda elements, error: tell("elements", elements, elements_of_all,
@@ -142,8 +142,8 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     along = boundary_training_paths(box, start, holds=holds, reach=reach, images=images,
                                     fraction=training.VERIFICATION.boundary_fraction)
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
-    report, factors = training.verify(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
-                                      materials=materials, memory=memory)
+    report, factors = training.verify_and_calibrate(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
+                                                    materials=materials, memory=memory)
     return training.with_report_and_error_factors(reduced, factors, strokes=strokes, boundary_strokes=count - strokes,
                                                   materials=len(materials), tried=tried, **report)
 

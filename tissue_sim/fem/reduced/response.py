@@ -51,8 +51,8 @@ class Response:
         """Estimate the error of a force on the tool, N: missing modes plus missing compliance of the contact nodes.
 
         The error by missing modes is c_1 |dF| + c_2 |F|. dF is the change of the force F if the error modes were
-        unknowns, too (hierarchical error estimate: Bank and Weiser, Math. Comp. 44 (1985) 283). `training.verify`
-        calibrates the factors.
+        unknowns, too (hierarchical error estimate: Bank and Weiser, Math. Comp. 44 (1985) 283).
+        `training.verify_and_calibrate` calibrates the factors.
 
         Args:
             factors: c_1 and c_2, see `ReducedModel.error_factors`.
@@ -75,7 +75,7 @@ class Response:
             tangent[free.stop :, free.stop :] - tangent[free.stop :, free] @ self._static_modes,
             -self._residual[free.stop :])
         change[free] = -self._static_modes @ moved
-        added = self._contact.force_of(change)
+        added = self._contact.compute_linear_force_change(change)
         if held:
             added = added - (self._prescribed_rates.T @ (tangent[:held] @ change))[:3]
         changed, own = factors

@@ -129,7 +129,7 @@ class ReducedSolver(PlacedReduced):
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes
         tool_step = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
-        # For a tool that can lift off, `_solve_linear_contact` removes the remaining residual without corrections.
+        # For a tool that can lift off, `_solve_contact` removes the remaining residual without corrections.
         here = self.amplitudes + (self._prediction.predict(tool_step) if held and predicts else
                                   self._prediction.sensitivity @ tool_step)
         here[:held] = self._tool_motion.amplitudes(frame)
@@ -141,8 +141,8 @@ class ReducedSolver(PlacedReduced):
             base, forces = (self.amplitudes.copy(), base[1]), elements.forces.copy()
         if elements.has_complete_stiffness and inside and not (held or resumes):
             # Solve the contact on linear tissue first: most of a step is a change of contact and friction.
-            here, contact_forces, contact_rates = self._solve_linear_contact(here, base[0], forces, frame,
-                                                                             pressed_in, tolerance)
+            here, contact_forces, contact_rates = self._solve_contact(here, base[0], forces, frame, pressed_in,
+                                                                      tolerance)
         else:
             contact_forces, contact_rates = self._evaluate_contact(here, frame, pressed_in)
         updates_pressure = inside and np.array_equal(elements.at, base[0])
@@ -181,8 +181,7 @@ class ReducedSolver(PlacedReduced):
                 updates_all = halvings > 1 or iterations > SETTINGS.max_partial_updates
                 elements.evaluate(here, False, SETTINGS.stiffness_groups if updates_all else SETTINGS.groups_per_update)
             last, halvings, base = residual_norm, 0, (here, elements.pressures.copy())
-            here, contact_forces, contact_rates = self._solve_linear_contact(here, here, forces, frame,
-                                                                             pressed_in, tolerance)
+            here, contact_forces, contact_rates = self._solve_contact(here, here, forces, frame, pressed_in, tolerance)
             updates_pressure, groups_to_compute = True, 0
             iterations += 1
             if has_linear_forces and iterations == 1 and not (self._suspect_groups or elements.has_history):
@@ -251,7 +250,7 @@ class ReducedSolver(PlacedReduced):
                ) -> tuple[np.ndarray, np.ndarray]:
         """Return the modal contact forces and their derivatives."""
         self.contact.evaluate(amplitudes, frame, pressed_in, slips_on=slips_on)
-        return self.contact.on_modes()
+        return self.contact.get_modal_forces()
 
     def _compute_force_norm(self, contact_forces: np.ndarray, forces: np.ndarray) -> float:
         """Return the norm of the modal contact forces plus the norm of the forces on the bonded face."""
@@ -261,8 +260,8 @@ class ReducedSolver(PlacedReduced):
         """Return the force by which the residual norm is divided."""
         return max(force_norm, self._floor, SETTINGS.min_reference_force * self._largest_force)
 
-    def _solve_linear_contact(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: Frame,
-                              pressed_in: bool, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _solve_contact(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: Frame,
+                       pressed_in: bool, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solve the contact on linear tissue, f(a) = f_0 + K (a - a_0), by Newton's method with step halving.
 
         Args:

@@ -62,7 +62,7 @@ class Symmetry:
         return np.concatenate([self.matrix @ force, np.linalg.det(self.matrix) * self.matrix @ torque])
 
 
-def symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
+def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
     """Find the symmetries of a solid under a tool that begins at `start`.
 
     A symmetry maps the mesh, its named sets, regions, supports and the initial axis of the tool onto themselves.

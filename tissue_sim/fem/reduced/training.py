@@ -20,7 +20,7 @@ from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, Snapshots
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.settings import TRAINING, VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.symmetry import Symmetry, split_symmetry_group, symmetries
+from tissue_sim.fem.reduced.symmetry import Symmetry, find_symmetries, split_symmetry_group
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
 from tissue_sim.fem.solid.elastic import element_forces, held_places, lifted_amplitudes, linear_response
 from tissue_sim.fem.solid.solver import SolidSolver
@@ -231,9 +231,9 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
     return elements, weights[elements]
 
 
-def verify(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
-           progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
-           memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
+def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Sequence[Sequence[Pose]],
+                         progress: Callable[[int, int], None] | None = None, *, materials: Sequence[Material] = (),
+                         memory: Sequence[np.ndarray] = ()) -> tuple[dict[str, Any], tuple[float, float]]:
     """Compare the reduced with the full-order solid on test paths, and calibrate the error estimate.
 
     Non-negative least squares fit the error factors to the error beyond the estimate by missing compliance. The factors
@@ -319,10 +319,10 @@ def _find_coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
                                      VERIFICATION.coverage)))
 
 
-def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
-             poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float, bulk_ratio: float,
-             materials: Sequence[Material] = (), group: Sequence[Symmetry] = (),
-             progress: Callable[[int, float], None] | None = None) -> ReducedModel:
+def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
+                        poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float,
+                        bulk_ratio: float, materials: Sequence[Material] = (), group: Sequence[Symmetry] = (),
+                        progress: Callable[[int, float], None] | None = None) -> ReducedModel:
     """Compute modes and sampled elements from snapshots and return the reduced solid.
 
     Args:
@@ -340,7 +340,7 @@ def assemble(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapsh
         progress: called with the number of elements and their relative error so far.
     """
     solver, start = make_full_order_solver(model, mesh), model.experiment.tool_pose(0.0)
-    group = group or symmetries(solver, start)
+    group = group or find_symmetries(solver, start)
     states = np.concatenate([each.displacements for each in taken])
     ways = [pose for each in poses for pose in each]
     lifted = lifted_modes(solver)

@@ -214,7 +214,7 @@ class ElementBatches:
         """Convert amplitudes from elements to lanes; the inverse of `convert_lanes_to_elements`."""
         return self._arrange_in_lanes(amplitudes)
 
-    def follow(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
+    def update_pressures(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
         """Update the pressures after a linear solution.
 
         Args:

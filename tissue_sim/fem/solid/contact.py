@@ -131,7 +131,7 @@ class ContactNodes:
         for body, own in self.parts:
             places, moved = self.places[own], self.places[own] + displacement[self.nodes[own]]
             if body.moves:
-                places, moved = self._first.into(places), self._first.into(moved)
+                places, moved = self._first.transform_to_tool(places), self._first.transform_to_tool(moved)
             touches = nearest(body, moved, pressed_in=True).gap <= self._slack
             self.bound[own[touches]] = Bond.HELD if body.tied else Bond.TOUCHED
             self.anchors[own[touches]] = (moved - places)[touches]
@@ -167,8 +167,8 @@ class ContactNodes:
         for body, own in self.parts:
             places = self.places[own]
             moved = places + displacement[own]
-            at = frame.into(moved) if body.moves else moved
-            travel[own] = at - (self._first.into(places) if body.moves else places)
+            at = frame.transform_to_tool(moved) if body.moves else moved
+            travel[own] = at - (self._first.transform_to_tool(places) if body.moves else places)
             found = nearest(body, at, pressed_in)
             gap[own], shaft[own] = found.gap, found.on_shaft
             rotation = frame.rotation if body.moves else np.eye(3)
@@ -272,7 +272,7 @@ class ContactNodes:
         near = self.moves & (self.held == Bond.TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
         if self.laws:
             self._law_forces[:], self.law_rates[:] = 0.0, 0.0
-            self._law_forces[near], self.law_rates[near] = self.laws.act(
+            self._law_forces[near], self.law_rates[near] = self.laws.compute_forces(
                 self.nodes[near], gap[near], normal[near], along[near], normals[near], meridians[near], curved[near],
                 bending)
             self.rates += self.law_rates
@@ -295,7 +295,7 @@ class ContactNodes:
         """Store the present derivatives, without those of the laws, as those in the matrix."""
         self.known_rates[:] = self.rates - self.law_rates
 
-    def follow(self, motion: np.ndarray) -> None:
+    def update_forces(self, motion: np.ndarray) -> None:
         """Update the forces after a linear solution with nodal increments relative to the bodies, m, shape (n, 3)."""
         self.forces += np.einsum("nij,nj->ni", self.known_rates, self.missed + motion)
         self._about[:] = 0.0

@@ -63,7 +63,8 @@ class LawRates(NamedTuple):
             _, gap, curved, _, _, meridians = contact.measure(displacement + moved, frame)
             out = contact.normals[near]
             along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
-            return laws.act(nodes, gap[near], normal[near], along, out, meridians[near], curved[near], 0.0)[0]
+            return laws.compute_forces(nodes, gap[near], normal[near], along, out, meridians[near], curved[near],
+                                       0.0)[0]
 
         n, step, still, slip, normal = near.size, _DIFFERENCES.step * laws.reach, np.zeros(3), state.slip, state.normal
         by_place, by_slip = np.zeros((2, n, 3, 3))

@@ -30,7 +30,7 @@ from tissue_sim.mesh.mesh_mapping import Circle
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, raised
-from tissue_sim.specimen.specimen import with_article
+from tissue_sim.specimen.specimen import add_article
 
 #: Lower bound of the largest element far from a needle, over the size of the specimen, 1.
 _LEAST_LARGEST = 0.17
@@ -258,7 +258,7 @@ def _may_slip(face: str | float) -> bool:
 def _require(experiment: Experiment) -> None:
     """Check that the interfaces are possible on a curved specimen."""
     if not experiment.specimen.is_flat:
-        shape = with_article(experiment.specimen.shape)
+        shape = add_article(experiment.specimen.shape)
         if experiment.base_interface != "bonded":
             raise InputError(f"must be 'bonded' below {shape}, whose curved base is held.", field="friction_base")
         if experiment.tool.is_plate and experiment.friction == "bonded":
@@ -341,14 +341,7 @@ def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
 
 
 def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
-    """Return the moving bodies: the tool, in parts, each with the nodes that may touch it.
-
-    Args:
-        experiment: tool and interfaces.
-        mesh: undeformed mesh.
-        bonded: indices of the nodes that the tool holds.
-        start: pose of the tool at first touch.
-    """
+    """Return the parts of the tool, each with the nodes that may touch it; `start`: pose at first touch."""
     tool, mu = experiment.tool, _friction_coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:

@@ -10,7 +10,7 @@ Every function works on vectors, one point in each lane.
 from functools import cache
 from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import invariant_derivatives, packed, stretch_derivatives, taichi_function
+from tissue_sim.fem.energy import invariant_derivatives, packed_indices, stretch_derivatives, taichi_function
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.public_names import LazyModule
@@ -21,7 +21,7 @@ else:
     sp = LazyModule("sympy")
 
 #: Row and column of every entry of a symmetric 9 x 9 tangent in packed storage.
-PACKED = packed(9)
+PACKED = packed_indices(9)
 #: Index of entry (m, n) in packed storage.
 PLACE = tuple(tuple(PACKED.index((max(m, n), min(m, n))) for n in range(9)) for m in range(9))
 #: Rows and columns of the components of a symmetric tensor.

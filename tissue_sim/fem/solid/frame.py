@@ -28,7 +28,7 @@ class Frame:
         """Motion from another frame: displacement, m, and change of the rotation matrix row by row, shape (12,)."""
         return np.concatenate([self.origin - first.origin, (self.rotation - first.rotation).ravel()])
 
-    def into(self, points: np.ndarray) -> np.ndarray:
+    def transform_to_tool(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the mesh to that of the tool, m, shape (n, 3)."""
         return (points - self.origin) @ self.rotation
 

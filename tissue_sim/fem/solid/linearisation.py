@@ -121,7 +121,7 @@ class SolidLinearisation:
         springs = SOLID_PENALTY.normal * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
         return ContactSurface(contact.places[mine].copy(), springs, friction, outlines, chains, shapes,
                               contact.bound[mine].astype(np.int32),
-                              start.into(contact.places[mine]) + contact.anchors[mine], solver.pose,
+                              start.transform_to_tool(contact.places[mine]) + contact.anchors[mine], solver.pose,
                               solver.datum, solver._tolerance, solver.tissue.contact_radius, solver._floor, candidates)
 
     def set_material(self, material: Material) -> None:
@@ -225,7 +225,7 @@ class SolidLinearisation:
         begun = self._settles + pushed + carried
         motion[solver._free] = tangent.finish(begun)
         solver.x += motion
-        solver.tissue.follow(motion)
+        solver.tissue.update_pressures(motion)
         return _Step(*(self._select_measured_part(each) for each in (begun, pushed, carried)))
 
     def _select_measured_part(self, begun: np.ndarray) -> np.ndarray:
@@ -317,7 +317,7 @@ class SolidLinearisation:
         """Distances of the surface nodes from the tool at a pose, m, shape (s,)."""
         solver, contact = self._solver, self._solver.contact
         frame, gaps = Frame(pose, solver.datum), np.full(self.nodes.size, np.inf)
-        at = frame.into(contact.places[self._mine] + solver.x[self._freedoms])
+        at = frame.transform_to_tool(contact.places[self._mine] + solver.x[self._freedoms])
         for body in contact.bodies:
             if body.moves:
                 own = np.isin(self.nodes, body.nodes)

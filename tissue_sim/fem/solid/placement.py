@@ -71,7 +71,7 @@ class PlacedSolver(KernelOwner, Solver):
         """See `FreeTool.place_tool`. The mesh is moved, so that it has the same fineness under the tool."""
         if self.placement is None or self.placement.is_at(self._start, pose):
             return True
-        other = self.placement.solver_at(pose, self)
+        other = self.placement.make_solver_at_touch(pose, self)
         if other is None:
             return False
         self.__dict__.update(other.__dict__)
@@ -101,7 +101,7 @@ class PlacedSolver(KernelOwner, Solver):
         frame, displacement, least = Frame(pose, self.datum), self.committed_displacement, math.inf
         for body, own in contact.parts:
             if body.moves and own.size:
-                at = frame.into(contact.places[own] + displacement[contact.nodes[own]])
+                at = frame.transform_to_tool(contact.places[own] + displacement[contact.nodes[own]])
                 least = min(least, float(nearest(body, at, pressed_in=False).gap.min()))
         return least
 
@@ -188,7 +188,7 @@ class Placement:
         except InputError:
             return math.inf  # outside the top
 
-    def solver_at(self, pose: Pose, solver: Any) -> Any:
+    def make_solver_at_touch(self, pose: Pose, solver: Any) -> Any:
         """Return the solver for a first touch at a pose; None if no such solver can be made.
 
         Args:

@@ -90,7 +90,7 @@ class StartRates:
     lift: np.ndarray | None
 
     @classmethod
-    def moulded(cls, stretch: np.ndarray) -> StartRates:
+    def for_undeformed_specimen(cls, stretch: np.ndarray) -> StartRates:
         """Make the derivatives for an undeformed specimen."""
         return cls(stretch, None, np.zeros(0, dtype=np.intp), np.zeros_like(stretch), None)
 

@@ -48,11 +48,11 @@ class Settling(NamedTuple):
         derivatives = solver.differentiate([*neighbours, *more])
         if derivatives is None:
             return None
-        derivatives.begin(StartRates.moulded(np.repeat([0.0, 1.0], [m, len(more)])))
+        derivatives.begin(StartRates.for_undeformed_specimen(np.repeat([0.0, 1.0], [m, len(more)])))
         for weight, state in self.steps:
             solver.tissue.specific_weight = weight
             solver.contact.begin()
-            for array, left in zip(_state(solver), state, strict=True):
+            for array, left in zip(_get_state_arrays(solver), state, strict=True):
                 array[:] = left
             if solver.step(solver.pose, np.inf, resumes=True).status is not StepStatus.CONVERGED:
                 return None
@@ -106,7 +106,7 @@ def _apply_weight_in_steps(solver: SolidSolver, specific_weight: float) -> list[
         if step.status is StepStatus.CONVERGED:
             carried = min(1.0, carried + part)
             part *= 2.0
-            steps.append((solver.tissue.specific_weight, [array.copy() for array in _state(solver)]))
+            steps.append((solver.tissue.specific_weight, [array.copy() for array in _get_state_arrays(solver)]))
         else:
             part /= 2.0
             if part < SETTLING.smallest_part:
@@ -116,5 +116,5 @@ def _apply_weight_in_steps(solver: SolidSolver, specific_weight: float) -> list[
     return steps
 
 
-def _state(solver: SolidSolver) -> tuple[np.ndarray, ...]:
+def _get_state_arrays(solver: SolidSolver) -> tuple[np.ndarray, ...]:
     return solver.x, solver.batches.pressures, solver.contact.forces

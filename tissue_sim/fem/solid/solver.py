@@ -25,7 +25,7 @@ from tissue_sim.fem.solid.state import Sample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import Tangent
 from tissue_sim.fem.solid.tissue import Tissue
-from tissue_sim.fem.solid.tool_wrench import ToolConstraint, rows
+from tissue_sim.fem.solid.tool_wrench import ToolConstraint, to_matrix_tuples
 from tissue_sim.fem.solver import Neighbours, OwnStiffness, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -81,7 +81,7 @@ class SolidSolver(PlacedSolver):
         self._reacting = np.flatnonzero(stays | moved)
         self._moved = freedoms[self._bonded].ravel()
         # Positions of the bonded nodes in the frame of the tool.
-        self._held_at = Frame(start, datum).into(self._node_positions(self._bonded))
+        self._held_at = Frame(start, datum).transform_to_tool(self._node_positions(self._bonded))
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
@@ -162,7 +162,8 @@ class SolidSolver(PlacedSolver):
         way = np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
         # Nodes in contact with the tool move with it in the first linear solution.
-        tool_way = frame.transform_to_mesh(here.into(self._contact_positions())) - self._contact_positions()
+        positions = self._contact_positions()
+        tool_way = frame.transform_to_mesh(here.transform_to_tool(positions)) - positions
         pending = (max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0))
                    > NEWTON.rest_motion * float(np.ptp(self.mesh.nodes)))
         changeable, bending, iterations, halvings, waits = ALL_POINTS, 0.0, 0, 0, 0
@@ -216,7 +217,7 @@ class SolidSolver(PlacedSolver):
             elif first_ratio is not None and iterations > 3 and ratio > 1e3 * max(first_ratio, 1.0):
                 status = StepStatus.DIVERGED
             if status is not None and not (status is StepStatus.CONVERGED and self._asked):
-                return self._answer(status, iterations, ratio, evaluation, frame)
+                return self._make_step_result(status, iterations, ratio, evaluation, frame)
             if tangent.stale and status is None and not tangent.is_accurate(ratio, tolerance, evaluation.switched > 0):
                 tangent.stale, changeable, waits = False, 0, evaluation.wanting
                 continue
@@ -229,17 +230,17 @@ class SolidSolver(PlacedSolver):
                     continue
                 if status is None:
                     status = StepStatus.INDEFINITE
-                return self._answer(status, iterations, ratio, evaluation, frame)
+                return self._make_step_result(status, iterations, ratio, evaluation, frame)
             if status is not None:
-                return self._answer(status, iterations, ratio, evaluation, frame, factor)
+                return self._make_step_result(status, iterations, ratio, evaluation, frame, factor)
             if iterations == 1:
                 first_ratio = ratio
             apart = -np.where(contact.moves[:, None] & pending, tool_way, 0.0)
             before = tuple(array.copy() for array in self._state)
             motion = tangent.solve(residual, way if pending else None, apart)
             x += motion
-            self.tissue.follow(motion)
-            contact.follow(motion.reshape(-1, 3)[contact.nodes] + apart)
+            self.tissue.update_pressures(motion)
+            contact.update_forces(motion.reshape(-1, 3)[contact.nodes] + apart)
             self._here = frame
             iterations += 1
             halvings = NEWTON.max_halvings if pending else 0  # the motion of the tool is not bisected here
@@ -271,14 +272,15 @@ class SolidSolver(PlacedSolver):
         return ToolConstraint(frame, self._moved, self._node_positions(self._bonded),
                     self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._contact_positions())
 
-    def _answer(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation, frame: Frame,
-                factor: Factor | None = None) -> Step:
+    def _make_step_result(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation,
+                          frame: Frame, factor: Factor | None = None) -> Step:
         """Make the result of a step, with its stiffness if there is a factor of the last matrix."""
         stiffness, constraint = None, self._make_tool_constraint(frame)
         if factor is not None:
             stiffness, self._along = constraint.stiffness(self._matrix.all, factor, self._free)
         return Step(status, iterations, ratio, cast("Screw", tuple(constraint.wrench().tolist())),
-                    None if stiffness is None else rows(stiffness), evaluation.violation, evaluation.slipping)
+                    None if stiffness is None else to_matrix_tuples(stiffness), evaluation.violation,
+                    evaluation.slipping)
 
     def _compute_static_stiffness(self, frame: Frame) -> Matrix | None:
         """Static stiffness of the tissue directly after an inertial step; None if the static tangent is indefinite."""
@@ -289,7 +291,7 @@ class SolidSolver(PlacedSolver):
         factor = self._tangent.factorise(symmetric=not self.contact.state.slides.any())
         if factor is None or not factor.definite:
             return None
-        return rows(self._make_tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
+        return to_matrix_tuples(self._make_tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
 
     def follow_motion(self, density: float) -> bool:
         """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.follow_motion`."""
@@ -303,7 +305,7 @@ class SolidSolver(PlacedSolver):
             return None
         more, stiffer = self._mass.ahead(self.x, dt, self._along)
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
-        return NextForce(wrench, rows(np.array(last.step_stiffness_matrix) + stiffer))
+        return NextForce(wrench, to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
     def _node_positions(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]

@@ -187,9 +187,9 @@ class Tissue:
         lost = left[:, None, None] * standing.reshape(self.batches.batches, -1, LANES)
         return self.batches.element_forces + self.batches.pressure_forces(lost.reshape(standing.shape))
 
-    def follow(self, motion: np.ndarray) -> None:
+    def update_pressures(self, motion: np.ndarray) -> None:
         """Update the pressures after a linear solution with displacement increments, m, shape (freedoms,)."""
-        self.batches.follow(motion, self.bulk_moduli)
+        self.batches.update_pressures(motion, self.bulk_moduli)
 
     def add_known_volumes(self, forces: np.ndarray) -> None:
         """See `ElementBatches.add_known_volumes`."""

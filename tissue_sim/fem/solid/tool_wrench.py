@@ -76,6 +76,6 @@ class ToolConstraint(NamedTuple):
         return -wrench_rate, answer
 
 
-def rows(matrix: np.ndarray) -> Matrix:
+def to_matrix_tuples(matrix: np.ndarray) -> Matrix:
     """Convert a 6 x 6 array to the tuples of `ToolForce`."""
     return cast("Matrix", tuple(map(tuple, matrix.tolist())))

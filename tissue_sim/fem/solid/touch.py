@@ -105,7 +105,7 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
     heights = sides.lattice[near, :, 2]
     if np.ptp(heights) <= _SETTINGS.slack * tool.scale:
         # The lowest point of the tool touches a flat top.
-        datum += float(heights.max()) - tool.lowest(datum)
+        datum += float(heights.max()) - tool.find_lowest_height(datum)
     found = _Found(sides, near, tool, datum)
     if found.is_all:
         return found.touch(datum)
@@ -139,7 +139,7 @@ class _Tool:
 
     def nearest(self, points: np.ndarray, datum: float) -> list[Nearest]:
         """Nearest points of each part to given points, m, shape (n, 3)."""
-        at = Frame(self._start, datum).into(points)
+        at = Frame(self._start, datum).transform_to_tool(points)
         return [nearest(body, at, pressed_in=False) for body in self._bodies]
 
     def gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
@@ -154,7 +154,7 @@ class _Tool:
         return np.array([each.normal for each in found])[part, np.arange(len(points))] @ Frame(
             self._start, datum).rotation.T
 
-    def lowest(self, datum: float) -> float:
+    def find_lowest_height(self, datum: float) -> float:
         """Height of the lowest point of the tool in the frame of the mesh, m."""
         frame = Frame(self._start, datum)
         across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
@@ -221,7 +221,7 @@ class _Found:
         beyond = (under @ normals[first]).min(axis=1) - sides.bulges[near]
         above = under[..., 2].max(axis=1) + sides.bulges[near]
         self.is_all = abs(self.gap) <= slack and bool(beyond.min() >= -slack or (
-            above.max() <= slack and tool.lowest(datum) >= self.point[2] - slack))
+            above.max() <= slack and tool.find_lowest_height(datum) >= self.point[2] - slack))
         if self.is_all:
             return
         searched = near[bounds < self.gap - _SETTINGS.slack * tool.scale]

@@ -11,8 +11,8 @@ from tissue_sim.recording.cleaning import clean
 from tissue_sim.recording.recording import Recording
 
 
-def shared_values(first: Sequence[Recording], second: Sequence[Recording], channel: str
-                  ) -> list[tuple[np.ndarray, np.ndarray]]:
+def get_shared_values(first: Sequence[Recording], second: Sequence[Recording], channel: str
+                      ) -> list[tuple[np.ndarray, np.ndarray]]:
     """Return the values of a channel in two readings of a table, without outliers and saturated samples.
 
     A sample that is invalid in one reading is omitted in both, because one lost value of 9999 would determine the

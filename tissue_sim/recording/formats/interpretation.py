@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.formats.comparison import shared_values
+from tissue_sim.recording.formats.comparison import get_shared_values
 from tissue_sim.recording.formats.gauge_length import is_derived
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.pairing import apply_measure
@@ -144,7 +144,7 @@ def compare_rival_columns(read: Read, columns: tuple[ColumnGuess, ...], recordin
             other = read(swapped)
         except InputError:
             continue
-        pairs = [pair for pair in shared_values(recordings, other, column.channel) if pair[0].size]
+        pairs = [pair for pair in get_shared_values(recordings, other, column.channel) if pair[0].size]
         if not pairs:
             continue
         own, its = (np.concatenate([pair[which] - pair[which][0] for pair in pairs]) for which in (0, 1))
@@ -241,7 +241,7 @@ def _percent_alternatives(read: Read, column: ColumnGuess, columns: Sequence[Col
 
     Another measure of strain, or displacement over gauge length, that agrees with the strains excludes %.
     """
-    values = np.concatenate([own for own, _ in shared_values(recordings, recordings, column.channel)])
+    values = np.concatenate([own for own, _ in get_shared_values(recordings, recordings, column.channel)])
     # A derived displacement is the strain times the gauge length, which is its scale in mm.
     length = 1e-3 * (column.scale or 1e3)
     largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
@@ -256,7 +256,7 @@ def _percent_alternatives(read: Read, column: ColumnGuess, columns: Sequence[Col
             rival = read([other if each is column else each for each in columns])
         except InputError:
             continue
-        pairs = [pair for pair in shared_values(recordings, rival, column.channel) if pair[0].size]
+        pairs = [pair for pair in get_shared_values(recordings, rival, column.channel) if pair[0].size]
         limit = (_SETTINGS.agreement if other.measure != column.measure else _SETTINGS.same_unit) * largest * length
         if pairs and max(float(np.abs(its - own).max()) for own, its in pairs) <= limit:
             return ()
@@ -307,7 +307,7 @@ def _modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGu
     except InputError:
         return None
     rest = float(column.channel == "stretch")
-    pairs = [pair for pair in shared_values(recordings, other, column.channel) if pair[0].size]
+    pairs = [pair for pair in get_shared_values(recordings, other, column.channel) if pair[0].size]
     own, its = (max((float(np.abs(pair[which] - rest).max()) for pair in pairs), default=0.0) for which in (0, 1))
     return own / its if its > 0 else None
 
@@ -330,7 +330,7 @@ def _shear_moduli(first: Sequence[Recording], second: Sequence[Recording]) -> tu
     """
     if not all({"stretch", "nominal stress"} <= set(each.channels) for each in (*first, *second)):
         return None, None
-    parts = [shared_values(first, second, name) for name in ("stretch", "nominal stress")]
+    parts = [get_shared_values(first, second, name) for name in ("stretch", "nominal stress")]
     if not parts[0]:
         return None, None
     stretches, stresses = ([np.concatenate([pair[which] for pair in part]) for which in (0, 1)] for part in parts)
