@@ -233,7 +233,10 @@ def _view_direction() -> np.ndarray:
 
 
 def _camera_coordinates(points: np.ndarray) -> np.ndarray:
-    """Transform points, shape (..., 3), to the axes of the picture: right, up and towards the camera."""
+    """Rotate points, shape (..., 3), into the axes of the picture: right, up and towards the camera.
+
+    The origin stays the same.
+    """
     direction, azimuth = _view_direction(), np.radians(_VIEW.azimuth_deg)
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return points @ np.stack([right, np.cross(direction, right), direction]).T

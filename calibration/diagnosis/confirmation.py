@@ -10,7 +10,7 @@ from scipy import linalg, special
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS
-from calibration.diagnosis.diagnosis import HeldOutPrediction, RegionMisfit
+from calibration.diagnosis.diagnosis import HeldOutPrediction, SegmentMisfit
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.refits import copy_problem
 from calibration.fit.estimate import Estimate, settle
@@ -48,7 +48,7 @@ def equivalent_deviations(region: Region) -> float:
     return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
 
 
-def compare_regions(before: Evidence, after: Evidence | None) -> list[RegionMisfit]:
+def compare_regions(before: Evidence, after: Evidence | None) -> list[SegmentMisfit]:
     """Return the misfit of each region before and after effects were added, with a description.
 
     Args:
@@ -62,7 +62,7 @@ def compare_regions(before: Evidence, after: Evidence | None) -> list[RegionMisf
         curves = [(curve, rows) for curve, rows in zip(before.problem.measured, before.problem.rows, strict=True)
                   if curve.test.name == region.test]
         inside = _samples_of_segment(curves[0][0], region.segment)
-        answers.append(RegionMisfit(
+        answers.append(SegmentMisfit(
             test=region.test, segment=region.segment, speed_mm_s=_mean_speed(curves[0][0], inside),
             cycle=_cycle_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
             before_sigma=equivalent_deviations(region), adequate_before=region.adequate,

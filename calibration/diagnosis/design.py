@@ -11,7 +11,7 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.campaign.planned import with_forces
+from calibration.campaign.planned import replace_forces
 from calibration.diagnosis.diagnosis import CandidateStatement
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import score_effects
@@ -101,8 +101,8 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
     try:
         for test in problem.tests:
             answer = test.solve(space, theta, solves)
-            known[test.name] = with_forces(test.measured, [test.evaluate(answer, number, 0.0)[0]
-                                                            for number in range(len(test.measured))])
+            known[test.name] = replace_forces(test.measured, [test.evaluate(answer, number, 0.0)[0]
+                                                               for number in range(len(test.measured))])
     except InfeasibleError as failure:
         raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
                          "depth", file=campaign.path, field="fit.start") from None

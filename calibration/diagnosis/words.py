@@ -12,7 +12,7 @@ from calibration.diagnosis.diagnosis import (
     EffectParameter,
     FoundEffect,
     HeldOutPrediction,
-    RegionMisfit,
+    SegmentMisfit,
     Verdict,
 )
 
@@ -59,7 +59,7 @@ def _describe_nearest_effect(nearest: CandidateStatement) -> str:
 
 
 def diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
-                      regions: Sequence[RegionMisfit], gaps: tuple[float, float | None, float], untestable: int,
+                      regions: Sequence[SegmentMisfit], gaps: tuple[float, float | None, float], untestable: int,
                       unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
                       repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
                       stressed: bool = False) -> str:

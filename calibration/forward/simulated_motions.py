@@ -82,7 +82,7 @@ class SimulatedMotions:
         try:
             return space.model(values, self._build_experiment(motion), self.rig, test=self.name, recording=recording)
         except InputError as error:
-            raise InfeasibleError(f"{self.name}: {error}") from None
+            raise InfeasibleError(f"test {self.name}: {error}") from None
 
     def _affects_readings_only(self, unknown: Unknown, values: dict[str, float]) -> bool:
         """Return whether a parameter belongs to the rig of this test and does not change the motion of the tool."""

@@ -295,7 +295,7 @@ def _apply_zero(part: Part, assumption: Assumption, zero: Zero, *, is_constant: 
     reading = part.reading
     if zero.value == SENSOR:
         reading = replace(reading, columns=tuple(
-            replace(column, offset=_offset_in_column_unit(column.unit, zero.load) if is_constant else "start",
+            replace(column, offset=_offset_that_cancels(column.unit, zero.load) if is_constant else "start",
                     reason=f"{column.reason}; {_EXPLANATIONS[SENSOR]}")
             if column.channel == "force" and column.offset is None else column for column in reading.columns))
         recordings = tuple(each.with_channels(force=each.force - zero.load) for each in reading.recordings)
@@ -304,7 +304,7 @@ def _apply_zero(part: Part, assumption: Assumption, zero: Zero, *, is_constant: 
     return replace(part, reading=reading, motions=motions)
 
 
-def _offset_in_column_unit(unit: str | None, load: float) -> float:
+def _offset_that_cancels(unit: str | None, load: float) -> float:
     """Return the offset, in the unit of the column of the force, that subtracts `load` (N)."""
     factor = 1.0 if unit is None or quantity_of(unit) == "signal" else to_si(unit)[0]
     return float(f"{-load / factor:.4g}")

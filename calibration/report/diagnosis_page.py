@@ -22,8 +22,8 @@ from calibration.report.diagnosis_tables import (
     fitted_table,
     held_out_table,
     parameter_table,
-    region_table,
     relative_bias,
+    segment_misfit_table,
     silent_table,
     stage_table,
     testable_table,
@@ -189,7 +189,7 @@ def _misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence | No
                         "Significance of the residuals in each region, before and after",
                         "Significance of the smooth part of the residuals, adjusted for the number of regions "
                         "(Holm). Right: root mean square of the smooth part.")
-    yield f"<details><summary>In numbers</summary>{region_table(diagnosis.regions, units)}</details>"
+    yield f"<details><summary>In numbers</summary>{segment_misfit_table(diagnosis.regions, units)}</details>"
 
 
 def _catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:

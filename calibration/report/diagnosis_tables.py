@@ -10,7 +10,7 @@ from calibration.diagnosis.diagnosis import (
     Diagnosis,
     EffectParameter,
     HeldOutPrediction,
-    RegionMisfit,
+    SegmentMisfit,
 )
 from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
@@ -144,7 +144,7 @@ def format_odds(ratio: float | None) -> str:
     return "best" if ratio <= 1.0 else f"{ratio_text(ratio)} : 1"
 
 
-def region_table(regions: Sequence[RegionMisfit], units: Units) -> str:
+def segment_misfit_table(regions: Sequence[SegmentMisfit], units: Units) -> str:
     """Return the HTML table of the regions: misfit and significance, before and after."""
     rows: list[list[str | None]] = []
     last = None

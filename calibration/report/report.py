@@ -41,7 +41,7 @@ from calibration.report.report_tables import (
     identifiability_table,
     prediction_table,
     ranking_table,
-    region_table,
+    segment_test_table,
     suggestion_in_words,
 )
 from calibration.report.segment_figures import segment_section
@@ -85,7 +85,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
     if result.predictions:
         parts += ["<h2>Predictions</h2>", prediction_table(result.predictions, tests, units)]
     if any(fit.regions for fit in result.fits):
-        parts += ["<h2>Residuals by region</h2>", region_table(result.fits, tests, units)]
+        parts += ["<h2>Residuals by region</h2>", segment_test_table(result.fits, tests, units)]
     if not analytical:
         parts += ["<h2>Identifiability of the parameters</h2>", identifiability_table(result.fits, units)]
     parts += correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])

@@ -60,7 +60,7 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
     return html_table(["Law", "Test", "Fitted to", "RMSE", "RMSE / largest load", "RMSE by chance"], rows, text=(1, 2))
 
 
-def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> str:
+def segment_test_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> str:
     """Return the HTML table of the residual tests of each region."""
     rows: list[list[str | None]] = []
     for fit in fits:

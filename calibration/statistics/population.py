@@ -108,9 +108,12 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
         raise InputError(f"estimates and covariances must have the shapes {(n, p)} and {(n, p, p)}; got {x.shape} and "
                          f"{V.shape}", field="estimates")
     variances = np.diagonal(V, axis1=1, axis2=2)
-    if not (np.isfinite(x).all() and np.isfinite(V).all() and (variances > 0).all()):
-        first = int(np.argmin((np.isfinite(x) & np.isfinite(variances) & (variances > 0)).all(axis=1)))
-        raise InputError(f"the fit of {specimens[first]} does not determine {', '.join(order)}", field="specimen")
+    determined = np.isfinite(x) & np.isfinite(V).all(axis=2) & (variances > 0)
+    if not determined.all():
+        first = int(np.argmin(determined.all(axis=1)))
+        undetermined = ", ".join(name for name, known in zip(order, determined[first], strict=True) if not known)
+        raise InputError(f"the fit of {specimens[first]} must determine {undetermined}; got no finite estimate with a "
+                         "positive variance. Leave the specimen out, or fix these parameters", field="specimen")
     # Scaled to the size of each parameter: moduli in Pa and exponents differ by orders of magnitude.
     scale = np.sqrt(np.mean(x**2, axis=0) + variances.mean(axis=0))
     x, V = x / scale, V / np.outer(scale, scale)

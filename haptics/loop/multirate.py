@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_transition import ModelTransition
 from haptics.loop.multirate_settings import MULTIRATE
-from haptics.loop.touch_frame import TouchFrame, first_touch
+from haptics.loop.touch_frame import TouchFrame, interpolate_touch_pose
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
@@ -200,7 +200,7 @@ class MultiRateTissue(KernelOwner):
         height = start.position[2]
         inside = self._touch.advance(pose.position[2] - height, dt)
         if inside is not None and not touched:
-            touch = first_touch(self._last_pose, pose, height)
+            touch = interpolate_touch_pose(self._last_pose, pose, height)
             if self._holds:
                 self._frame = TouchFrame(start, touch)
                 touch = start

@@ -231,7 +231,8 @@ class LoopProcess:
             while not self._answers and self.report is None:
                 self._read_messages(0.1)
                 if time.monotonic() > until:
-                    raise LoopError(f"the loop does not answer within {self.patience:g} s")
+                    raise LoopError(f"the loop must answer within {self.patience:g} s; got no answer. Send the "
+                                    "command again, or stop the loop and start it again")
             if self._answers and self._answers[0]:
                 raise InputError(self._answers[0])
 

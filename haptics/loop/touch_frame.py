@@ -32,7 +32,7 @@ class TouchFrame:
         return pose if self._is_identity else _apply_motion(self._start, pose, self._touch)
 
 
-def first_touch(before: Pose | None, pose: Pose, height: float) -> Pose:
+def interpolate_touch_pose(before: Pose | None, pose: Pose, height: float) -> Pose:
     """Return the pose at which a tool touches the surface of a tissue.
 
     Args:

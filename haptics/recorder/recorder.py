@@ -291,7 +291,7 @@ class Recorder:
             self._refine_contact_point()
             self._phase = "rest"
         name, started = f"{plan.name}_{number}", _local_time()
-        loadings, stops = folder.get_test_history(plan.name)
+        loadings, stops = folder.count_loadings(plan.name), folder.list_stops(plan.name)
         partial = self._partial = folder.open_partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
         record = self._record = MotionRecord()
         try:

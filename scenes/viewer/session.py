@@ -157,7 +157,8 @@ class Session:
             simulation.ask("switch_device", device=HandMotion(None, HAND_SPEED))
             self._motion, self._target, self._has_hand_force = "hand", simulation.tool_depth, False
             self._across = simulation.tool_across or self._across
-        depth = min(max(self._target if depth is None else depth, self.scene.highest), self.scene.deepest)
+        depth = max(self._target if depth is None else depth, self.scene.min_tool_displacement)
+        depth = min(depth, self.scene.max_tool_displacement)
         target: dict[str, Any] = {"depth": depth}
         if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
             target["across"] = limit_to_reach(self.scene, simulation.snapshot, across)

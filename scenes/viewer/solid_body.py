@@ -182,16 +182,16 @@ class SolidBody:
         offset = SETTINGS.line_offset * self.size
         points = positions[self.nodes]
         raised = points + offset * _vertex_normals(points, self.triangles)
-        on_surface = wedge.to_tool_frame(points)[self.lines]
+        on_surface = wedge.points_from_scene_to_tool(points)[self.lines]
         lines = [wedge.clip_lines(on_surface, raised[self.lines])]
-        element, local = self.mesh.element, wedge.to_tool_frame(positions)
+        element, local = self.mesh.element, wedge.points_from_scene_to_tool(positions)
         cuts = self._find_cut_elements(positions, wedge)
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.faces, strict=True):
             sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
             ends = section_lines(surface_triangles(element, sides), heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
-            lines.append(wedge.to_scene_frame(on_face))
+            lines.append(wedge.points_from_tool_to_scene(on_face))
         return np.concatenate(lines)
 
     def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
@@ -220,7 +220,7 @@ class SolidBody:
             The lines; None without contact.
         """
         points = positions[self.nodes]
-        local = wedge.to_tool_frame(points)
+        local = wedge.points_from_scene_to_tool(points)
         largest_gap = SETTINGS.contact_gap * (tool.radius or self.size)
         gaps = tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]]))
         touches = (gaps <= largest_gap)[self.triangles].all(axis=1)
@@ -234,12 +234,12 @@ class SolidBody:
         radius = np.linalg.norm(rim[..., :2], axis=-1, keepdims=True)
         raised = rim * np.concatenate([np.repeat(1.0 + offset / np.maximum(radius, offset), 2, axis=-1),
                                        np.ones_like(radius)], axis=-1)
-        lines = [wedge.to_scene_frame(wedge.clip_lines(rim, raised))]
+        lines = [wedge.points_from_tool_to_scene(wedge.clip_lines(rim, raised))]
         for (heights, along), (_, normal) in zip(wedge.heights_over_faces(local), wedge.opening.faces, strict=True):
             ends = section_lines(touching, heights)
             kept = (ends.carry(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.carry(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
-            lines.append(wedge.to_scene_frame(on_face))
+            lines.append(wedge.points_from_tool_to_scene(on_face))
         return np.concatenate(lines)
 
     def _find_cut_elements(self, positions: np.ndarray,
@@ -253,7 +253,7 @@ class SolidBody:
         cached = wedge.cache.get(id(positions))
         if cached is None:
             cached = []
-            for heights, along in wedge.heights_over_faces(wedge.to_tool_frame(positions)):
+            for heights, along in wedge.heights_over_faces(wedge.points_from_scene_to_tool(positions)):
                 above = heights > 0.0
                 crossed = (_has_flagged_node(above, self.corners) & _has_flagged_node(~above, self.corners)
                            & _has_flagged_node(along >= 0.0, self.corners))

@@ -47,7 +47,7 @@ def replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tuple[np.
     measured, (recording, _) = make_motion_protocol(scene.measurement), typical_replicate(scene.measurement)
     require_within_reach(scene, measured, "recording")
     displacement = measured.displacement
-    if scene.highest == 0.0:
+    if scene.min_tool_displacement == 0.0:
         # Noise around zero displacement must not lift a tool that is attached to the tissue.
         displacement = np.maximum(displacement, 0.0)
     replayed = None

@@ -18,7 +18,7 @@ from calibration.diagnosis.diagnosis import (
     EffectParameter,
     FoundEffect,
     HeldOutPrediction,
-    RegionMisfit,
+    SegmentMisfit,
 )
 from calibration.diagnosis.evidence import upper_jitter, whole_campaign
 from calibration.diagnosis.next_experiment import vary_existing_tests
@@ -194,9 +194,9 @@ def test_toml_is_read_back():
 
 
 def test_sentences():
-    region = RegionMisfit(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
-                          adequate_before=False,
-                          sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
+    region = SegmentMisfit(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
+                           adequate_before=False,
+                           sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
     compliance = FoundEffect(name="machine_compliance", category="rig", title="machine compliance", parameters=[
         EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
     named = diagnosis_message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)

@@ -253,8 +253,9 @@ def _read_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
     """
     for number, entry in enumerate(content.get("test", [])):
         if isinstance(entry, dict) and "recordings" in entry:
-            raise InputError("must not be given, because the test is recorded. Give a protocol instead, such as "
-                             "'ramp 10mm @0.248mm/s; hold 60s; unload'", field=f"test[{number}].recordings")
+            raise InputError("must not be given in a protocol file, because `record` makes the recordings. Give a "
+                             "protocol instead, such as 'ramp 10mm @0.248mm/s; hold 60s; unload'",
+                             field=f"test[{number}].recordings")
         if isinstance(entry, dict) and "protocol" not in {**content.get("defaults", {}), **entry}:
             raise InputError("is required. Give a motion such as 'ramp 10mm @0.248mm/s; hold 60s; unload'",
                              field=f"test[{number}].protocol")

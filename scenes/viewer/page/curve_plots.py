@@ -44,7 +44,7 @@ class CurvePlots:
         self._written: dict[Any, tuple] = {}
         self._branch_cache: dict[str, tuple] = {}
         empty = np.zeros(2)
-        x = (0.0, frame.scene.deepest * 1e3)
+        x = (0.0, frame.scene.max_tool_displacement * 1e3)
         unit = (0.0, 1.0)
         self._legend = gui.add_html("")
 
@@ -76,8 +76,8 @@ class CurvePlots:
         if self._drawn and all(a is b or a == b for a, b in zip(drawn, self._drawn, strict=True)):
             return
         self._drawn, self._kept = drawn, curves.compared is not None
-        grid = depth_grid(frame.scene.deepest)
-        x = (0.0, frame.scene.deepest * 1e3)
+        grid = depth_grid(frame.scene.max_tool_displacement)
+        x = (0.0, frame.scene.max_tool_displacement * 1e3)
         measured, trace = curves.measurement, curves.trace
         model = self._cached_branches("model", curves.model, grid)
         compared = self._cached_branches("compared", None if curves.compared is None else curves.compared[1], grid)

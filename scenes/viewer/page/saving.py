@@ -176,7 +176,7 @@ def _request_render(client: viser.ClientHandle, height: int, width: int) -> np.n
 def _drawn_curves(frame: Frame) -> dict[str, Any]:
     """Return the arguments ``curves`` and ``band`` of `compose_png`: measurement, kept, model and live curve."""
     curves, measured, band = frame.curves, frame.curves.measurement, None
-    grid = depth_grid(frame.scene.deepest)
+    grid = depth_grid(frame.scene.max_tool_displacement)
     pairs = []
     if measured is not None:
         band = (measured.depth, measured.load.low, measured.load.high)

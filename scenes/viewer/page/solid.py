@@ -18,7 +18,7 @@ from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, Vie
 from scenes.viewer.page.scene_updates import send_arrays, send_position
 from scenes.viewer.revolution import Opening, Surface
 from scenes.viewer.scene import Scene
-from scenes.viewer.tone import seen_colour, surface_colour
+from scenes.viewer.tone import displayed_srgb, surface_srgb_for
 from scenes.viewer.tool_picture import (
     arrow_foot,
     base_plate,
@@ -67,8 +67,8 @@ class SolidPicture:
         specimen = scene.experiment.specimen
         self.scale = SIZE / max(2.0 * specimen.outer_radius, specimen.height)
         self._segments = RESOLUTION.low_graphics_segments if low_graphics else RESOLUTION.segments
-        surface_colours = [surface_colour(colour) for colour in PALETTE]
-        self.colours = [seen_colour(colour) for colour in surface_colours]
+        surface_colours = [surface_srgb_for(colour) for colour in PALETTE]
+        self.colours = [displayed_srgb(colour) for colour in surface_colours]
         self._bands = [self._add_mesh(f"/tissue/band_{k}", colour) for k, colour in enumerate(surface_colours)]
         self._surface = self._add_mesh("/tissue/surface", COLOURS.tissue)
         #: Frames of the tool, of the force arrow, and of the base, on which the specimen stands.
@@ -272,7 +272,8 @@ class SolidPicture:
         self._update_mesh(self._base, base_plate(specimen, _make_opening(0.0, segments)))
         covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
         wedge = Wedge(opening, Pose.at_depth(0.0))
-        self._update_lines(self._outline, body.outline(wedge, (covered, scene.deepest)) if options.outline else None)
+        outline = body.outline(wedge, (covered, scene.max_tool_displacement)) if options.outline else None
+        self._update_lines(self._outline, outline)
         bar, length = scale_bar(specimen)
         self._update_lines(self._scale_bar, bar)
         self._scale_length.text = f"{1e3 * length:g} mm"

@@ -101,9 +101,9 @@ def test_fading_forces_are_not_drawn_and_late_forces_not_recorded():
     trace = fed(records)
     drawn = {int(time) for time in trace.time if time < len(ForceStatus) and time % 1 < 0.5 - 1e-9}
     assert drawn == {ForceStatus.CONVERGED, ForceStatus.LATE}
-    assert trace.late.any() and (np.floor(trace.time[trace.late]) == ForceStatus.LATE).all()
+    assert trace.is_late.any() and (np.floor(trace.time[trace.is_late]) == ForceStatus.LATE).all()
     recorded = trace.recording({}).time + trace.time[0]
-    assert np.isin(recorded, trace.time[~trace.late]).all() and len(recorded) == (~trace.late).sum()
+    assert np.isin(recorded, trace.time[~trace.is_late]).all() and len(recorded) == (~trace.is_late).sum()
     records["status"] = ForceStatus.LATE
     with pytest.raises(ts.InputError, match="two equilibrium points"):
         fed(records).recording({})
