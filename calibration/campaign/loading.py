@@ -18,8 +18,8 @@ OTHER_SIDE = 0.05
 _FAR = 0.1
 
 
-def elastic_samples(samples: np.ndarray, displacement: np.ndarray, screening: Screening, path: Path, *,
-                    both_sides: bool) -> np.ndarray:
+def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screening: Screening, path: Path, *,
+                           both_sides: bool) -> np.ndarray:
     """Select the samples to which a law without memory is fitted: the first loading, or all of an oscillation.
 
     Samples after the first saturated one and after the start of creep under constant load are left out.

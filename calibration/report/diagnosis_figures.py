@@ -24,7 +24,7 @@ BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
 AFTER: dict = {"color": COLOURS[0], "ls": "-"}
 
 
-def curves_of_test(evidence: Evidence, name: str) -> TestCurves:
+def select_curves_of_test(evidence: Evidence, name: str) -> TestCurves:
     """Return the measured and fitted curves of one test, with the offset and zero of each recording, without bands."""
     problem = evidence.problem
     number = next(i for i, test in enumerate(problem.tests) if test.name == name)

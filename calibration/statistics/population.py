@@ -193,12 +193,12 @@ def _compute_intervals(x: np.ndarray, v: np.ndarray, together: float):
     spread = np.array([_find_spread(x, v, statistic) for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
     weight = 1.0 / (v + spread[:, None]**2)
     centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
-    mean, following = (tuple(_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
+    mean, following = (tuple(_compute_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
                        for variances in (variance, variance + spread**2))
     return mean, ends, following
 
 
-def _mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float) -> float:
+def _compute_mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float) -> float:
     """Return the quantile of a mixture of normal distributions with equal weights.
 
     Args:

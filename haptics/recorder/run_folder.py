@@ -153,7 +153,7 @@ class RunFolder:
         """Return the entries of `record_stop` for a test, and those that belong to no test."""
         return [stop for stop in self.state["stops"] if stop["test"] in (test, "")]
 
-    def missing_replicates(self, name: str, replicates: int) -> list[int]:
+    def list_missing_replicates(self, name: str, replicates: int) -> list[int]:
         """Return the numbers of the replicates of a test that have no recording yet.
 
         Args:

@@ -58,7 +58,7 @@ def live_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveGap
                    float(is_late.mean()), float(includes_inertia.mean()))
 
 
-def late_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:
+def select_late_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:
     """Return the forces of the newest loading and unloading that late ticks extrapolated.
 
     Args:

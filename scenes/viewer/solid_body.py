@@ -116,7 +116,7 @@ class SolidBody:
             the whole body, shape (elements, q); and the fields to which these points belong.
         """
         small = fields.weights.size <= SETTINGS.max_points
-        means = fields if small else self._element_means(fields)
+        means = fields if small else self._cached_element_means(fields)
         sample = fields if small else means.part(self.for_range)
         at_points = sample.at_points(name)
         if name == "displacement":
@@ -132,7 +132,7 @@ class SolidBody:
         visible |= _has_flagged_node(at_cut, self.corners)
         return means.part(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
-    def _element_means(self, fields: SolidFields) -> SolidFields:
+    def _cached_element_means(self, fields: SolidFields) -> SolidFields:
         """Return `SolidFields.means`, with a cache of the parts that stay the same from frame to frame."""
         cached = self._means.get(0)
         if cached is None or cached[0] is not fields.gradients:
@@ -160,7 +160,7 @@ class SolidBody:
                                                                values[self.nodes])
         all_points, all_triangles, all_values = [points], [triangles], [at_points]
         before = len(points)
-        for face_points, face_triangles, face_values in self._section_faces(positions, values, wedge):
+        for face_points, face_triangles, face_values in self._cut_section_faces(positions, values, wedge):
             all_points.append(face_points)
             all_triangles.append(face_triangles + before)
             all_values.append(face_values)
@@ -261,8 +261,8 @@ class SolidBody:
             wedge.cache[id(positions)] = cached
         return cached
 
-    def _section_faces(self, positions: np.ndarray, values: np.ndarray,
-                       wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _cut_section_faces(self, positions: np.ndarray, values: np.ndarray,
+                           wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
         for heights, along, elements in self._find_cut_elements(positions, wedge):
             crossings, triangles = section(self.cells[elements].reshape(-1, 4), heights)

@@ -287,7 +287,7 @@ class Trace:
                       self.includes_inertia[part])
 
 
-def recording_files(recording: Recording, stem: str) -> dict[str, bytes]:
+def make_recording_files(recording: Recording, stem: str) -> dict[str, bytes]:
     """Return the files of a recording: ``STEM.csv`` with all digits, and its sidecar ``STEM.json``.
 
     Args:

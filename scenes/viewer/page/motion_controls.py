@@ -23,7 +23,7 @@ PROTOCOLS = {
 }
 
 
-def _example_protocol(name: str, scene: Scene) -> str:
+def _make_example_protocol(name: str, scene: Scene) -> str:
     """Return an example protocol for a scene, without the parts that lift the tool if the scene forbids lifting."""
     parts = PROTOCOLS[name].format(depth=f"{scene.max_tool_displacement * 1e3:g}").split("; ")
     may_lift = scene.min_tool_displacement < 0.0
@@ -90,7 +90,7 @@ class MotionControls:
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
         gui, deepest = server.gui, frame.scene.max_tool_displacement
-        examples = {name: _example_protocol(name, frame.scene) for name in PROTOCOLS}
+        examples = {name: _make_example_protocol(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
         #: Number of positions that users have entered, and number of them that the session has answered.
         self._entered = self._answered = 0

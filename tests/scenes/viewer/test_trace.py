@@ -13,10 +13,10 @@ from calibration.campaign.campaign import load_campaign
 from haptics.loop.ring import PAUSED, TICK
 from scenes.catalogue import SCENES
 from scenes.cli import main
-from scenes.provenance import recording_provenance
-from scenes.viewer.page.saving import curve_files
+from scenes.provenance import describe_provenance
+from scenes.viewer.page.saving import make_curve_files
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, recording_files
+from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, make_recording_files
 from tissue_sim.recording.segmentation import MOTION_SETTINGS, one_way
 from tissue_sim.tool_force import ForceStatus
 
@@ -184,7 +184,7 @@ def test_recording_has_segments_and_cycles():
 
 def test_recording_reads_back_equal(tmp_path):
     record = fed(played(CYCLE, 14, noise=0.01e-3)).recording({"name": "felt", "kind": "needle_indentation"})
-    for name, content in recording_files(record, "felt").items():
+    for name, content in make_recording_files(record, "felt").items():
         (tmp_path / name).write_bytes(content)
     again = ts.read_recording(tmp_path / "felt.csv", kind="needle_indentation")
     assert set(again.channels) == set(record.channels) == {"time", "displacement", "force"}
@@ -204,10 +204,10 @@ def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, speci
     tests = {} if tool is None else {"tool": tool}
     experiment = ts.KINDS[kind].experiment(specimen=specimen, protocol=ts.Protocol.ramp(4e-3, 5), **tests)
     scene = Scene(SCENES[kind], experiment, ts.Material("neo_hooke", {"C10": 1000.0}))
-    for name, content in curve_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
+    for name, content in make_curve_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
         (tmp_path / name).write_bytes(content)
     felt = ts.read_recording(tmp_path / f"{kind}.csv")
-    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == recording_provenance(kind, experiment)
+    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == describe_provenance(kind, experiment)
     assert felt.metadata["simulated"] is True
     assert main(["import", str(tmp_path / f"{kind}.csv"), "-o", str(tmp_path / "campaign.toml")]) == 0
     text = (tmp_path / "campaign.toml").read_text(encoding="utf-8")
