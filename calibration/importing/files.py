@@ -24,7 +24,6 @@ from calibration.importing.imported import (
     Zero,
     list_questions_of_tests,
 )
-from calibration.importing.list_size_assumptions import add_size_assumptions, describe_unclear_statement
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
 from calibration.importing.sidecar import add_sidecar, find_stated_kind, read_sidecar
@@ -33,6 +32,7 @@ from calibration.importing.signal_lines import (
     format_offset_settings,
     format_viscoelastic_start,
 )
+from calibration.importing.size_assumptions import add_size_assumptions, describe_unclear_statement
 from calibration.importing.sizes_of_tables import compare_table_sizes
 from calibration.importing.zero import add_zero_assumption, select_linear_laws
 from tissue_sim.atomic_write import write_bytes, write_text
