@@ -18,28 +18,28 @@ from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
 from calibration.diagnosis.confirmation import (
-    compare_regions,
+    compare_segment_misfits,
     predict_held_out_tests,
     predict_left_out_recordings,
     smooth_misfit,
 )
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
-from calibration.diagnosis.duration import describe_duration, simulation_seconds
-from calibration.diagnosis.evidence import Evidence, Measured, gather_evidence, whole_campaign
+from calibration.diagnosis.duration import describe_duration, estimate_simulation_seconds
+from calibration.diagnosis.evidence import Evidence, Measured, gather_evidence, make_whole_recording_campaign
 from calibration.diagnosis.next_experiment import suggest_experiments
 from calibration.diagnosis.offsets import refit_from_contacts
 from calibration.diagnosis.proposals import CatalogueScores, score_effects
 from calibration.diagnosis.result import DiagnosisResult
-from calibration.diagnosis.statements import candidate_statements, found_effects
+from calibration.diagnosis.statements import list_candidate_statements, list_found_effects
 from calibration.diagnosis.verdict import decide_verdict
-from calibration.diagnosis.words import diagnosis_message
+from calibration.diagnosis.words import format_diagnosis_message
 from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.assess import assess_fit
 from calibration.fit.fit import Fit
 from calibration.fit.generalised import Generalised
 from calibration.fit.run_context import RunContext
 from calibration.fit.uncertainty import assess_uncertainty
-from calibration.forward.simulation_cache import SimulationCache, content_key
+from calibration.forward.simulation_cache import SimulationCache, hash_content
 from calibration.output_folder import SOLVES
 from calibration.report.diagnosis_outputs import write_diagnosis
 from calibration.tasks.executors import Workers, open_tasks
@@ -97,7 +97,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     """Diagnose a campaign without writing files.
 
     Args:
-        campaign: campaign with one law, see `calibration.diagnosis.evidence.whole_campaign`.
+        campaign: campaign with one law, see `calibration.diagnosis.evidence.make_whole_recording_campaign`.
         measured: all recordings of each test, see `read_measured`.
         steps: task executor and progress reports.
         solves: store of finished simulations; None: an empty store.
@@ -122,9 +122,9 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         held_out = [*predict_left_out_recordings(before, after), *predict_held_out_tests(before, after)]
         fit_before = _convert_to_fit(before)
         fit_after = None if after is None else _convert_to_fit(after)
-        candidates = candidate_statements(proposals, judgement, before)
-        effects = [] if after is None else found_effects(judgement, before, after)
-        regions = compare_regions(before, after)
+        candidates = list_candidate_statements(proposals, judgement, before)
+        effects = [] if after is None else list_found_effects(judgement, before, after)
+        regions = compare_segment_misfits(before, after)
     with clock.measure_stage("the next experiment"):
         steps.report_progress("choosing the next experiment")
         further = suggest_experiments(before, proposals, judgement)
@@ -135,7 +135,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     jitter = (after or before).problem.jitter
     diagnosis = Diagnosis(
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
-        message=diagnosis_message(
+        message=format_diagnosis_message(
             judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable], regions,
             (*gaps, noise), sum(not row.testable for row in candidates), held_out,
             next((row for row in candidates if row.explained_percent is not None), None),
@@ -172,7 +172,7 @@ def read_for_diagnosis(path: str | Path, law: str | None = None
     Raises:
         InputError: the campaign or a recording is invalid, the campaign is analytical, or it does not list the law.
     """
-    campaign = whole_campaign(load_campaign(path), law)
+    campaign = make_whole_recording_campaign(load_campaign(path), law)
     return campaign, read_measured(campaign)
 
 
@@ -213,8 +213,8 @@ class CampaignDiagnosis:
     def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext):
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = content_key("diagnosis", compute_digest(campaign, self.recordings), campaign.fit.laws[0],
-                                  sorted(CATALOGUE), _hash_source())
+        self.digest = hash_content("diagnosis", compute_digest(campaign, self.recordings), campaign.fit.laws[0],
+                                   sorted(CATALOGUE), _hash_source())
         self.solves = SimulationCache()
         self._clock = _StageClock(self.solves)
 
@@ -231,7 +231,7 @@ class CampaignDiagnosis:
             estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
             estimator.check(law, 0)
             if self.steps.announce is not None and (
-                    words := describe_duration(simulation_seconds(estimator.problem(law)))):
+                    words := describe_duration(estimate_simulation_seconds(estimator.problem(law)))):
                 self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:

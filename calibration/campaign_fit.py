@@ -18,14 +18,14 @@ from calibration.fit.assess import assess_fit
 from calibration.fit.curves import draw_curves
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
-from calibration.fit.failure import Failure, attempt
+from calibration.fit.failure import Failure, catch_law_errors
 from calibration.fit.fit import SensorStatement
 from calibration.fit.generalised import Generalised
 from calibration.fit.influence import add_influence
 from calibration.fit.ordinary import Ordinary
-from calibration.fit.predictor import Predictor, predictor_of_held_out
-from calibration.fit.preload_cover import notes_after_fit
-from calibration.fit.profiles import ProfileSide, profile_side
+from calibration.fit.predictor import Predictor, make_held_out_predictor
+from calibration.fit.preload_cover import list_notes_after_fit
+from calibration.fit.profiles import ProfileSide, compute_profile_side
 from calibration.fit.ranking import Fitted, describe_ranking, rank_laws
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.result import CalibrationResult
@@ -120,7 +120,7 @@ class CampaignFit:
         # A material with memory describes relaxation and creep, so these need no note.
         left_out = {"control"} if self.campaign.fit.material.remembers else set()
         message += summarise_notes((curve.test.name, curve.name, {
-            subject: note for subject, note in notes_after_fit(curve, fits[0]).items()
+            subject: note for subject, note in list_notes_after_fit(curve, fits[0]).items()
             if note not in message_before_notes and subject not in left_out})
             for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
@@ -146,7 +146,7 @@ class CampaignFit:
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
         spreads: dict[str, Uncertainty] = {}
         for law, estimate in list(estimates.items()):
-            spread = attempt(_compute_uncertainty, self.estimator, estimate)
+            spread = catch_law_errors(_compute_uncertainty, self.estimator, estimate)
             if isinstance(spread, Failure):
                 failures[law] = spread.reason
                 del estimates[law]
@@ -157,7 +157,8 @@ class CampaignFit:
         for law, estimate in estimates.items():
             if self.estimator.explores:
                 self.steps.report_progress(f"uncertainty and predictions of {law}")
-            answer = attempt(self._assess_law, estimate, spreads[law], ends[law][0], sides_of[law], left_of[law])
+            answer = catch_law_errors(self._assess_law, estimate, spreads[law], ends[law][0], sides_of[law],
+                                      left_of[law])
             if isinstance(answer, Failure):
                 failures[law] = answer.reason
             else:
@@ -173,7 +174,7 @@ class CampaignFit:
         fit = add_influence(fit, estimate.problem, estimate.evaluation)
         fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
         own = Predictor.of(estimate.problem.space, estimate.theta, spread)
-        predictors = {test.name: predictor_of_held_out(test, own, fit.population)
+        predictors = {test.name: make_held_out_predictor(test, own, fit.population)
                       for test in campaign.tests if test.hold_out}
         tests = [self.estimator.build_held_out_test(test, estimate, predictors[test.name] or own) if test.hold_out
                  else next(fitted) for test in campaign.tests]
@@ -209,10 +210,10 @@ class CampaignFit:
                 left += [(law, (estimate.problem, estimate.theta, number, self.estimator.uncertainty,
                                 self.estimator.find_jitter(estimate)))
                          for number in range(len(estimate.problem.tests))]
-        for function, tasks, words, found in ((profile_side, sides, "profiles", sides_of),
+        for function, tasks, words, found in ((compute_profile_side, sides, "profiles", sides_of),
                                               (predict_left_out_test, left, "tests left out, one at a time", left_of)):
-            answers = self.steps.run_all(partial(attempt, function), [arguments for _, arguments in tasks], words) \
-                if tasks else []
+            answers = self.steps.run_all(partial(catch_law_errors, function), [arguments for _, arguments in tasks],
+                                         words) if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
                 # A failed profile or left-out test does not invalidate the fit.
                 if not isinstance(answer, Failure):

@@ -85,7 +85,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     measured = [read_measured(campaign) for campaign in campaigns]
     # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
     from calibration.campaign_fit import CampaignFit
-    from calibration.fit.result import read_back
+    from calibration.fit.result import read_earlier_result
     from calibration.fit.run_context import RunContext
     from calibration.fit.usability_settings import USABILITY
     from calibration.report.outputs import write_summary
@@ -94,7 +94,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
                             RunContext(campaign.name, tasks, progress, listen), usability or USABILITY)
                 for campaign, curves in zip(campaigns, measured, strict=True)]
-        results, failures = _run_campaigns(fits, output, read_back, overwrite, figures, figures_format)
+        results, failures = _run_campaigns(fits, output, read_earlier_result, overwrite, figures, figures_format)
     if len(campaigns) > 1:
         write_summary(results, output / SUMMARY_FILE)
     if failures:
@@ -133,9 +133,9 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     """
     output = Path(output)
     _check_figures_format(figures_format)
-    from calibration.diagnosis.evidence import whole_campaign
+    from calibration.diagnosis.evidence import make_whole_recording_campaign
 
-    campaigns = _require_distinct_names([whole_campaign(load_campaign(path), law) for path in paths])
+    campaigns = _require_distinct_names([make_whole_recording_campaign(load_campaign(path), law) for path in paths])
     measured = [read_measured(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.result import read_diagnosis
@@ -153,7 +153,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     return results
 
 
-def _run_campaigns(parts: Sequence[Any], output: Path, read_back: Callable[..., Any], overwrite: bool, figures: bool,
+def _run_campaigns(parts: Sequence[Any], output: Path, read_result: Callable[..., Any], overwrite: bool, figures: bool,
                    figures_format: str | None,
                    files_of: Callable[..., list[Path]] = result_files) -> tuple[list[Any], list[str]]:
     """Run several campaigns, and read the results of finished campaigns.
@@ -161,7 +161,7 @@ def _run_campaigns(parts: Sequence[Any], output: Path, read_back: Callable[..., 
     Args:
         parts: a `CampaignFit` or `CampaignDiagnosis` for each campaign.
         output: folder of all results.
-        read_back: returns the result of a finished campaign, or None.
+        read_result: returns the result of a finished campaign, or None.
         overwrite: whether finished campaigns are computed again and other results replaced.
         figures: whether the reports include figures.
         figures_format: format of separate figure files; None: no figure files.
@@ -171,7 +171,7 @@ def _run_campaigns(parts: Sequence[Any], output: Path, read_back: Callable[..., 
         The results, and the messages of campaigns that failed.
     """
     finished = [None if overwrite or not (figures_format is None or has_pictures(
-        part.campaign, part.folder, figures_format)) else read_back(part.campaign, part.folder, part.digest)
+        part.campaign, part.folder, figures_format)) else read_result(part.campaign, part.folder, part.digest)
         for part in parts]
     for part, result in zip(parts, finished, strict=True):
         if result is None:
@@ -210,9 +210,9 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
             are missing, or there are too few replicates or samples.
         WorkerError: a worker process ends each time it works on a part.
     """
-    from calibration.diagnosis.evidence import whole_campaign
+    from calibration.diagnosis.evidence import make_whole_recording_campaign
 
-    campaign = whole_campaign(load_campaign(path, planned=True), law)
+    campaign = make_whole_recording_campaign(load_campaign(path, planned=True), law)
     measured = read_planned(campaign, replicates, samples)
     from calibration.diagnosis.design import compute_design
     from calibration.fit.run_context import RunContext

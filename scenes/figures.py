@@ -146,7 +146,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     base, plate = nodes[:, 1][mesh.sets["base"]].min(), 0.05 * max(height, 0.5 * radius)
     axes.fill_between([-width, width], base, base - plate, color=RIGID, linewidth=0)
     if tool.is_plate:
-        tip = _contact_height(mesh, nodes, tool)
+        tip = _find_face_height(mesh, nodes, tool)
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:
         _draw_needle(axes, mesh, nodes, tool, max(nodes[:, 1].max(), 0.0) + plate)
@@ -169,7 +169,7 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     mesh = fields.mesh
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
     _draw_field(axes, fields, name, sample, (1,))
-    radius, tip = tool.require_radius() * 1e3, _contact_height(mesh, nodes, tool)
+    radius, tip = tool.require_radius() * 1e3, _find_face_height(mesh, nodes, tool)
     top = max(nodes[mesh.sets["top"], 1].max(), tip) + 0.3 * radius
     _draw_needle(axes, mesh, nodes, tool, top + radius)
     top_nodes = mesh.sets["top"][np.argsort(mesh.nodes[mesh.sets["top"], 0])]
@@ -191,7 +191,7 @@ def _draw_field(axes, fields: Fields, name: str, sample: int, sides: tuple[int, 
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
     values = fields.at_nodes(name, sample) * factor
     triangles = _split_into_triangles(mesh)
-    edges = _element_outlines(mesh, nodes)
+    edges = _compute_element_outlines(mesh, nodes)
     for mirror in sides:
         side = np.array([mirror, 1])
         x, y = (nodes * side).T
@@ -205,13 +205,13 @@ def _draw_field(axes, fields: Fields, name: str, sample: int, sides: tuple[int, 
 
 def _draw_needle(axes, mesh: Mesh, nodes: np.ndarray, tool: Tool, top: float) -> None:
     """Draw the outline of a needle from its contact with the tissue up to the height `top`, mm."""
-    tip = _contact_height(mesh, nodes, tool)
+    tip = _find_face_height(mesh, nodes, tool)
     r, z = (tool.profile.outline((top - tip) * 1e-3) * 1e3).T
     axes.fill(np.concatenate([r, -r[::-1]]), tip + np.concatenate([z, z[::-1]]), color=RIGID, edgecolor="0.4",
               linewidth=0.6)
 
 
-def _contact_height(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
+def _find_face_height(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
     """Return the height of the tool's flat face, mm: the highest deformed surface node below the face.
 
     Args:
@@ -244,7 +244,7 @@ def _split_into_triangles(mesh: Mesh) -> np.ndarray:
                            for corners in (square if mesh.element.order == 1 else nine)])
 
 
-def _element_outlines(mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
+def _compute_element_outlines(mesh: Mesh, nodes: np.ndarray) -> np.ndarray:
     """Return the outline of each element as a closed polyline, in the unit of `nodes`, shape (elements, points, 2)."""
     ring = [0, 1, 2, 3, 0] if mesh.element.order == 1 else [0, 4, 1, 5, 2, 6, 3, 7, 0]
     return nodes[mesh.connectivity[:, ring]]

@@ -62,8 +62,8 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     from matplotlib.tri import Triangulation
 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
-    nodes = deformed_nodes(fields, sample)
-    heights = distance_from_plane(nodes, pose)
+    nodes = compute_deformed_nodes(fields, sample)
+    heights = compute_distance_from_plane(nodes, pose)
     crossings, triangles = cut_tetrahedra(mesh.connectivity[:, tetrahedra(mesh.element)].reshape(-1, 4), heights)
     points = crossings.interpolate(nodes)
     values = crossings.interpolate(fields.at_nodes(name, sample) * LABELS[name][1])
@@ -79,7 +79,7 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     edges = _project_lines(intersect_triangles(outside, heights).interpolate(nodes))
     axes.add_collection(LineCollection(edges, colors="0.15", linewidths=1.0))
     undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
-    outline = intersect_triangles(outside, distance_from_plane(undeformed, pose)).interpolate(undeformed)
+    outline = intersect_triangles(outside, compute_distance_from_plane(undeformed, pose)).interpolate(undeformed)
     axes.add_collection(LineCollection(_project_lines(outline), colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
     low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
     width, plate = 0.59 * np.ptp(1e3 * nodes[:, 0]), 0.04 * (high - low).max()
@@ -107,7 +107,7 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     from matplotlib.collections import LineCollection
 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
-    nodes = deformed_nodes(fields, sample)
+    nodes = compute_deformed_nodes(fields, sample)
     sides = np.concatenate(list(mesh.faces.values()))
     points, triangles = _split_at_edges(nodes, surface_triangles(mesh.element, sides))
     values = fields.at_nodes(name, sample)[points] * LABELS[name][1]
@@ -123,11 +123,12 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     # Only edges of element faces that are turned towards the viewer are drawn.
     lines = nodes[sides[:, side_edges(mesh.element)].reshape(-1, 2)]
     normals = _vertex_normals(nodes, surface_triangles(mesh.element, sides), len(nodes))
-    lines = lines[(normals[sides[:, side_edges(mesh.element)].reshape(-1, 2)] @ _view_direction() > 0.0).all(axis=1)]
+    ends = normals[sides[:, side_edges(mesh.element)].reshape(-1, 2)]
+    lines = lines[(ends @ _compute_view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
         lines = lines[~_find_hidden_points(lines.mean(axis=1), *bodies[1][:2])]
     thickness = min(0.4, 8.0 / np.sqrt(len(lines) + 1))
-    axes.add_collection(LineCollection(list(1e3 * _camera_coordinates(lines)[..., :2]), colors="white",
+    axes.add_collection(LineCollection(list(1e3 * _rotate_to_camera_axes(lines)[..., :2]), colors="white",
                                        linewidths=thickness, alpha=0.55))
     axes.set_aspect("equal")
     axes.autoscale_view()
@@ -135,12 +136,12 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     axes.set_title("surface from above", loc="left", fontsize=10)
 
 
-def deformed_nodes(fields: SolidFields, sample: int) -> np.ndarray:
+def compute_deformed_nodes(fields: SolidFields, sample: int) -> np.ndarray:
     """Return the deformed coordinates of the nodes in the frame of the scene, m, shape (nodes, 3)."""
     return fields.mesh.nodes + fields.displacement(sample) - [0.0, 0.0, fields.datum]
 
 
-def distance_from_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
+def compute_distance_from_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
     """Return the signed distances of points, shape (n, 3), m, from the plane through the tool's axis and the x axis.
 
     Returns:
@@ -163,8 +164,8 @@ def tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: Tool) -> Pose:
         tool: tool of the experiment.
     """
     if tool.is_plate:
-        return Pose((0.0, 0.0, float(deformed_nodes(fields, sample)[fields.mesh.sets["top"], 2].max())))
-    surface = deformed_nodes(fields, sample)[fields.mesh.sets["top"]]
+        return Pose((0.0, 0.0, float(compute_deformed_nodes(fields, sample)[fields.mesh.sets["top"], 2].max())))
+    surface = compute_deformed_nodes(fields, sample)[fields.mesh.sets["top"]]
     rotation = np.array(pose.rotation)
     local = (surface - np.array(pose.position)) @ rotation
     gap = float(tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]])).min())
@@ -226,15 +227,18 @@ def _project_lines(points: np.ndarray) -> list[np.ndarray]:
     return list(1e3 * points[:, [0, 2]].reshape(-1, 2, 2))
 
 
-def _view_direction() -> np.ndarray:
+def _compute_view_direction() -> np.ndarray:
     """Return the unit vector from the scene towards the camera."""
     azimuth, elevation = np.radians([_VIEW.azimuth_deg, _VIEW.elevation_deg])
     return np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
 
 
-def _camera_coordinates(points: np.ndarray) -> np.ndarray:
-    """Transform points, shape (..., 3), to the axes of the picture: right, up and towards the camera."""
-    direction, azimuth = _view_direction(), np.radians(_VIEW.azimuth_deg)
+def _rotate_to_camera_axes(points: np.ndarray) -> np.ndarray:
+    """Rotate points, shape (..., 3), into the axes of the picture: right, up and towards the camera.
+
+    The origin stays the same.
+    """
+    direction, azimuth = _compute_view_direction(), np.radians(_VIEW.azimuth_deg)
     right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
     return points @ np.stack([right, np.cross(direction, right), direction]).T
 
@@ -258,12 +262,12 @@ def _draw_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) 
         shadow = _VIEW.shadow_brightness
         brightness = shadow + (1.0 - shadow) * np.clip(normals @ light, 0.0, 1.0)
         a, b, c = np.moveaxis(vertices[faces], 1, 0)
-        faces = faces[np.cross(b - a, c - a) @ _view_direction() > 0.0]
+        faces = faces[np.cross(b - a, c - a) @ _compute_view_direction() > 0.0]
         positions.append(vertices)
         triangles.append(faces + offset)
         colours.append(colour * brightness[:, None])
         offset += len(vertices)
-    points, all_triangles = _camera_coordinates(np.concatenate(positions)), np.concatenate(triangles)
+    points, all_triangles = _rotate_to_camera_axes(np.concatenate(positions)), np.concatenate(triangles)
     order = np.argsort(points[all_triangles, 2].mean(axis=1))
     x, y = 1e3 * points[:, 0], 1e3 * points[:, 1]
     mesh = TriMesh(Triangulation(x, y, all_triangles[order]))
@@ -275,7 +279,7 @@ def _draw_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) 
 
 def _find_hidden_points(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Tell for each point, shape (n, 3), whether a triangle lies between the point and the camera; bool, shape (n,)."""
-    seen, corners = _camera_coordinates(points), _camera_coordinates(vertices)[faces]
+    seen, corners = _rotate_to_camera_axes(points), _rotate_to_camera_axes(vertices)[faces]
     hidden = np.zeros(len(points), dtype=bool)
     for a, b, c in corners:
         doubled_area = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])

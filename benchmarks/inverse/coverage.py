@@ -47,9 +47,9 @@ from benchmarks.inverse.starts import (
 from benchmarks.measure import about, show, table, verdict
 from calibration.campaign.campaign import Noise
 from calibration.fit.campaign_problem import build_problem
-from calibration.fit.estimate import settle
+from calibration.fit.estimate import iterate_mesh_and_jitter
 from calibration.fit.problem import Problem
-from calibration.fit.profiles import profile_side
+from calibration.fit.profiles import compute_profile_side
 from calibration.fit.trust_region import descend
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.forms import ACCURATE_MESH_ERRORS
@@ -127,7 +127,7 @@ def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bo
     for method, campaign in campaigns.items():
         began = time.process_time()
         problem = build_problem(LAW, campaign, measured, solves)
-        estimate = settle(problem, descend(problem, START).theta, STATED[method])
+        estimate = iterate_mesh_and_jitter(problem, descend(problem, START).theta, STATED[method])
         cost = {"refreshes": estimate.refreshes, "cpu_s": time.process_time() - began}
         converged = estimate.converged and not estimate.warnings
         found[method] = _interval(problem, estimate.theta, estimate.error, converged, profiled) | cost
@@ -144,7 +144,7 @@ def _interval(problem: Problem, theta: np.ndarray, error: float, converged: bool
     spread = assess_uncertainty(problem, problem.evaluate(theta))
     ends = None
     if profiled:
-        ends = [[profile_side(problem, theta, error, spread, i, side).end for side in (-1, 1)]
+        ends = [[compute_profile_side(problem, theta, error, spread, i, side).end for side in (-1, 1)]
                 for i in range(theta.size)]
     return {"theta": theta.tolist(), "errors": spread.standard_errors.tolist(),
             "quantile": np.broadcast_to(spread.quantile, theta.shape).tolist(), "profile": ends,

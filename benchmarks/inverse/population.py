@@ -19,7 +19,7 @@ from calibration.campaign.parameters import PER_SPECIMEN, NamedParameter
 from calibration.fit.curves import draw_curves
 from calibration.fit.ordinary import Ordinary, fit_law
 from calibration.fit.population import find_specimens
-from calibration.fit.predictor import Predictor, predictor_of_held_out
+from calibration.fit.predictor import Predictor, make_held_out_predictor
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.population import estimate_population
 from calibration.statistics.sensor_noise import SensorNoise
@@ -94,7 +94,7 @@ def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
     own = Predictor.of(estimate.problem.space, estimate.theta, spread_of)
     population = find_specimens(own.space, own.theta, own.covariance, spread_of.standard_errors).population
     further = tests[specimens:]
-    predictors = {test.name: predictor_of_held_out(test, own, population) for test in further}
+    predictors = {test.name: make_held_out_predictor(test, own, population) for test in further}
     unseen = [estimator.build_held_out_test(test, estimate, own) for test in further]
     curves = draw_curves(estimate, spread_of, unseen, None, predictors)
     held = []

@@ -31,7 +31,7 @@ from benchmarks.measure import about, option_parser, show, summary, table, verdi
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.campaign_problem import build_problem
-from calibration.fit.estimate import settle
+from calibration.fit.estimate import iterate_mesh_and_jitter
 from calibration.fit.trust_region import DESCENT, descend
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.simulation_cache import SimulationCache
@@ -172,7 +172,7 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
              "converged": descent.converged, "problem": descent.failure, "cpu_s": descent.cpu_s,
              "solves": [descent.simulations.get((name, "fast"), 0) for name in scenes]}
     if settled and descent.converged:
-        estimate = settle(problem, descent.theta, Noise(contact_jitter=None, zero_jitter=None))
+        estimate = iterate_mesh_and_jitter(problem, descent.theta, Noise(contact_jitter=None, zero_jitter=None))
         spread = assess_uncertainty(problem, problem.evaluate(estimate.theta))
         simulated = Counter(descent.simulations) + Counter(estimate.simulations)
         found["estimate"] = {

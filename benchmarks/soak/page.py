@@ -158,7 +158,7 @@ class _Player:
 
     @property
     def _reach(self) -> float:
-        return min(self._deepest, self._session.scene.deepest)
+        return min(self._deepest, self._session.scene.max_tool_displacement)
 
     def _aim(self) -> None:
         self._post("aim", depth=float(self._rng.uniform(-HIGHEST, self._reach)))

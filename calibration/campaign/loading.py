@@ -18,8 +18,8 @@ OTHER_SIDE = 0.05
 _FAR = 0.1
 
 
-def elastic_samples(samples: np.ndarray, displacement: np.ndarray, screening: Screening, path: Path, *,
-                    both_sides: bool) -> np.ndarray:
+def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screening: Screening, path: Path, *,
+                           both_sides: bool) -> np.ndarray:
     """Select the samples to which a law without memory is fitted: the first loading, or all of an oscillation.
 
     Samples after the first saturated one and after the start of creep under constant load are left out.
@@ -48,7 +48,7 @@ def elastic_samples(samples: np.ndarray, displacement: np.ndarray, screening: Sc
         if samples.size < MIN_POINTS:
             raise InputError(f"{path.name}: {control.sentence} ({samples.size} samples of loading)",
                              field="recordings")
-    loads = first_loading(displacement[samples], both_sides=both_sides) if samples.size else samples
+    loads = loading_indices(displacement[samples], both_sides=both_sides) if samples.size else samples
     if loads.size < MIN_POINTS:
         raise InputError(f"{path.name} must have at least {MIN_POINTS} samples of loading; its largest strain is in "
                          f"sample {loads.size}, and later samples count as unloading. Sort the file by time",
@@ -76,7 +76,7 @@ def require_loading(displacement: np.ndarray, force: np.ndarray, screening: Scre
                          "and the next sample is under load. Correct that sample in the file", field="recordings")
 
 
-def first_loading(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
+def loading_indices(displacement: np.ndarray, both_sides: bool) -> np.ndarray:
     """Return the indices of the samples up to the largest displacement.
 
     A specimen loaded in both directions has a second loading from rest to the opposite extreme, which is included. The

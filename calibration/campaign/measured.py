@@ -10,10 +10,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.loading import check_motion, elastic_samples, require_loading
+from calibration.campaign.loading import check_motion, require_loading, select_elastic_samples
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
-from calibration.campaign.screened import check_left_out, clean_recording, screening_notes, with_control, with_preload
-from calibration.campaign.segmented import SegmentedRecording, notes_with_air, origin_notes, segment_recording
+from calibration.campaign.screened import (
+    add_load_control,
+    add_preload,
+    check_left_out,
+    clean_recording,
+    list_screening_notes,
+)
+from calibration.campaign.segmented import SegmentedRecording, list_notes_with_air, list_origin_notes, segment_recording
 from calibration.campaign.specimen_check import check_size
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
 from calibration.statistics.statistics import estimate_noise, quantisation_step
@@ -196,7 +202,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
                          "state a time column, or speed_mm_s", field="recordings")
     remembering = depends_on_history(test, material) or (campaign.fit.whole and time is not None)
     height = 1.0 if test.specimen is None else test.specimen.height
-    screening = with_control(screening, displacement, force, time, test)
+    screening = add_load_control(screening, displacement, force, time, test)
     if remembering:
         require_loading(displacement, force, screening, path)
     labels = np.char.lower(recording.labels["segment"].astype(str)) if "segment" in recording.labels else None
@@ -204,8 +210,8 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
                               path=path)
     displacement, force, keep = whole.displacement, whole.force, whole.used
     if not whole.segmentation.has_air:
-        screening = with_preload(screening, displacement, force, campaign,
-                                 can_pull=test.kind.can_pull, stressed=stressed)
+        screening = add_preload(screening, displacement, force, campaign,
+                                can_pull=test.kind.can_pull, stressed=stressed)
     if labels is not None:
         inside = keep & ~np.isin(labels, ("approach",) if remembering else NOT_LOADING)
         keep = inside if inside.any() else keep
@@ -224,7 +230,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
         # A table of stress and stretch has no order in time; neighbours in the sorted table give the noise.
         samples = samples[np.argsort(displacement[samples], kind="stable")]
     else:
-        samples = elastic_samples(samples, displacement, screening, path, both_sides=test.kind.gripped)
+        samples = select_elastic_samples(samples, displacement, screening, path, both_sides=test.kind.gripped)
         # Samples after a failure are cut and do not count as hold or unloading.
         failure = whole.segmentation.failure
         end = failure.index + 1 if failure is not None and test.failure == "cut" else displacement.size
@@ -256,19 +262,19 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,
                           path, str(recording.metadata.get("sha256", "")), stressed, later,
                           whole=replace(whole, used=used),
-                          notes=notes_with_air(whole, int(samples.min()), stressed=stressed)
-                          | origin_notes(recording, test)
-                          | screening_notes(screening, recording, remembering=remembering),
+                          notes=list_notes_with_air(whole, int(samples.min()), stressed=stressed)
+                          | list_origin_notes(recording, test)
+                          | list_screening_notes(screening, recording, remembering=remembering),
                           screening=screening)
     if campaign.fit.method == "analytical":
-        curve = with_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
-                           curve)
+        curve = attach_noise(replace(curve, displacement=displacement[loading], force=force[loading]), campaign,
+                             curve)
     for array in (curve.displacement, curve.force):
         array.flags.writeable = False
     return curve
 
 
-def with_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve | None = None) -> MeasuredCurve:
+def attach_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCurve | None = None) -> MeasuredCurve:
     """Return a curve with its stated or estimated noise, interpolated if the campaign states `strain_points`.
 
     Args:

@@ -90,6 +90,6 @@ def read_planned(campaign: Campaign, replicates: int = PLANNED.replicates,
     return {test.name: found[test.name] for test in campaign.tests}
 
 
-def with_forces(curves: Sequence[MeasuredCurve], forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
+def replace_forces(curves: Sequence[MeasuredCurve], forces: Sequence[np.ndarray]) -> tuple[MeasuredCurve, ...]:
     """Return the recordings with these forces, N, each of shape (n,)."""
     return tuple(replace(curve, force=force) for curve, force in zip(curves, forces, strict=True))

@@ -65,8 +65,8 @@ def check_left_out(test: Test, names: Sequence[str], campaign: Campaign) -> None
                              file=campaign.path, field=f"{field}.{name}")
 
 
-def with_control(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, test: Test
-                 ) -> Screening:
+def add_load_control(screening: Screening, motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, test: Test
+                     ) -> Screening:
     """Return the findings with the control mode (displacement or force), detected or stated by the test.
 
     Args:
@@ -80,8 +80,8 @@ def with_control(screening: Screening, motion: np.ndarray, load: np.ndarray, tim
     return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
 
 
-def with_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
-                 can_pull: bool, stressed: bool) -> Screening:
+def add_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, campaign: Campaign, *,
+                can_pull: bool, stressed: bool) -> Screening:
     """Return the findings with the load at zero displacement, for a recording that starts in contact.
 
     Args:
@@ -133,7 +133,7 @@ def _describe_preload(found: LoadAtZero, *, stressed: bool, covers: bool, fits_c
     return f"{finding}; {effect}; {remedy}"
 
 
-def screening_notes(screening: Screening, recording: Recording, *, remembering: bool) -> dict[str, str]:
+def list_screening_notes(screening: Screening, recording: Recording, *, remembering: bool) -> dict[str, str]:
     """Return the notes for the user about the signals of a recording, by subject.
 
     Args:

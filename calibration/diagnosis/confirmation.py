@@ -10,10 +10,10 @@ from scipy import linalg, special
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS
-from calibration.diagnosis.diagnosis import HeldOutPrediction, RegionMisfit
+from calibration.diagnosis.diagnosis import HeldOutPrediction, SegmentMisfit
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.refits import copy_problem
-from calibration.fit.estimate import Estimate, settle
+from calibration.fit.estimate import Estimate, iterate_mesh_and_jitter
 from calibration.fit.fit import Region
 from calibration.fit.generalised import Generalised
 from calibration.fit.predictor import Predictor
@@ -30,25 +30,25 @@ _SMALLEST = 1e-14
 _END_FRACTION = 0.1
 
 
-def with_updated_corrections(evidence: Evidence) -> Evidence:
+def update_corrections(evidence: Evidence) -> Evidence:
     """Recompute jitter and mesh corrections of evidence with an effect, which are those of the fit without it.
 
     The evidence is returned unchanged if this fit fails.
     """
     problem = evidence.problem
     stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated_jitter(problem)
-    estimate = settle(copy_problem(problem), evidence.estimate.theta, stated)
+    estimate = iterate_mesh_and_jitter(copy_problem(problem), evidence.estimate.theta, stated)
     return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
 
-def equivalent_deviations(region: Region) -> float:
+def p_value_in_deviations(region: Region) -> float:
     """Return the number of standard deviations of a normal distribution with the p value of a region (two-sided)."""
     if region.p > _SMALLEST:
         return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # converts -0.0 to 0.0
     return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
 
 
-def compare_regions(before: Evidence, after: Evidence | None) -> list[RegionMisfit]:
+def compare_segment_misfits(before: Evidence, after: Evidence | None) -> list[SegmentMisfit]:
     """Return the misfit of each region before and after effects were added, with a description.
 
     Args:
@@ -61,13 +61,13 @@ def compare_regions(before: Evidence, after: Evidence | None) -> list[RegionMisf
         other = later.get((region.test, region.segment))
         curves = [(curve, rows) for curve, rows in zip(before.problem.measured, before.problem.rows, strict=True)
                   if curve.test.name == region.test]
-        inside = _samples_of_segment(curves[0][0], region.segment)
-        answers.append(RegionMisfit(
-            test=region.test, segment=region.segment, speed_mm_s=_mean_speed(curves[0][0], inside),
-            cycle=_cycle_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
-            before_sigma=equivalent_deviations(region), adequate_before=region.adequate,
+        inside = _mask_segment(curves[0][0], region.segment)
+        answers.append(SegmentMisfit(
+            test=region.test, segment=region.segment, speed_mm_s=_compute_mean_speed(curves[0][0], inside),
+            cycle=_parse_cycle_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
+            before_sigma=p_value_in_deviations(region), adequate_before=region.adequate,
             after_N=None if other is None else other.misfit_N,
-            after_sigma=None if other is None else equivalent_deviations(other),
+            after_sigma=None if other is None else p_value_in_deviations(other),
             adequate_after=None if other is None else other.adequate,
             sentence=_describe_misfit(region, curves, before)))
     return answers
@@ -77,7 +77,7 @@ def smooth_misfit(evidence: Evidence) -> float:
     """Return the root mean square of the smooth part of the residuals over all samples, N."""
     weights, total = 0.0, 0.0
     for region in evidence.regions:
-        count = sum(int(_samples_of_segment(curve, region.segment).sum()) for curve in evidence.problem.measured
+        count = sum(int(_mask_segment(curve, region.segment).sum()) for curve in evidence.problem.measured
                     if curve.test.name == region.test)
         weights += count
         total += count * region.misfit_N**2
@@ -133,7 +133,7 @@ def _predict_held_out_test(evidence: Evidence, name: str) -> Prediction | str:
         test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).build_held_out_test(
             asked, evidence.estimate, own)
         unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
-        return _prediction_errors(unseen, own.theta, own.covariance)[0]
+        return _compute_prediction_errors(unseen, own.theta, own.covariance)[0]
     except (InfeasibleError, InputError) as failure:
         return str(failure)
 
@@ -171,12 +171,12 @@ def _predict_last_recordings(estimate: Estimate, last: Problem) -> list[Predicti
         return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
     covariance = assess_uncertainty(estimate.problem, estimate.evaluation).covariance
     try:
-        return list(_prediction_errors(last, estimate.theta, covariance))
+        return list(_compute_prediction_errors(last, estimate.theta, covariance))
     except InfeasibleError as failure:
         return [str(failure)] * len(last.tests)
 
 
-def _prediction_errors(unseen: Problem, theta: np.ndarray, covariance: np.ndarray) -> list[Prediction]:
+def _compute_prediction_errors(unseen: Problem, theta: np.ndarray, covariance: np.ndarray) -> list[Prediction]:
     """Return the prediction error of each test, and whether its residuals are adequate.
 
     Contact offset and zero of each recording are fitted. The covariance of the parameters enters the residual tests as
@@ -207,14 +207,14 @@ def _prediction_errors(unseen: Problem, theta: np.ndarray, covariance: np.ndarra
     return answers
 
 
-def _samples_of_segment(curve: MeasuredCurve, segment: str) -> np.ndarray:
+def _mask_segment(curve: MeasuredCurve, segment: str) -> np.ndarray:
     """Return the samples of a segment, bool, shape (n,); all samples if the region is a third of a loading."""
     if curve.segment is None or segment not in curve.segment:
         return np.ones(curve.force.size, bool)
     return curve.segment == segment
 
 
-def _mean_speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
+def _compute_mean_speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
     """Return the mean speed over some samples, mm/s, to three digits; None without time."""
     if curve.time is None or inside.sum() < 2:
         return None
@@ -224,7 +224,7 @@ def _mean_speed(curve: MeasuredCurve, inside: np.ndarray) -> float | None:
     return float(f"{1e3 * speed:.3g}")
 
 
-def _cycle_number(segment: str) -> int:
+def _parse_cycle_number(segment: str) -> int:
     """Return the number at the end of a segment's name, such as 2 for ``hold 2``; 1 without a number."""
     last = segment.rpartition(" ")[2]
     return int(last) if last.isdigit() else 1
@@ -235,12 +235,12 @@ def _describe_misfit(region: Region, curves: Sequence[tuple[MeasuredCurve, slice
     place = f"{region.test} {region.segment}"
     if region.adequate:
         return f"{place} agrees"
-    sigma, stressed = equivalent_deviations(region), curves[0][0].stressed
+    sigma, stressed = p_value_in_deviations(region), curves[0][0].stressed
     what, unit, factor = ("stress", "kPa", 1e-3) if stressed else ("force", "N", 1.0)
     at = f"strain {region.at:.3g}" if stressed else f"{region.at:.3g} mm"
     if region.segment.startswith("hold"):
-        measured, error = _force_change_over_hold(region, curves, evidence, "data")
-        modelled, _ = _force_change_over_hold(region, curves, evidence, "model")
+        measured, error = _measure_force_change_over_hold(region, curves, evidence, "data")
+        modelled, _ = _measure_force_change_over_hold(region, curves, evidence, "model")
         if abs(measured - modelled) > LIMITS.hold_change * error:
             goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
             predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
@@ -251,8 +251,8 @@ def _describe_misfit(region: Region, curves: Sequence[tuple[MeasuredCurve, slice
             f"({sigma:.0f} sigma)")
 
 
-def _force_change_over_hold(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence,
-                            of: str) -> tuple[float, float]:
+def _measure_force_change_over_hold(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence,
+                                    of: str) -> tuple[float, float]:
     """Return the mean change of the force over a hold, N, and its standard error, N.
 
     Args:
@@ -264,7 +264,7 @@ def _force_change_over_hold(region: Region, curves: Sequence[tuple[MeasuredCurve
     force = evidence.problem.data if of == "data" else evidence.evaluation.force
     changes, errors = [], []
     for curve, rows in curves:
-        inside = force[rows][_samples_of_segment(curve, region.segment)]
+        inside = force[rows][_mask_segment(curve, region.segment)]
         end = max(int(_END_FRACTION * inside.size), 1)
         changes.append(inside[-end:].mean() - inside[:end].mean())
         errors.append(curve.noise.deviation * np.sqrt(2.0 / end))

@@ -11,11 +11,11 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.campaign.planned import with_forces
+from calibration.campaign.planned import replace_forces
 from calibration.diagnosis.diagnosis import CandidateStatement
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import score_effects
-from calibration.diagnosis.statements import candidate_statements
+from calibration.diagnosis.statements import list_candidate_statements
 from calibration.diagnosis.verdict import Judgement
 from calibration.fit.campaign_problem import build_problem, guess_jitter
 from calibration.fit.estimate import Estimate
@@ -77,12 +77,12 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     tests: list[PlannedTest]
 
 
-def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
+def simulate_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
                       solves: SimulationCache) -> Evidence:
     """Return the evidence of noise-free recordings of a material with the starting values of the campaign.
 
     Args:
-        campaign: campaign from `calibration.diagnosis.evidence.whole_campaign`.
+        campaign: campaign from `calibration.diagnosis.evidence.make_whole_recording_campaign`.
         measured: test -> recordings, of which only the motions are used.
         solves: cache of simulations.
 
@@ -101,8 +101,8 @@ def expected_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
     try:
         for test in problem.tests:
             answer = test.solve(space, theta, solves)
-            known[test.name] = with_forces(test.measured, [test.evaluate(answer, number, 0.0)[0]
-                                                            for number in range(len(test.measured))])
+            known[test.name] = replace_forces(test.measured, [test.evaluate(answer, number, 0.0)[0]
+                                                               for number in range(len(test.measured))])
     except InfeasibleError as failure:
         raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
                          "depth", file=campaign.path, field="fit.start") from None
@@ -130,19 +130,19 @@ def compute_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurv
     """Compute the expected information of planned experiments.
 
     Args:
-        campaign: see `expected_evidence`.
-        measured: see `expected_evidence`.
+        campaign: see `simulate_evidence`.
+        measured: see `simulate_evidence`.
         context: workers and listeners.
         solves: cache of simulations; None: a new one.
 
     Raises:
-        InputError: see `expected_evidence`.
+        InputError: see `simulate_evidence`.
     """
-    evidence = expected_evidence(campaign, measured, solves or SimulationCache())
+    evidence = simulate_evidence(campaign, measured, solves or SimulationCache())
     proposals = score_effects(evidence, context)
     nothing = Judgement("NONE", [], (), [], evidence)
     rows = [msgspec.structs.replace(row, score=None, p=None, estimate={})
-            for row in candidate_statements(proposals, nothing, evidence)]
+            for row in list_candidate_statements(proposals, nothing, evidence)]
     rows.sort(key=lambda row: not row.testable)
     problem = evidence.problem
     spread = assess_uncertainty(problem, evidence.evaluation)

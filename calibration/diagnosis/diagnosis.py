@@ -118,7 +118,7 @@ class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
     note: str = ""
 
 
-class RegionMisfit(msgspec.Struct, frozen=True, kw_only=True):
+class SegmentMisfit(msgspec.Struct, frozen=True, kw_only=True):
     """Misfit in one segment of one test before and after effects were added; values after are None if none was added.
 
     Attributes:
@@ -236,7 +236,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     effects: list[FoundEffect] = []
     indistinguishable: list[str] = []
     candidates: list[CandidateStatement] = []
-    regions: list[RegionMisfit] = []
+    regions: list[SegmentMisfit] = []
     gap_before_N: float
     gap_after_N: float | None = None
     noise_N: float

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from calibration.fit.problem import Problem
 from calibration.fit.starts import generate_starts
-from calibration.forward.meshes import meshes_of
+from calibration.forward.meshes import find_meshes
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import simulate_curve
 from tissue_sim.errors import InputError
@@ -35,7 +35,7 @@ class DurationSettings:
 SETTINGS = DurationSettings()
 
 
-def simulation_seconds(problem: Problem) -> dict[str, float]:
+def estimate_simulation_seconds(problem: Problem) -> dict[str, float]:
     """Measure the processor time of a simulation of each three-dimensional test, without derivatives.
 
     Tests with fast solvers and failed simulations are omitted.
@@ -48,12 +48,12 @@ def simulation_seconds(problem: Problem) -> dict[str, float]:
     """
     found = {}
     for test in problem.tests:
-        if isinstance(test, SimulatedTest) and meshes_of(test.solver).slow:
+        if isinstance(test, SimulatedTest) and find_meshes(test.solver).slow:
             experiment = replace(test.experiment, protocol=test.motions[0].protocol)
             try:
                 values = problem.space.values(generate_starts(problem.space, 1)[0])
                 material = problem.space.material(values, test=test.name)
-                curve = simulate_curve(Model(experiment, material, Rig()), None, [], meshes_of(test.solver).fast,
+                curve = simulate_curve(Model(experiment, material, Rig()), None, [], find_meshes(test.solver).fast,
                                        test.solver)
             except InputError:
                 continue
@@ -66,7 +66,7 @@ def describe_duration(seconds: Mapping[str, float]) -> str:
     """Describe the expected duration and ways to shorten it; empty for a short diagnosis.
 
     Args:
-        seconds: name of the test -> processor time of a simulation, s, from `simulation_seconds`.
+        seconds: name of the test -> processor time of a simulation, s, from `estimate_simulation_seconds`.
     """
     each = sum(seconds.values())
     if SETTINGS.max_simulations * each < SETTINGS.min_announced:

@@ -34,7 +34,7 @@ _SAME_POSITION = 0.005
 Measured = Mapping[str, tuple[MeasuredCurve, ...]]
 
 
-def whole_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
+def make_whole_recording_campaign(campaign: Campaign, law: str | None = None) -> Campaign:
     """Return the campaign with one law that is fitted to whole recordings, including holds and unloading.
 
     Args:
@@ -203,7 +203,7 @@ def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCa
     """Fit a campaign without effects.
 
     Args:
-        campaign: campaign from `whole_campaign`.
+        campaign: campaign from `make_whole_recording_campaign`.
         measured: test -> its recordings.
         solves: cache of simulations.
         context: workers and listeners.
@@ -218,14 +218,14 @@ def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCa
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = upper_jitter(problem, estimate.theta, estimator.stated_jitter(problem))
+    problem.jitter = jitter_upper_limit(problem, estimate.theta, estimator.stated_jitter(problem))
     problem.reset_nuisances()
     descent = descend(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
     return Evidence(campaign, measured, estimate)
 
 
-def upper_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
+def jitter_upper_limit(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
     """Return an upper confidence limit of an estimated jitter; stated or assumed jitter is returned unchanged.
 
     Few recordings may agree by chance; with too small a jitter, effects that resemble a contact offset or a zero would

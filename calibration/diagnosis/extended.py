@@ -49,7 +49,7 @@ def add_effect(problem: Problem, campaign: Campaign, candidate: Candidate, value
                    problem.mesh_error), changed
 
 
-def free_values(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
+def select_free_values(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
     """Return the free parameters of a space, SI, shape (p,).
 
     Args:
@@ -60,8 +60,8 @@ def free_values(space: ParameterSpace, values: Mapping[str, float], sizes: Mappi
     return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.varied])
 
 
-def change_by_effect(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
-                     factor: float = 1.0) -> np.ndarray | str:
+def simulate_effect_change(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
+                           factor: float = 1.0) -> np.ndarray | str:
     """Compute the change of the whitened model by an effect of its trial size.
 
     Args:
@@ -93,23 +93,23 @@ def change_by_effect(problem: Problem, evaluation: Evaluation, campaign: Campaig
         sizes = candidate.scaled_sizes(absent, factor)
         with_it = hold_parameters(add_effect(problem, campaign, candidate, sizes, free=False)[0])
         # Both forces must be computed on one mesh and by one method, so that their difference is due to the effect.
-        without = _with_equal_method(hold_parameters(problem), with_it) if not candidate.changes_mesh(campaign) \
+        without = _match_simulation_method(hold_parameters(problem), with_it) if not candidate.changes_mesh(campaign) \
             else hold_parameters(add_effect(problem, campaign, candidate, absent, free=False)[0])
-        change = _residual_at_fixed_parameters(with_it, nuisances)
+        change = _fit_residual_at_fixed_parameters(with_it, nuisances)
         # Without changes of mesh and method the residual without the effect is that of the evaluation.
         change -= np.concatenate([evaluation.residual[rows] for rows, (t, _) in zip(
             problem.rows, problem.places, strict=True) if t in touched]) if without is None else \
-            _residual_at_fixed_parameters(without, nuisances)
+            _fit_residual_at_fixed_parameters(without, nuisances)
     except (InfeasibleError, NotTestableError, InputError) as error:
         return str(error)
     groups: dict[str, np.ndarray] = {}
     for rows, (t, r) in zip(with_it.rows, with_it.places, strict=True):
-        column = groups.setdefault(_parameter_group(with_it.tests[t], candidate), np.zeros(problem.samples))
+        column = groups.setdefault(_parameter_group_key(with_it.tests[t], candidate), np.zeros(problem.samples))
         column[problem.rows[problem.places.index((touched[t], r))]] = change[rows]
     return np.column_stack(list(groups.values()))
 
 
-def _with_equal_method(held: Problem, other: Problem) -> Problem | None:
+def _match_simulation_method(held: Problem, other: Problem) -> Problem | None:
     """Return the problem with the whole motion simulated in the tests for which another problem requires it.
 
     Returns:
@@ -128,7 +128,7 @@ def _with_equal_method(held: Problem, other: Problem) -> Problem | None:
     return Problem(held.space, tests, held.solves, held.jitter, held.mesh_error)
 
 
-def _residual_at_fixed_parameters(held: Problem, nuisances: np.ndarray) -> np.ndarray:
+def _fit_residual_at_fixed_parameters(held: Problem, nuisances: np.ndarray) -> np.ndarray:
     """Return the whitened residual of a problem without free parameters at given nuisances, shape (N,).
 
     Raises:
@@ -138,7 +138,7 @@ def _residual_at_fixed_parameters(held: Problem, nuisances: np.ndarray) -> np.nd
     return held._linearise(answers, nuisances)[0]
 
 
-def _parameter_group(test: ForwardTest, candidate: Candidate) -> str:
+def _parameter_group_key(test: ForwardTest, candidate: Candidate) -> str:
     """Return a key that is equal for tests with common parameters of a candidate."""
     if candidate.scope == "per_test":
         return test.name

@@ -184,7 +184,7 @@ def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before:
     Returns:
         Force, shape (N,), and changes per standard deviation of contact, zero, mesh error and parameters, shape (N, m).
     """
-    candidate = _with_planned_test(rival.proposal.candidate, test)
+    candidate = _add_planned_test(rival.proposal.candidate, test)
     campaign: Campaign = replace(before.campaign, tests=(*before.campaign.tests, test))
     changed = candidate.add_to(campaign, free=True)
     asked = changed.tests[-1]
@@ -205,7 +205,7 @@ def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before:
     return residual, np.hstack([columns, rates @ root])
 
 
-def _with_planned_test(candidate: Candidate, test: Test) -> Candidate:
+def _add_planned_test(candidate: Candidate, test: Test) -> Candidate:
     """Return a candidate that also acts in a planned test if it acts in the existing test that the plan varies."""
     if candidate.tests is None:
         return candidate

@@ -46,7 +46,7 @@ def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Eviden
     if scatter.freedom != 0 or not evidence.explained:
         return evidence, []
     for _ in range(_SETTINGS.max_fits):
-        far = {name: contact for name, contact in _fitted_contacts(found).items()
+        far = {name: contact for name, contact in _read_contact_offsets(found).items()
                if abs(contact) > INVERSE_WARNINGS.suspect_nuisance * scatter.contact
                or (name in shifts and abs(contact) > _SETTINGS.tolerance * scatter.contact)}
         if not far:
@@ -60,13 +60,13 @@ def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Eviden
             return evidence, []
     if not found.explained:
         return evidence, []
-    rest = _fitted_contacts(found)
+    rest = _read_contact_offsets(found)
     stressed = {curve.name: curve.stressed for curve in evidence.problem.measured}
     return found, [_describe_contact_offset(name, shift + rest[name], scatter, stressed[name])
                    for name, shift in shifts.items()]
 
 
-def _fitted_contacts(evidence: Evidence) -> dict[str, float]:
+def _read_contact_offsets(evidence: Evidence) -> dict[str, float]:
     """Return recording -> fitted contact offset, m (strain for recordings of stress)."""
     problem, nuisances = evidence.problem, evidence.evaluation.nuisances
     if "contact" not in problem.kinds:

@@ -108,7 +108,7 @@ def _are_both_required(first: Refit, second: Refit, good: Sequence[Refit], evide
     return largest_cosine(first.proposal.direction, single.direction) < LIMITS.max_pair_cosine
 
 
-def regions_of_largest_change(proposal: ScoredCandidate, evidence: Evidence, most: int = 2) -> list[str]:
+def find_most_changed_regions(proposal: ScoredCandidate, evidence: Evidence, most: int = 2) -> list[str]:
     """Return the regions in which an effect changes the force most, after projection on the residual space.
 
     Args:

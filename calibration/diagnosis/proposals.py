@@ -11,7 +11,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.extended import change_by_effect
+from calibration.diagnosis.extended import simulate_effect_change
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
@@ -149,15 +149,15 @@ def score_effects(evidence: Evidence, context: RunContext, words: str = "effects
         except NotTestableError as reason:
             untestable[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
-    changes = context.run_all(change_by_effect, [(problem, evaluation, evidence.campaign, each) for each in candidates],
-                              words, names=[each.title for each in candidates])
+    tasks = [(problem, evaluation, evidence.campaign, each) for each in candidates]
+    changes = context.run_all(simulate_effect_change, tasks, words, names=[each.title for each in candidates])
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
     directions = {number: _project_change(candidates[number], change, evidence) for number, change in columns.items()}
     # If nearly all of a change lies in the fitted space, the rest may be a nonlinearity. With c(s) = a s + b s^2 the
     # combination 4 c(1/2) - c(1) = a removes the second-order part.
     bent = [number for number, direction in directions.items() if direction.reach < _SECOND_ORDER * direction.length]
-    halves = context.run_all(change_by_effect, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
+    halves = context.run_all(simulate_effect_change, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
                                       for number in bent], words,
                           names=[candidates[number].title for number in bent]) if bent else []
     for number, half in zip(bent, halves, strict=True):
@@ -225,13 +225,13 @@ def refine_jump_position(proposal: ScoredCandidate, evidence: Evidence) -> Score
               if candidate.tests is None or curve.test.name in candidate.tests]
     deepest = max(float(curve.displacement.max()) for curve in curves)
     step = _JUMP_SEARCH.first_step * deepest
-    while step > max(sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
+    while step > max(smallest_sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
         step *= 0.5
         for change_of_depth in (-step, step):
             depth = float(np.clip(candidate.shape[candidate.jump] + change_of_depth, *candidate.bounds.get(
                 candidate.jump, (0.0, deepest))))
             other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-            change = change_by_effect(evidence.problem, evidence.evaluation, evidence.campaign, other)
+            change = simulate_effect_change(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):
                 continue
             found = rescore(replace(proposal, candidate=other, change=change), evidence)
@@ -241,7 +241,7 @@ def refine_jump_position(proposal: ScoredCandidate, evidence: Evidence) -> Score
     return proposal
 
 
-def sampling_step(curves: Sequence[MeasuredCurve]) -> float:
+def smallest_sampling_step(curves: Sequence[MeasuredCurve]) -> float:
     """Return the smallest median displacement between successive samples of some recordings, m."""
     return min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
 

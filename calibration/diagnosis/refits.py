@@ -11,8 +11,13 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.extended import add_effect, free_values
-from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate, refine_jump_position, sampling_step
+from calibration.diagnosis.extended import add_effect, select_free_values
+from calibration.diagnosis.proposals import (
+    CatalogueScores,
+    ScoredCandidate,
+    refine_jump_position,
+    smallest_sampling_step,
+)
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
 from calibration.fit.problem import Problem
@@ -199,7 +204,7 @@ def fit_effects(evidence: Evidence, proposals: CatalogueScores, context: RunCont
     if len(near) > 1:
         # The mesh correction depends on the effect and may decide between similar effects.
         again = context.run_all(
-            with_updated_correction, [(each, evidence.problem, error, evidence.samples) for each in near],
+            refit_with_mesh_correction, [(each, evidence.problem, error, evidence.samples) for each in near],
             "their mesh corrections", names=[each.proposal.candidate.title for each in near])
         for each in again:
             each.problem.solves = evidence.problem.solves
@@ -212,7 +217,7 @@ def odds(best: Refit, other: Refit) -> float:
     return float(np.exp(min(0.5 * (best.gain - other.gain), 700.0)))
 
 
-def with_updated_correction(fitted: Refit, plain: Problem, error: float, samples: float) -> Refit:
+def refit_with_mesh_correction(fitted: Refit, plain: Problem, error: float, samples: float) -> Refit:
     """Repeat a fit with the mesh correction of its effect; return it unchanged if the accurate mesh fails.
 
     Args:
@@ -277,7 +282,7 @@ def fit_effect(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, 
         extended, changed = add_effect(problem, campaign, candidate, start, free=True)
     except (NotTestableError, InputError):
         return None
-    theta = _choose_start(extended, [free_values(extended.space, values, {**candidate.shape, **{
+    theta = _choose_start(extended, [select_free_values(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + fraction * (size - proposal.absent[path]) for path, size in start.items()}})
         for fraction in _SETTINGS.starts], error)
     gain, tolerance, stalled = _SETTINGS.gain, _SETTINGS.tolerance, (_SETTINGS.patience, _SETTINGS.gain)
@@ -290,7 +295,7 @@ def fit_effect(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, 
         again = descend(extended, descent.theta, corrected=True, enough=0.0, tolerance=tolerance, stalled=stalled)
         descent = again if again.error < descent.error else descent
     for _ in range(_SETTINGS.max_jump_moves if candidate.jump else 0):
-        moved = _with_jump_moved(problem, campaign, proposal, extended, descent)
+        moved = _refit_with_better_jump(problem, campaign, proposal, extended, descent)
         if moved is None:
             break
         proposal, extended, changed, descent = moved
@@ -298,8 +303,8 @@ def fit_effect(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, 
     return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
 
 
-def _with_jump_moved(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, extended: Problem,
-                     descent: Descent) -> tuple[ScoredCandidate, Problem, Campaign, Descent] | None:
+def _refit_with_better_jump(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, extended: Problem,
+                            descent: Descent) -> tuple[ScoredCandidate, Problem, Campaign, Descent] | None:
     """Search a better position of the jump at the contacts of the fit, and repeat the fit there.
 
     Args:
@@ -318,7 +323,7 @@ def _with_jump_moved(problem: Problem, campaign: Campaign, proposal: ScoredCandi
     low, high = candidate.bounds.get(candidate.jump, (0.0, max(float(c.displacement.max()) for c in curves)))
     found = None
     for steps in (sign * steps for steps in _SETTINGS.jump_steps for sign in (-1, 1)):
-        depth = float(np.clip(position + steps * sampling_step(curves), low, high))
+        depth = float(np.clip(position + steps * smallest_sampling_step(curves), low, high))
         other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
         moved, changed = add_effect(problem, campaign, other, free=True)
         try:

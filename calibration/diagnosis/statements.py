@@ -7,7 +7,7 @@ import numpy as np
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, FoundEffect
 from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.pairs import regions_of_largest_change
+from calibration.diagnosis.pairs import find_most_changed_regions
 from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate
 from calibration.diagnosis.refits import Refit, find_bound, odds
 from calibration.diagnosis.verdict import Judgement, explained_misfit_fraction
@@ -15,7 +15,7 @@ from calibration.effects.effect import Candidate
 from calibration.fit.uncertainty import assess_uncertainty
 
 
-def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> list[FoundEffect]:
+def list_found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> list[FoundEffect]:
     """Return the added effects with the parameters of the final fit.
 
     Args:
@@ -33,7 +33,7 @@ def found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> li
         found[candidate.name] = FoundEffect(
             name=effect.name, category=effect.category, title=effect.title,
             tests=list(candidate.tests or ()) if candidate.mark else [], parameters=numbers,
-            acts_in=regions_of_largest_change(each.proposal, before))
+            acts_in=find_most_changed_regions(each.proposal, before))
     return list(found.values())
 
 
@@ -56,12 +56,12 @@ def effect_numbers(candidate: Candidate, evidence: Evidence) -> list[EffectParam
     return numbers
 
 
-def candidate_statements(proposals: CatalogueScores, judgement: Judgement,
-                         before: Evidence) -> list[CandidateStatement]:
+def list_candidate_statements(proposals: CatalogueScores, judgement: Judgement,
+                              before: Evidence) -> list[CandidateStatement]:
     """Return the records of all effects: fitted ones by BIC, other testable ones by score, then the rest."""
     refits = {each.name: each for each in judgement.refits}
     best = judgement.refits[0] if judgement.refits else None
-    rows = [_testable_statement(name, proposal, proposals, refits.get(name), best, before)
+    rows = [_make_testable_statement(name, proposal, proposals, refits.get(name), best, before)
             for name, proposal in proposals.best.items()]
     rows.sort(key=lambda row: (row.delta_BIC is None, -(row.delta_BIC or 0.0)))
     for name, reason in proposals.untestable.items():
@@ -71,8 +71,8 @@ def candidate_statements(proposals: CatalogueScores, judgement: Judgement,
     return rows
 
 
-def _testable_statement(name: str, proposal: ScoredCandidate, proposals: CatalogueScores, fitted: Refit | None,
-                        best: Refit | None, before: Evidence) -> CandidateStatement:
+def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: CatalogueScores, fitted: Refit | None,
+                             best: Refit | None, before: Evidence) -> CandidateStatement:
     """Return the record of a testable candidate."""
     effect, finite = proposal.candidate.effect, fitted is not None and np.isfinite(fitted.gain)
     # The detectable size refers to the shape parameters with the highest expected score.

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.diagnosis.confirmation import with_updated_corrections
+from calibration.diagnosis.confirmation import update_corrections
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
@@ -63,7 +63,7 @@ def decide_verdict(evidence: Evidence, proposals: CatalogueScores, context: RunC
     if rest or not after.adequate:
         pairs = find_pairs(evidence, good, proposals, context)
         if pairs and pairs[0].gain > sum(each.gain for each in added) + LIMITS.min_pair_gain:
-            together = with_updated_corrections(pairs[0].second.evidence(pairs[0].with_first))
+            together = update_corrections(pairs[0].second.evidence(pairs[0].with_first))
             # A pair is accepted only if it explains the whole misfit.
             if together.explained:
                 names = list(dict.fromkeys(name for pair in pairs for name in (pair.first.name, pair.second.name)))
@@ -83,7 +83,7 @@ def decide_verdict(evidence: Evidence, proposals: CatalogueScores, context: RunC
         return Judgement("UNKNOWN", refits, (), [], evidence)
     # Candidates as likely as the best one belong to the set even if their own decrease of BIC is insignificant.
     possible = [each for each in sound if odds(best, each) < LIMITS.odds]
-    names = list(dict.fromkeys([*(each.name for each in possible), *_known_twins(best, proposals)]))
+    names = list(dict.fromkeys([*(each.name for each in possible), *_list_known_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
     alone = after.explained and left <= (1.0 - LIMITS.explained_fraction) * (gained + left)
@@ -97,14 +97,14 @@ def _add_instances(best: Refit, evidence: Evidence, context: RunContext) -> tupl
         Fits with one, two, ... instances, and the final evidence.
     """
     effect, added = best.proposal.candidate.effect, [best]
-    after = with_updated_corrections(best.evidence(evidence))
+    after = update_corrections(best.evidence(evidence))
     while not after.adequate and len(added) < effect.max_instances:
         more = score_effects(after, context, f"more of {effect.title}", only=effect.name)
         fits = fit_effects(after, more, context, f"fits with more of {effect.title}", list(more.significant)[:1])
         if not fits or fits[0].gain < LIMITS.min_gain or fits[0].is_absent:
             break
         added.append(fits[0])
-        after = with_updated_corrections(fits[0].evidence(after))
+        after = update_corrections(fits[0].evidence(after))
     return tuple(added), after
 
 
@@ -136,7 +136,7 @@ def explained_common_signal(before: Evidence, after: Evidence) -> float:
     return 1.0 - excess(after) / first if first > 0 else 0.0
 
 
-def _known_twins(best: Refit, proposals: CatalogueScores) -> list[str]:
+def _list_known_twins(best: Refit, proposals: CatalogueScores) -> list[str]:
     """Return the known twins of the best effect (`Effect.known_twins`) that are indistinguishable in these tests."""
     known = best.proposal.candidate.effect.known_twins
     return [name for name in proposals.twins(best.name) if name.partition("@")[0] in known]

@@ -12,7 +12,7 @@ from calibration.diagnosis.diagnosis import (
     EffectParameter,
     FoundEffect,
     HeldOutPrediction,
-    RegionMisfit,
+    SegmentMisfit,
     Verdict,
 )
 
@@ -32,13 +32,13 @@ def number_in_words(number: EffectParameter) -> str:
     return f"{number.symbol} = {factor * number.value:.4g}{error}{' ' + unit if unit else ''}"
 
 
-def effect_in_words(effect: FoundEffect) -> str:
+def describe_effect(effect: FoundEffect) -> str:
     """Describe an effect, such as ``viscoelasticity (g1 = 0.0301 ± 0.0002, tau1 = 19.7 ± 0.3 s)``."""
     where = f" in {join_words(effect.tests)}" if effect.tests else ""
     return f"{effect.title}{where} ({', '.join(map(number_in_words, effect.parameters))})"
 
 
-def bound_in_words(number: EffectParameter) -> str:
+def describe_bound(number: EffectParameter) -> str:
     """Describe a parameter on its bound, such as ``c = 2 mm/N, the largest that a fit may take``."""
     assert number.bound is not None
     end = "smallest" if number.bound < (number.absent or 0.0) else "largest"
@@ -53,16 +53,16 @@ def _describe_nearest_effect(nearest: CandidateStatement) -> str:
         return f"{title} comes nearest and explains {share} of it."
     remedy = f" (here: {nearest.separated_by})" if nearest.separated_by else ""
     return (f"{title} comes nearest and explains {share} of it, but its fit ended on a bound, "
-            f"{join_words([bound_in_words(each) for each in beyond])}. A value on a bound is not reliable, so the "
+            f"{join_words([describe_bound(each) for each in beyond])}. A value on a bound is not reliable, so the "
             "effect was not named. Either its size exceeds the bound, which a separate measurement would show"
             f"{remedy}, or another effect changes the forces in the same way.")
 
 
-def diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
-                      regions: Sequence[RegionMisfit], gaps: tuple[float, float | None, float], untestable: int,
-                      unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
-                      repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
-                      stressed: bool = False) -> str:
+def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
+                             regions: Sequence[SegmentMisfit], gaps: tuple[float, float | None, float], untestable: int,
+                             unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
+                             repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
+                             stressed: bool = False) -> str:
     """Summarise a diagnosis in a few sentences.
 
     Args:
@@ -109,10 +109,10 @@ def diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], titles: 
         case "SET":
             names = join_words(titles, "or")
             return (f"{names[:1].upper()}{names[1:]} is missing, and these tests cannot distinguish them. The most "
-                    f"likely effect was added: {effect_in_words(effects[0])}.{closed}")
+                    f"likely effect was added: {describe_effect(effects[0])}.{closed}")
         case "LOOKS_LIKE":
-            return (f"It looks like {join_words([effect_in_words(each) for each in effects])}, but its form is not "
+            return (f"It looks like {join_words([describe_effect(each) for each in effects])}, but its form is not "
                     f"confirmed: a smooth misfit remains.{closed}")
         case _:
-            named = join_words([effect_in_words(each) for each in effects])
+            named = join_words([describe_effect(each) for each in effects])
             return f"{named[:1].upper()}{named[1:]} {'were' if len(effects) > 1 else 'was'} missing.{closed}"

@@ -31,8 +31,8 @@ def require_tests(tests: Sequence[Test], reason: str) -> Sequence[Test]:
     return tests
 
 
-def candidates_per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
-                        **options: Any) -> list[Candidate]:
+def make_candidates_per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[Test], Mapping[str, float]],
+                             **options: Any) -> list[Candidate]:
     """Return one candidate per test, each of which acts in its test only.
 
     Args:
@@ -44,7 +44,7 @@ def candidates_per_test(effect: Effect, tests: Sequence[Test], sizes: Callable[[
     return [Candidate(effect, sizes(test), tests=(test.name,), mark=test.name, **options) for test in tests]
 
 
-def stated_value(test: Test, path: str) -> float:
+def read_stated_value(test: Test, path: str) -> float:
     """Return the value that a test states for a parameter of its experiment or rig, SI.
 
     Args:
@@ -78,10 +78,10 @@ def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, te
     situation.require_new(path)
     groups: dict[object, list[Test]] = {}
     for test in tests:
-        groups.setdefault(test.name if each else stated_value(test, path), []).append(test)
+        groups.setdefault(test.name if each else read_stated_value(test, path), []).append(test)
     found = []
     for group in groups.values():
-        stated, step = stated_value(group[0], path), size(group)
+        stated, step = read_stated_value(group[0], path), size(group)
         part, _, inside = path.partition(".")
         low, high = parameters(getattr(group[0], part))[inside].declaration.bounds
         least = stated - MAX_TRIAL_DEVIATIONS * step if two_sided else stated
@@ -92,7 +92,7 @@ def rig_parameter_candidates(effect: Effect, situation: Situation, path: str, te
     return found
 
 
-def _beside_material(*args: Any, both_ways: bool = True, **options: Any) -> list[Candidate]:
+def _call_with_former_keyword(*args: Any, both_ways: bool = True, **options: Any) -> list[Candidate]:
     """Call `rig_parameter_candidates` with its former keyword ``both_ways`` for ``two_sided``."""
     return rig_parameter_candidates(*args, two_sided=both_ways, **options)
 
@@ -102,5 +102,5 @@ def __getattr__(name: str) -> Any:
     if name == "beside_material":
         warnings.warn("calibration.effects.candidates.beside_material is deprecated; use rig_parameter_candidates, "
                       "whose both_ways is named two_sided", DeprecationWarning, stacklevel=2)
-        return _beside_material
+        return _call_with_former_keyword
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

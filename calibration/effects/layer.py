@@ -27,7 +27,7 @@ class Layer(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per trial thickness."""
         if situation.campaign.fit.material.layers:
-            raise NotTestableError("the fitted material has layers already")
+            raise NotTestableError("the fitted material includes layers already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).tool.is_plate),
                                 "no test has a needle, and plates show only the mean stiffness of all layers")
         height = min(experiment_of(test).specimen.height for test in situation.simulated_tests())

@@ -26,10 +26,10 @@ class PlateFriction(Effect):
                                                   and experiment_of(test).friction == "frictionless"),
                               "no test is done between frictionless plates")
         return rig_parameter_candidates(self, situation, "experiment.friction", tests, lambda _: self.trial_coefficient,
-                                        two_sided=False, prepare=_with_equal_friction)
+                                        two_sided=False, prepare=_set_base_friction_of_tool)
 
 
-def _with_equal_friction(test: Test) -> Test:
+def _set_base_friction_of_tool(test: Test) -> Test:
     """Return a test whose base has the friction of the tool."""
     if test.experiment is None:
         return test

@@ -22,7 +22,7 @@ class Puncture(Effect):
     def candidates(self, situation: Situation) -> list[Candidate]:
         """Return one candidate per trial depth."""
         if situation.campaign.fit.material.puncture is not None:
-            raise NotTestableError("the fitted material has a puncture already")
+            raise NotTestableError("the fitted material includes a puncture already, so this effect is not tested")
         needles = require_tests(situation.simulated_tests(lambda test: not experiment_of(test).tool.is_plate),
                                 "no test has a needle")
         deepest = max(map(situation.largest_displacement, needles))

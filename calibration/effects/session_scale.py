@@ -1,6 +1,6 @@
 """Change of stiffness between sessions, for example by temperature."""
 
-from calibration.effects.candidates import candidates_per_test, require_tests
+from calibration.effects.candidates import make_candidates_per_test, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
 
@@ -24,5 +24,5 @@ class SessionScale(Effect):
         situation.require_new(path)
         others = require_tests(situation.simulated_tests()[1:],
                                "only one test has a tool, so its stiffness has no reference")
-        return candidates_per_test(self, others, lambda _: {path: 1.0 + self.trial_change},
-                                   bounds={path: (1.0 / self.max_factor, self.max_factor)})
+        return make_candidates_per_test(self, others, lambda _: {path: 1.0 + self.trial_change},
+                                        bounds={path: (1.0 / self.max_factor, self.max_factor)})

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.parameters import declare_rig_and_experiment
-from calibration.effects.candidates import require_tests, stated_value
+from calibration.effects.candidates import read_stated_value, require_tests
 from calibration.effects.effect import Candidate, Effect, Situation
 
 #: Largest relative error that a refit may find.
@@ -34,7 +34,7 @@ def specimen_size_candidates(effect: Effect, situation: Situation, path: str, te
         groups.setdefault("" if test.specimen is None else test.specimen.name, []).append(test)
     found = []
     for name, group in groups.items():
-        size = stated_value(group[0], path)
+        size = read_stated_value(group[0], path)
         found.append(Candidate(
             effect, {path: (1.0 + error) * size}, absent={path: size},
             bounds={path: ((1.0 - _MAX_ERROR) * size, (1.0 + _MAX_ERROR) * size)},

@@ -25,7 +25,8 @@ class Viscoelasticity(Effect):
         series = situation.campaign.fit.material.viscoelastic
         number = 0 if series is None else len(series.terms)
         if number >= self.max_instances:
-            raise NotTestableError(f"the fitted material has {number} Prony terms already")
+            raise NotTestableError(f"the fitted material includes {number} Prony terms already, so this effect is not "
+                                   "tested")
         g, tau = (f"viscoelastic.terms[{number}].{name}" for name in ("g", "tau"))
         step, longest = situation.step_and_duration
         return [Candidate(self, {g: self.trial_fraction}, shape={tau: time},

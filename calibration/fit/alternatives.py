@@ -50,7 +50,7 @@ class AlternativeSettings:
 SETTINGS = AlternativeSettings()
 
 
-def mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray]:
+def list_mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray]:
     """Return starts in the other basins of a law with exponents: every other combination of their signs.
 
     Args:
@@ -126,7 +126,7 @@ def describe_alternatives(alternatives: Sequence[Alternative], symbols: Mapping[
     return "; ".join(parts)
 
 
-def without_misleading_errors(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
+def replace_misleading_errors(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
                               alternatives: Sequence[Alternative]) -> Uncertainty:
     """Replace misleading standard errors by infinity.
 

@@ -8,7 +8,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.alternatives import find_alternatives, without_misleading_errors
+from calibration.fit.alternatives import find_alternatives, replace_misleading_errors
 from calibration.fit.determination import Determination, determine_modulus
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
@@ -60,7 +60,7 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
     clauses, status, unusable = judge_usability(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
                                                          determination, space.symbols, units, limits))
     loose = find_undetermined_parameters(space, spread)
-    spread = without_misleading_errors(space, spread, theta, alternatives)
+    spread = replace_misleading_errors(space, spread, theta, alternatives)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}

@@ -38,7 +38,7 @@ _SETTINGS = ClosedStartSettings()
 _TRIAL_OFFSETS = (-0.5, -0.1, -0.01, 0.01, 0.1, 0.5)
 
 
-def closed_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
+def compute_analytical_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     """Return the starting values of a law, best first; values that the campaign states come before all others.
 
     Args:
@@ -49,7 +49,7 @@ def closed_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     """
     space = problem.space
     relaxing = problem.relaxing
-    found = _elastic_starts(problem) if relaxing is None else _relaxing_starts(problem, relaxing)
+    found = _compute_elastic_starts(problem) if relaxing is None else _compute_relaxing_starts(problem, relaxing)
     if found and problem.shifted:
         # A contact offset moves samples across first contact, so the sum of squares may have several minima.
         for fraction in _TRIAL_OFFSETS:
@@ -71,7 +71,7 @@ def _iterate_exponents(count: int) -> Iterator[tuple[float, ...]]:
             yield grid
 
 
-def _elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
+def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     """Return starts of a law without Prony terms, by the sum of squares.
 
     For each combination of exponents, linear least squares gives the moduli.
@@ -178,7 +178,7 @@ class _RelaxationModel:
         return misfit, values, ratios
 
 
-def _relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.ndarray]:
+def _compute_relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.ndarray]:
     """Return starts of a law with Prony terms, by the misfit of a fit with a grid of relaxation times."""
     model = _RelaxationModel(problem)
     terms = variables.g.size

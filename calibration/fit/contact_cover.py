@@ -19,7 +19,7 @@ def describe_unknown_contacts(estimate: Estimate) -> str:
     if _fits_contact(estimate.problem):
         return ""
     errors = [(curve, error) for curve in estimate.problem.measured
-              if (error := _relative_modulus_error(curve)) > MODULUS_TOLERANCE]
+              if (error := _estimate_relative_modulus_error(curve)) > MODULUS_TOLERANCE]
     if not errors:
         return ""
     curve, error = max(errors, key=lambda each: each[1])
@@ -38,7 +38,7 @@ def _fits_contact(problem: Any) -> bool:
     return "contact" in problem.kinds
 
 
-def _relative_modulus_error(curve: MeasuredCurve) -> float:
+def _estimate_relative_modulus_error(curve: MeasuredCurve) -> float:
     """Return the relative change of the shear modulus within the interval of contact; 0 if contact is recorded."""
     contact = None if curve.whole is None else curve.whole.segmentation.contact
     if contact is None or curve.test.contact != "find":

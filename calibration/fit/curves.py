@@ -100,7 +100,8 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
             used = None if is_observed else scatter
             deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
                 if known else None
-            force, error, bands = _evaluate_path(problem.solves, predictor, test, path, mesh_error, used, deviations)
+            force, error, bands = _predict_along_path(problem.solves, predictor, test, path, mesh_error, used,
+                                                      deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
             bands = force, force
@@ -110,8 +111,8 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     return found
 
 
-def _evaluate_path(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve,
-                   mesh_error: float, scatter: Jitter | None, deviations: Deviations | None):
+def _predict_along_path(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve,
+                        mesh_error: float, scatter: Jitter | None, deviations: Deviations | None):
     """Return the force along a path, its standard error, and the half widths of both prediction bands."""
     # The test is evaluated for one recording that follows the path.
     seen: ForwardTest = replace(test, measured=(path,))

@@ -63,8 +63,8 @@ class Estimate(Descent):
         return self.problem.evaluate(self.theta)
 
 
-def settle(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, past: int = 0,
-           listen: Listener | None = None) -> Estimate:
+def iterate_mesh_and_jitter(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, past: int = 0,
+                            listen: Listener | None = None) -> Estimate:
     """Repeat mesh correction, jitter estimate and descent until the parameters no longer change.
 
     Args:

@@ -25,7 +25,7 @@ class Failure:
     reason: str
 
 
-def attempt(function: Callable[..., Any], *arguments: Any) -> Any:
+def catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
     """Call a function and convert exceptions of `LAW_ERRORS` to a `Failure`.
 
     Args:

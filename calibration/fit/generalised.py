@@ -10,19 +10,19 @@ import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import list_mirrored_starts, prefer_positive_exponents
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
-from calibration.fit.estimate import Estimate, settle
+from calibration.fit.estimate import Estimate, iterate_mesh_and_jitter
 from calibration.fit.estimator import Estimator, Findings
 from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
-from calibration.fit.identifiability import condition_number, suggest_tests, weak_directions
+from calibration.fit.identifiability import condition_number, find_weak_directions, suggest_tests
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation, Problem
 from calibration.fit.regions import judge_regions, name_misfits
 from calibration.fit.run_context import RunContext
 from calibration.fit.starts import generate_starts
-from calibration.fit.trust_region import DESCENT, Descent, Listener, descend, distinct_minima
+from calibration.fit.trust_region import DESCENT, Descent, Listener, descend, find_distinct_minima
 from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.forms import build_test, mesh_uncertainty
@@ -68,7 +68,7 @@ class Generalised(Estimator):
         problems = {law: self.problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
                 for number, theta in enumerate(generate_starts(problems[law].space, self.campaign.fit.starts), 1)]
-        ends = context.run_descents(run_start, [law for law, *_ in keys],
+        ends = context.run_descents(descend_from_start, [law for law, *_ in keys],
                               [(problems[law], number, theta) for law, number, theta in keys],
                               f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
         descents: dict[str, list[Descent]] = {law: [] for law in laws}
@@ -97,9 +97,9 @@ class Generalised(Estimator):
             if np.isfinite(best.error):
                 limit = ALTERNATIVES.promising_ratio * max(best.error, problems[law].samples)
                 keys += [(law, len(descents[law]) + number, theta, limit)
-                         for number, theta in enumerate(mirrored_starts(problems[law].space, best.theta), 1)]
+                         for number, theta in enumerate(list_mirrored_starts(problems[law].space, best.theta), 1)]
         if keys:
-            ends = context.run_descents(run_mirrored, [law for law, *_ in keys],
+            ends = context.run_descents(descend_from_mirrored_start, [law for law, *_ in keys],
                                         [(problems[law], *rest) for law, *rest in keys],
                                         "other signs of the exponents")
             for (law, *_), end in zip(keys, ends, strict=True):
@@ -122,7 +122,7 @@ class Generalised(Estimator):
         problem, space = estimate.problem, estimate.problem.space
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
         regions = judge_regions(problem, evaluation)
-        directions = weak_directions(space, spread)
+        directions = find_weak_directions(space, spread)
         held = [f"{space.symbols[name]} ended on its bound {found.values[name]:.6g}" for name in on_bound]
         warnings = [*estimate.warnings, *held, *found.lost, *_collect_warnings(problem, evaluation, spread)]
         stressed = [curve for curve in problem.measured if curve.test.specimen is None]
@@ -172,13 +172,13 @@ class Generalised(Estimator):
         return estimate.problem.jitter
 
 
-def run_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
+def descend_from_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
     """Run a descent from one start on the fast mesh."""
     return descend(problem, theta, start=number, enough=DESCENT.min_gain_of_start, listen=listen)
 
 
-def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
-                 listen: Listener | None = None) -> Descent:
+def descend_from_mirrored_start(problem: Problem, number: int, theta: np.ndarray, limit: float,
+                                listen: Listener | None = None) -> Descent:
     """Run a descent from one start, unless the sum of squares at the start exceeds `limit`."""
     spent = problem.solves.start_meter()
     try:
@@ -187,7 +187,7 @@ def run_mirrored(problem: Problem, number: int, theta: np.ndarray, limit: float,
         return Descent(number, theta, np.inf, False, str(failure), (), *spent())
     if error > limit:
         return Descent(number, theta, np.inf, False, "the data exclude these signs of the exponents", (), *spent())
-    return run_start(problem, number, theta, listen)
+    return descend_from_start(problem, number, theta, listen)
 
 
 def _select_best_descent(descents: Sequence[Descent], problem: Problem) -> Descent:
@@ -206,8 +206,8 @@ def _residual_variance(error: float, problem: Problem) -> float:
 
 
 def run_estimate(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
-    """Compute the estimate from the best minimum; see `calibration.fit.estimate.settle`."""
-    return settle(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
+    """Compute the estimate from the best minimum; see `calibration.fit.estimate.iterate_mesh_and_jitter`."""
+    return iterate_mesh_and_jitter(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
 
 
 def _build_jitter_record(problem: Problem) -> JitterStatement:
@@ -272,8 +272,8 @@ def _build_nuisance_records(problem: Problem, evaluation: Evaluation) -> list[Nu
 def _collect_minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
     """Return the distinct minima of all starts on the fast mesh."""
     total = float(np.sum((problem.data - problem.data.mean())**2))
-    kept = distinct_minima([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
-                           lambda one, other: np.abs(one - other) <= DESCENT.same_minimum * problem.sizes(one))
+    kept = find_distinct_minima([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
+                                lambda one, other: np.abs(one - other) <= DESCENT.same_minimum * problem.sizes(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
                     rise=(descent.error - kept[0][0].error) / _residual_variance(kept[0][0].error, problem))

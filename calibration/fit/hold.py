@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
-from calibration.campaign.measured import MeasuredCurve, with_noise
+from calibration.campaign.measured import MeasuredCurve, attach_noise
 from calibration.campaign.parameters import SHARED, NamedParameter
 from calibration.fit.assess import assess_fit
 from calibration.fit.estimate import Estimate
@@ -104,7 +104,7 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     named = {path: NamedParameter(path, find_declaration(path)[1], False, SHARED, (test.name,)) for path in start}
     campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
-    noisy = replace(curve, noise=with_noise(curve, campaign).noise)
+    noisy = replace(curve, noise=attach_noise(curve, campaign).noise)
     estimator = Ordinary(campaign, {test.name: (noisy,)}, SimulationCache())
     descents, estimate = fit_law(estimator.problem(_LAW))
     if not isinstance(estimate, Estimate):

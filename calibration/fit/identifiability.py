@@ -12,7 +12,7 @@ from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Direction, Suggestion
 from calibration.fit.problem import Problem
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import meshes_of
+from calibration.forward.meshes import find_meshes
 from calibration.forward.motion import offset_derivative
 from calibration.forward.simulated import SimulatedTest
 from calibration.statistics.uncertainty import Uncertainty
@@ -72,7 +72,7 @@ def condition_number(spread: Uncertainty) -> float | None:
     return float(values[-1] / values[0]) if values[0] > 0 else None
 
 
-def weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Direction]:
+def find_weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Direction]:
     """Return the eigenvectors of the scaled information with a relative standard error above `WEAK`, worst first."""
     free = np.flatnonzero(~spread.on_bound)
     values, vectors = np.linalg.eigh(spread.information[np.ix_(free, free)])
@@ -184,7 +184,7 @@ def _compute_information(problem: Problem, theta: np.ndarray, experiment: Experi
                and each.acts_in(test, None)]
         solver = ROUND_SOLVER if experiment.specimen.is_round else SPACE_SOLVER
         answer = sensitivities(Model(experiment, space.material(space.values(theta), test=test)),
-                               [space.varied[i].path for i in own], solver=solver, resolution=meshes_of(solver).fast)
+                               [space.varied[i].path for i in own], solver=solver, resolution=find_meshes(solver).fast)
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording

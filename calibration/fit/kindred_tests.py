@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.replicates import common_range, compute_mean_forces, split_stiffnesses
+from calibration.fit.replicates import common_displacement_range, compute_mean_forces, split_stiffnesses
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ def _find_disagreement(tests: Mapping[str, Sequence[MeasuredCurve]]) -> TestDisa
     first = next(iter(tests.values()))[0].test
     scaled = {name: [_convert_to_stress(curve) for curve in curves] for name, curves in tests.items()}
     every = [pair for pairs in scaled.values() for pair in pairs]
-    span, forces = common_range([motion for motion, _ in every]), compute_mean_forces(every)
+    span, forces = common_displacement_range([motion for motion, _ in every]), compute_mean_forces(every)
     if span is None or forces is None:
         return None
     index = np.repeat(np.arange(len(tests)), [len(pairs) for pairs in scaled.values()])

@@ -13,17 +13,17 @@ from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import mirrored_starts, prefer_positive_exponents
-from calibration.fit.closed_starts import closed_starts
+from calibration.fit.alternatives import list_mirrored_starts, prefer_positive_exponents
+from calibration.fit.closed_starts import compute_analytical_starts
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.failure import Failure, attempt
+from calibration.fit.failure import Failure, catch_law_errors
 from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_if_feasible
 from calibration.fit.predictor import Predictor
 from calibration.fit.problem import Evaluation
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import DESCENT, Descent, descend, distinct_minima
+from calibration.fit.trust_region import DESCENT, Descent, descend, find_distinct_minima
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import build_analytical_test
@@ -109,7 +109,7 @@ class Ordinary(Estimator):
         for law in laws:
             plural = "s" if len(self.fitted) != 1 else ""
             context.report_progress(f"fitting {law} to {len(self.fitted)} recording{plural}")
-            answer = attempt(fit_law, self.problem(law))
+            answer = catch_law_errors(fit_law, self.problem(law))
             found[law] = ([], answer.reason) if isinstance(answer, Failure) else answer
         return found
 
@@ -191,8 +191,9 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
 
     limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.relaxing else \
         (_SETTINGS.thinned_solves, _SETTINGS.thinned_tolerance)
-    descents = [run_descent(thin, start, number, *limits) for number, start in enumerate(closed_starts(thin), 1)]
-    ends = distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], are_equal)
+    starts = compute_analytical_starts(thin)
+    descents = [run_descent(thin, start, number, *limits) for number, start in enumerate(starts, 1)]
+    ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], are_equal)
     refined = ends if problem.relaxing else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves), count)
                                              for end, count in ends[:_SETTINGS.max_minima]]
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
@@ -200,13 +201,13 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
         hint = "" if all(test.specimen is None for test in problem.tests) else \
             "; the specimen may be too heavy for it, so check density_kg_m3"
         return descents, f"no start of {law} gives a finite stress over the data; state one in fit.start{hint}"
-    for start in mirrored_starts(problem.space, refined[0][0].theta):
+    for start in list_mirrored_starts(problem.space, refined[0][0].theta):
         if problem.relaxing and not _is_promising(problem, start, refined[0][0].error):
             continue
         descents.append(run_descent(thin, start, len(descents) + 1, *limits))
         if np.isfinite(descents[-1].error):
             refined.append((run_descent(problem, descents[-1].theta, descents[-1].start, _SETTINGS.solves), 1))
-    refined = distinct_minima([item for item in refined if np.isfinite(item[0].error)], are_equal)
+    refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)], are_equal)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
     best = refined[prefer_positive_exponents(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
     stress = problem.data / problem.area
@@ -240,7 +241,7 @@ def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: No
     on_bound = problem.on_bound(theta)
     noise = np.array([curve.noise.deviation / problem.tests[t].area
                       for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
-    correlation = neighbour_correlation(problem, evaluation)
+    correlation = residual_autocorrelation(problem, evaluation)
     # Smooth residuals are autocorrelated, which reduces the number of independent samples by (1 - r) / (1 + r)
     # (Bayley and Hammersley 1946).
     repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.remembers else 1.0
@@ -253,7 +254,7 @@ def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: No
     return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))
 
 
-def neighbour_correlation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:
+def residual_autocorrelation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:
     """Return the lag-1 autocorrelation of the residuals within recordings."""
     residual, same = evaluation.residual, np.diff(problem.index) == 0
     squares = float(residual @ residual)
@@ -268,7 +269,7 @@ def _describe_relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]
     times = [] if problem.relaxing is None else found.estimate.theta[problem.relaxing.tau]
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
              f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
-    correlation = neighbour_correlation(problem, found.estimate.evaluation)
+    correlation = residual_autocorrelation(problem, found.estimate.evaluation)
     if correlation > _SETTINGS.correlated_residuals:
         notes.append(f"the residuals are smooth (neighbours correlate by {correlation:.2f}): they are a model error, "
                      "not noise, and the criteria favour too many terms")

@@ -108,7 +108,7 @@ def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndar
     order = list(dict.fromkeys(path for path, _ in index_of))
     rows = {specimen: [index_of[path, specimen] for path in order] for _, specimen in index_of}
     left_out = {specimen: "; ".join(reasons) for specimen, row in rows.items()
-                if (reasons := _undetermined_reasons(space, theta, errors, row))}
+                if (reasons := _list_undetermined_reasons(space, theta, errors, row))}
     determined = [specimen for specimen in rows if specimen not in left_out]
     if len(determined) < POPULATION.min_specimens:
         return Specimens(None, tuple(determined or list(rows)[:1]), left_out)
@@ -136,8 +136,8 @@ def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndar
         **{name: getattr(found, name).tolist() for name in names}), tuple(determined), left_out)
 
 
-def _undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors: np.ndarray,
-                          row: Sequence[int]) -> list[str]:
+def _list_undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors: np.ndarray,
+                               row: Sequence[int]) -> list[str]:
     """Return the reasons why parameters of a specimen are not determined; empty if all are.
 
     Args:

@@ -91,7 +91,8 @@ def _invert_covariance(covariance: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(covariance / np.outer(sizes, sizes), rcond=1e-12, hermitian=True) / np.outer(sizes, sizes)
 
 
-def predictor_of_held_out(test: Test, predictor: Predictor, population: PopulationStatement | None) -> Predictor | None:
+def make_held_out_predictor(test: Test, predictor: Predictor, population: PopulationStatement | None
+                            ) -> Predictor | None:
     """Return the predictor of a held-out test; None if its specimen has unknown parameters and there is no population.
 
     Args:
@@ -111,7 +112,8 @@ def predictor_of_held_out(test: Test, predictor: Predictor, population: Populati
     return predict_by_mean(further, np.append(theta, np.zeros(added)), population, test.specimen.name)
 
 
-def predictor_without(predictor: Predictor, spread: Uncertainty, undetermined: Sequence[str]) -> Predictor | None:
+def replace_undetermined_by_mean(predictor: Predictor, spread: Uncertainty, undetermined: Sequence[str]
+                                 ) -> Predictor | None:
     """Return the predictor of a test from a fit to the other tests.
 
     Args:

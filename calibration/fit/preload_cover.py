@@ -34,7 +34,7 @@ class PreloadCoverSettings:
 _SETTINGS = PreloadCoverSettings()
 
 
-def fitted_contacts(estimate: Estimate) -> Mapping[str, float]:
+def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
     """Return recording -> fitted contact offset, m; negative if contact lies before the zero of the displacement."""
     problem: Any = estimate.problem
     if isinstance(problem, OrdinaryProblem):
@@ -47,7 +47,7 @@ def fitted_contacts(estimate: Estimate) -> Mapping[str, float]:
     return {curve.name: float(contact) for curve, contact in zip(problem.measured, values, strict=True)}
 
 
-def notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
+def list_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
     """Return the notes of a recording, with a note on a preload that the fitted contact offset covers.
 
     Args:

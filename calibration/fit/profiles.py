@@ -62,8 +62,8 @@ class ProfileSide:
     cpu_s: float
 
 
-def profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Uncertainty, index: int,
-                 side: int) -> ProfileSide:
+def compute_profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Uncertainty, index: int,
+                         side: int) -> ProfileSide:
     """Compute one side of the profile likelihood of a parameter, up to a rise by the square of the quantile.
 
     For each value of the parameter the sum of squares is minimised over all others. Each minimisation starts from the

@@ -112,7 +112,7 @@ def describe_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fit
     return f"{'. '.join(sentences)}."
 
 
-def ranked_by_held_out(predictions: Sequence[Prediction]) -> bool:
+def is_ranked_by_held_out_tests(predictions: Sequence[Prediction]) -> bool:
     """Return whether held-out tests rank the laws, which requires that at least one law predicts one of them."""
     return any(not p.fitted and p.percent is not None for p in predictions)
 
@@ -126,7 +126,7 @@ def _describe_predictions(fits: Sequence[Fit], predictions: Sequence[Prediction]
     """Describe the predictions of the first law, and other laws with similar prediction errors."""
     best = fits[0]
     mine = [p for p in predictions if p.law == best.law]
-    held_out = ranked_by_held_out(predictions)
+    held_out = is_ranked_by_held_out_tests(predictions)
     words = ", ".join(_describe_prediction(p) for p in mine if bool(p.fitted) != held_out)
     what = "held-out tests" if held_out else "each test from the others"
     large = [p for p in mine if bool(p.fitted) != held_out and (p.percent is None or p.percent > _SETTINGS.max_error)]

@@ -124,7 +124,7 @@ def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.n
     Args:
         curves: displacement and force of each recording, shapes (n,).
     """
-    found = common_range([displacement for displacement, _ in curves])
+    found = common_displacement_range([displacement for displacement, _ in curves])
     if found is None:
         return None
     grid, means = np.linspace(*found, SETTINGS.points), []
@@ -135,7 +135,7 @@ def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.n
     return np.array(means)
 
 
-def common_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
+def common_displacement_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
     """Return lower and upper end of the displacements at which recordings are compared, m; None if there are none."""
     reach = min(float(each.max()) for each in displacements)
     low = max((1.0 - SETTINGS.compared) * reach, *(float(each.min()) for each in displacements))

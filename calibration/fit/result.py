@@ -81,7 +81,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     }
 
 
-def read_back(campaign: Campaign, folder: Path, digest: str) -> CalibrationResult | None:
+def read_earlier_result(campaign: Campaign, folder: Path, digest: str) -> CalibrationResult | None:
     """Read the result of an earlier run with the same inputs.
 
     Args:

@@ -253,8 +253,8 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     return build_descent(theta, float(2 * result.cost), result.status > 0, failure)
 
 
-def distinct_minima(ends: Iterable[tuple[Descent, int]],
-                    near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
+def find_distinct_minima(ends: Iterable[tuple[Descent, int]],
+                         near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
     """Return the distinct minima, best first, each with the number of starts that ended in it.
 
     Args:

@@ -22,7 +22,7 @@ from calibration.fit.kindred_tests import find_test_disagreements
 from calibration.fit.lack_of_fit import compute_lack_of_fit
 from calibration.fit.own_stiffness import describe_own_stiffnesses
 from calibration.fit.population import Specimens
-from calibration.fit.preload_cover import covers_preload, fitted_contacts
+from calibration.fit.preload_cover import covers_preload, read_contact_offsets
 from calibration.fit.replicates import find_disagreements
 from calibration.fit.usability_records import Alternative, Clause
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
@@ -145,7 +145,7 @@ def _check_recordings(evidence: Evidence) -> Clause:
     remembers = space.material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
         if evidence.mu0 > 0 else False
     found: dict[str, list[str]] = {}
-    contacts = fitted_contacts(evidence.estimate)
+    contacts = read_contact_offsets(evidence.estimate)
     for curve in problem.measured:
         preload = curve.screening.preload
         covered = preload.sentence if preload is not None and covers_preload(curve, contacts[curve.name]) else None

@@ -11,7 +11,7 @@ import numpy as np
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Prediction
 from calibration.fit.identifiability import find_undetermined_parameters
-from calibration.fit.predictor import Predictor, predictor_without
+from calibration.fit.predictor import Predictor, replace_undetermined_by_mean
 from calibration.fit.problem import Evaluation, LeastSquares
 from calibration.fit.trust_region import descend
 from calibration.forward.contract import ForwardTest, InfeasibleError
@@ -55,7 +55,7 @@ def predict_left_out_test(problem: LeastSquares, theta: np.ndarray, number: int,
         return LeftOut(failed, *spent())
     spread = uncertainty(rest, rest.evaluate(descent.theta))
     unknown = _find_undetermined(problem.space, spread, test.name, names)
-    predictor = predictor_without(Predictor.of(problem.space, descent.theta, spread), spread, unknown)
+    predictor = replace_undetermined_by_mean(Predictor.of(problem.space, descent.theta, spread), spread, unknown)
     answer = build_failed_prediction(problem, test, names, "the other tests do not determine "
                                      f"{problem.space.in_symbols(unknown)}") if predictor is None else \
         predict(problem, test, predictor, names, scatter)

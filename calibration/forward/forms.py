@@ -12,10 +12,10 @@ from calibration.campaign.measured import MeasuredCurve, depends_on_history
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, meshes_of
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, find_meshes
 from calibration.forward.motion import Loading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
-from calibration.forward.simulation_cache import content_key
+from calibration.forward.simulation_cache import hash_content
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 
 #: Largest strain step of histories in an analytical fit, coarser than in a prediction. Its error of 1e-4 of the largest
@@ -56,7 +56,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     if test.experiment is None or curves[0].stressed:
         return build_closed_form_test(test, curves)
     layered = bool(material.layers)
-    mesh = content_key(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
+    mesh = hash_content(replace(test.experiment, protocol=_ANY_MOTION), test.solver)
     ramps_only = all(set(curve.segment.tolist()) == {"ramp"} for curve in curves if curve.segment is not None)
     timed = settings.whole and all(curve.time is not None for curve in curves)
     if timed or material.ages or (depends_on_history(test, material) and not ramps_only):
@@ -112,7 +112,7 @@ def mesh_uncertainty(test: ForwardTest, errors: Mapping[str, float]) -> float:
     if test.homogeneous or not isinstance(test, SimulatedTest):
         return 0.0
     shape, error = test.experiment.tool.shape, test.mesh_error
-    known = meshes_of(test.solver).error_factor * errors[shape if shape in errors else "other"]
+    known = find_meshes(test.solver).error_factor * errors[shape if shape in errors else "other"]
     if test.specimen.from_file:
         largest = max(float(np.abs(curve.force).max()) for curve in test.measured)
         added = max((float(np.abs(each).max(initial=0.0)) for each in test.correction), default=np.inf)

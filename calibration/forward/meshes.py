@@ -86,12 +86,12 @@ MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"),
                            slow=True)}
 
 
-def meshes_of(solver: str) -> Meshes:
+def find_meshes(solver: str) -> Meshes:
     """Return the meshes of a solver by its name."""
     return MESHES.get(solver, MESHES["axisymmetric"])
 
 
-def exact_mesh(model: Model, solver: str) -> SolidMesh | None:
+def make_exact_mesh(model: Model, solver: str) -> SolidMesh | None:
     """Return a mesh of eight elements for a block in homogeneous deformation, where every mesh is exact; else None."""
     experiment = model.experiment
     if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.homogeneous

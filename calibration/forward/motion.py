@@ -194,7 +194,7 @@ class TimedMotion:
         """
         travel = float(np.ptp(displacement))
         corners = find_corners(time, displacement, MOTION_SETTINGS.straightness * travel)
-        corners = np.array(_without_hold_corners(displacement, corners, MOTION_STEPS.hold_fraction * travel))
+        corners = np.array(_remove_hold_corners(displacement, corners, MOTION_STEPS.hold_fraction * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > MOTION_SETTINGS.straightness * travel and d.size > 1 and d[1] > d[0]:
             t, d = np.append(t[0] - d[0] * (t[1] - t[0]) / (d[1] - d[0]), t), np.append(0.0, d)
@@ -323,7 +323,7 @@ class _TimedCurve:
 ForceCurve = _LoadingCurve | _TimedCurve
 
 
-def _without_hold_corners(displacement: np.ndarray, corners: np.ndarray, tolerance: float) -> list[int]:
+def _remove_hold_corners(displacement: np.ndarray, corners: np.ndarray, tolerance: float) -> list[int]:
     """Return the corners of a motion without those inside a hold.
 
     Args:

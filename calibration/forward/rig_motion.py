@@ -106,8 +106,8 @@ class PositionCurve:
         """
         columns, slope = np.zeros(()), np.zeros(())
         for lag, fraction in self.strips:
-            depth, velocity = _strip_position(position, lag)
-            inside, contact = self._simulated_part(depth)
+            depth, velocity = _compute_strip_position(position, lag)
+            inside, contact = self._limit_to_simulated_range(depth)
             rates = self._rates(inside) * contact[:, None]
             columns = columns + fraction * (self.columns(inside) * contact[:, None] + rates * (depth - inside)[:, None])
             slope = slope + fraction * velocity * rates[:, 0]
@@ -122,8 +122,8 @@ class PositionCurve:
         """Return the force at tool positions, m, any shape."""
         force = np.zeros(position.shape)
         for lag, fraction in self.strips:
-            depth, _ = _strip_position(position, lag)
-            inside, contact = self._simulated_part(depth)
+            depth, _ = _compute_strip_position(position, lag)
+            inside, contact = self._limit_to_simulated_range(depth)
             beyond = depth - inside
             part = self.force_alone(inside)
             if beyond.any():
@@ -131,7 +131,7 @@ class PositionCurve:
             force += fraction * contact * part
         return force
 
-    def _simulated_part(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _limit_to_simulated_range(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return positions limited to the simulated range, and 1 where the tool is in contact (else 0).
 
         The force is extrapolated linearly beyond the simulated range.
@@ -145,7 +145,7 @@ def _divide_face(tilt: float) -> list[tuple[float, float]]:
     return split_into_strips(tilt) if tilt else [(0.0, 1.0)]
 
 
-def _strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
+def _compute_strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the position of a strip of a tilted face, m, and its derivative with the position of the face."""
     if not lag:
         return position, np.ones(position.shape)

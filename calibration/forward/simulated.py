@@ -11,7 +11,7 @@ import numpy as np
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
-from calibration.forward.meshes import MeshError, meshes_of
+from calibration.forward.meshes import MeshError, find_meshes
 from calibration.forward.motion import ForceCurve, Loading, TimedMotion, build_spline
 from calibration.forward.proportionality import is_proportional
 from calibration.forward.readout import (
@@ -31,7 +31,7 @@ from calibration.forward.rig_motion import (
 )
 from calibration.forward.simulated_motions import SimulatedMotions
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.forward.stretch_range import homogeneous_range, simulated_range
+from calibration.forward.stretch_range import compute_homogeneous_range, compute_simulated_range
 from tissue_sim.closed_form.homogeneous import UNIAXIAL, ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -247,7 +247,7 @@ class SimulatedTest(SimulatedMotions):
             accurate: force of the accurate mesh at the knots, N, shape (k,).
             rigid: whether the rig is ideal.
         """
-        meshes = meshes_of(self.solver)
+        meshes = find_meshes(self.solver)
         if self.mesh_error is not None or not meshes.shows_error(self.experiment):
             return
         fewer, kept = loading.with_fewer_steps() if meshes.slow else (loading, np.arange(loading.depth.size))
@@ -265,7 +265,7 @@ class SimulatedTest(SimulatedMotions):
         """Evaluate force and derivatives at the samples of a recording; see `ForwardTest.evaluate`."""
         measured, readout = self.measured[recording], answer.readouts[recording]
         rig = readout.rig
-        values, rate = answer.curves[recording](self._sample_times(recording), measured.displacement, offset)
+        values, rate = answer.curves[recording](self._times_on_motion_clock(recording), measured.displacement, offset)
         if answer.effects[recording].effects:
             values, rate = self._apply_effects(answer, recording, offset, values, rate)
         simulated = values[:, 0]
@@ -323,12 +323,12 @@ class SimulatedTest(SimulatedMotions):
             return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
         measured = self.measured[recording]
         curve, effects = answer.curves[recording], answer.effects[recording]
-        forces = curve.forces(self._sample_times(recording), measured.displacement, offsets)
+        forces = curve.forces(self._times_on_motion_clock(recording), measured.displacement, offsets)
         # A jump occurs at a true depth, so the contact offset determines its sample.
         return effects.factor(measured, depth_in_tissue(curve, measured, offsets)) * forces \
             if effects.effects else forces
 
-    def _sample_times(self, recording: int) -> np.ndarray | None:
+    def _times_on_motion_clock(self, recording: int) -> np.ndarray | None:
         """Return the time of the samples on the clock of their motion, s, shape (n,).
 
         Recordings with equivalent motions share one simulated motion and may have begun at other times.
@@ -342,11 +342,11 @@ class SimulatedTest(SimulatedMotions):
         """Return the range of stretches over the volume, without the lowest and highest 1 %."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
         if self.homogeneous:
-            return homogeneous_range(self.closed_form, 1 - deepest / self.specimen.height)
+            return compute_homogeneous_range(self.closed_form, 1 - deepest / self.specimen.height)
         points = max(3, self.motions[0].protocol.time.size // 2)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
             model = replace(space.model(space.values(theta), experiment, self.rig, test=self.name), rig=Rig())
         except InputError:
             model = None
-        return simulated_range(model, self.solver, deepest / self.specimen.height)
+        return compute_simulated_range(model, self.solver, deepest / self.specimen.height)

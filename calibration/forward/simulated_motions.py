@@ -9,7 +9,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.meshes import MeshError, meshes_of
+from calibration.forward.meshes import MeshError, find_meshes
 from calibration.forward.motion import Loading, TimedMotion
 from calibration.forward.proportionality import is_proportional, preserves_proportionality
 from calibration.forward.readout import (
@@ -20,7 +20,7 @@ from calibration.forward.rig_motion import (
     is_rig_motion_parameter,
     with_ideal_rig,
 )
-from calibration.forward.simulation_cache import SimulationCache, content_key, simulate_curve
+from calibration.forward.simulation_cache import SimulationCache, hash_content, simulate_curve
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.model import Model
@@ -82,7 +82,7 @@ class SimulatedMotions:
         try:
             return space.model(values, self._build_experiment(motion), self.rig, test=self.name, recording=recording)
         except InputError as error:
-            raise InfeasibleError(f"{self.name}: {error}") from None
+            raise InfeasibleError(f"test {self.name}: {error}") from None
 
     def _affects_readings_only(self, unknown: Unknown, values: dict[str, float]) -> bool:
         """Return whether a parameter belongs to the rig of this test and does not change the motion of the tool."""
@@ -132,9 +132,9 @@ class SimulatedMotions:
             column: each.path for column, each in enumerate(space.varied)
             if each.acts_in(self.name, recording) and not self._affects_readings_only(each, values)
             and not effects.has_parameter(each.path) and not (rigid and is_rig_motion_parameter(each.path))}
-        meshes, paths = meshes_of(self.solver), list(acting.values())
+        meshes, paths = find_meshes(self.solver), list(acting.values())
         mesh = getattr(meshes, resolution)
-        key = content_key(model, topology, paths, mesh, self.solver)
+        key = hash_content(model, topology, paths, mesh, self.solver)
         curve = solves.find(key)
         if curve is None:
             curve = simulate_curve(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)

@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 import tissue_sim
-from calibration.forward.meshes import exact_mesh
+from calibration.forward.meshes import make_exact_mesh
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
@@ -119,7 +119,7 @@ def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], r
     """
     began = time.process_time()
     try:
-        mesh = exact_mesh(topology or model, solver)
+        mesh = make_exact_mesh(topology or model, solver)
         if names:
             answer = sensitivities(model, names, resolution=resolution, mesh=mesh, topology=topology, solver=solver,
                                    one_sided=one_sided)
@@ -134,7 +134,7 @@ def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], r
     return SimulatedCurve(force.tolist(), rates.tolist(), "", time.process_time() - began, exact)
 
 
-def content_key(*parts: Any) -> str:
+def hash_content(*parts: Any) -> str:
     """Return a hash of immutable data and of the source code that computes a curve.
 
     The hash (SHA-256, 40 hexadecimal digits) covers all numbers to the last digit, the source of the package

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from calibration.forward.contract import StretchRange
-from calibration.forward.meshes import meshes_of
+from calibration.forward.meshes import find_meshes
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.model import Model
 from tissue_sim.simulation import simulate
 
 
-def homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRange:
+def compute_homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRange:
     """Return the range of a homogeneous test.
 
     Args:
@@ -20,7 +20,7 @@ def homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRange:
     return StretchRange(closed_form.mode, low, 1.0, closed_form.extremes(low, 1.0))
 
 
-def simulated_range(model: Model | None, solver: str, strain: float) -> StretchRange:
+def compute_simulated_range(model: Model | None, solver: str, strain: float) -> StretchRange:
     """Return the range over the volume of a model, without the lowest and highest 1 % of the volume.
 
     Without a converged simulation the nominal strain gives the range.
@@ -33,7 +33,7 @@ def simulated_range(model: Model | None, solver: str, strain: float) -> StretchR
     fields = None
     if model is not None:
         try:
-            fields = simulate(model, resolution=meshes_of(solver).fast, fields=True, solver=solver,
+            fields = simulate(model, resolution=find_meshes(solver).fast, fields=True, solver=solver,
                               estimate_error=False).fields
         except (ConvergenceError, InputError):
             fields = None

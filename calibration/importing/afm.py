@@ -34,7 +34,7 @@ def is_afm(path: Path) -> bool:
     return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)
 
 
-def understand_afm(path: Path) -> Understanding:
+def interpret_afm_file(path: Path) -> Understanding:
     """Interpret a file of force curves of an AFM.
 
     Raises:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from calibration.importing.imported import ImportedTest, assumptions_of
+from calibration.importing.imported import ImportedTest, list_assumptions_of_tests
 from tissue_sim.errors import shortened
 
 #: Headings of the columns of the table.
@@ -50,9 +50,9 @@ class AssumptionRow(NamedTuple):
         return subject, self.value, self.evidence, self.against, self.alternatives, self.flag
 
 
-def assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
+def make_assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
     """Return one row for each assumption; files with the same assumption share a row."""
-    found = assumptions_of(tests)
+    found = list_assumptions_of_tests(tests)
     files = list(dict.fromkeys(name for name, _ in found))
     rows = []
     for each in dict.fromkeys(assumption for _, assumption in found):
@@ -77,9 +77,9 @@ def _to_one_line(text: str) -> str:
     return " ".join("".join(each if each.isprintable() or each.isspace() else "?" for each in text).split())
 
 
-def campaign_comment(tests: Sequence[ImportedTest]) -> str:
+def format_campaign_comment(tests: Sequence[ImportedTest]) -> str:
     """Return the table as comments of a campaign, with the unused columns; empty without assumptions."""
-    rows = assumption_rows(tests)
+    rows = make_assumption_rows(tests)
     if not rows:
         return ""
     lines = ["Assumptions, with evidence, values that also fit (or), and the flag of tissue-sim import that states "
@@ -98,7 +98,7 @@ def campaign_comment(tests: Sequence[ImportedTest]) -> str:
 
 def wrap_assumptions(tests: Sequence[ImportedTest], width: int, most: int) -> list[str]:
     """Return the table as at most `most` lines of `width` characters: subject, value, evidence and alternatives."""
-    rows = assumption_rows(tests)
+    rows = make_assumption_rows(tests)
     sizes = (36, 26, width - 36 - 26 - 4)
     lines = []
     for row in rows:

@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from calibration.importing.assumption_table import campaign_comment
+from calibration.importing.assumption_table import format_campaign_comment
 from calibration.importing.imported import ImportedTest, Line
 from calibration.report.drawing import format_count
 
@@ -36,15 +36,15 @@ def format_campaign(tests: Sequence[ImportedTest], specimens: Mapping[str, Seque
     count = sum(len(part.motions) for test in tests for part in test.parts)
     parts = [f"# Written by tissue-sim import from {format_count(count, 'recording')}. "
              "The comments give the reasons of the lines;\n# correct lines that are wrong."]
-    parts += filter(None, [campaign_comment(tests)])
+    parts += filter(None, [format_campaign_comment(tests)])
     if questions:
         parts.append(_format_line(Line("questions", list(questions), "import again with the flag in the question, or "
                                        "delete this key to accept the assumed values")))
     for name, lines in specimens.items():
         named = [Line("name", name)] if len(specimens) > 1 else []
         parts.append("\n".join(["[[specimen]]", *(_format_line(each) for each in (*named, *lines))]))
-    shared = _common_lines([test.lines for test in tests]) if len(tests) > 1 else []
-    columns = _common_lines([test.columns for test in tests]) if len(tests) > 1 else []
+    shared = _find_common_lines([test.lines for test in tests]) if len(tests) > 1 else []
+    columns = _find_common_lines([test.columns for test in tests]) if len(tests) > 1 else []
     same_columns = bool(columns) and all(len(test.columns) == len(columns) for test in tests)
     if shared or same_columns:
         parts.append("\n".join(["[defaults]", *map(_format_line, shared)]))
@@ -62,7 +62,7 @@ def format_campaign(tests: Sequence[ImportedTest], specimens: Mapping[str, Seque
     return "\n\n".join(parts) + "\n"
 
 
-def _common_lines(lines: Sequence[Sequence[Line]]) -> list[Line]:
+def _find_common_lines(lines: Sequence[Sequence[Line]]) -> list[Line]:
     """Return the lines that are equal in all tests."""
     return [line for line in lines[0]
             if all(any(_has_equal_value(line, other) for other in each) for each in lines[1:])]

@@ -35,7 +35,7 @@ def share_decimal_mark(understood: Sequence[Understanding]) -> list[Understandin
             for each in understood]
 
 
-def decimal_reason(parts: Sequence[Part]) -> str:
+def describe_decimal_mark(parts: Sequence[Part]) -> str:
     """Return the reason why a campaign states the decimal mark of its files, in one sentence."""
     found = [assumption for part in parts for assumption in part.understanding.assumptions
              if assumption.subject in ("thousands separator", "decimal mark")]

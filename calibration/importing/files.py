@@ -10,22 +10,30 @@ from typing import Any
 
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.importing.afm import is_afm, understand_afm
+from calibration.importing.afm import interpret_afm_file, is_afm
 from calibration.importing.campaign_text import FILL_IN, format_campaign
-from calibration.importing.decimal_marks import decimal_reason, share_decimal_mark
+from calibration.importing.decimal_marks import describe_decimal_mark, share_decimal_mark
 from calibration.importing.flags import applies_to_kind, check_options, require_used
 from calibration.importing.grouping import group_into_tests, has_same_motion
-from calibration.importing.imported import Imported, ImportedTest, ImportOptions, Line, Part, Zero, questions_of
+from calibration.importing.imported import (
+    Imported,
+    ImportedTest,
+    ImportOptions,
+    Line,
+    Part,
+    Zero,
+    list_questions_of_tests,
+)
 from calibration.importing.motion import describe_motion
 from calibration.importing.picture import draw_imported
-from calibration.importing.sidecar import find_stated_kind, read_sidecar, with_sidecar
+from calibration.importing.sidecar import add_sidecar, find_stated_kind, read_sidecar
 from calibration.importing.signal_lines import (
     format_left_out_samples,
     format_offset_settings,
     format_viscoelastic_start,
 )
-from calibration.importing.size_assumptions import unclear_statement, with_size_assumptions
-from calibration.importing.sizes_of_tables import with_sizes_compared
+from calibration.importing.size_assumptions import add_size_assumptions, describe_unclear_statement
+from calibration.importing.sizes_of_tables import compare_table_sizes
 from calibration.importing.zero import add_zero_assumption, select_linear_laws
 from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
@@ -71,8 +79,8 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     output = None if output is None else Path(output)
     _check_paths(paths, output, overwrite)
     check_options(wishes)
-    understood = share_decimal_mark([with_sizes_compared(with_size_assumptions(each, wishes), wishes)
-                                    for each in _understand_files(paths, wishes)])
+    understood = share_decimal_mark([compare_table_sizes(add_size_assumptions(each, wishes), wishes)
+                                    for each in _interpret_files(paths, wishes)])
     controlled = wishes.test.get("control")
     parts = [Part(each, reading, tuple(describe_motion(recording, reading.kind.kind, controlled)
                                        for recording in reading.recordings))
@@ -81,13 +89,13 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
     parts = [part for _, alike, *_ in groups for part in alike]
     tests, specimens, missing = _build_tests(groups, wishes)
     require_used(wishes, understood, tests)
-    fit = _fit_lines(tests, wishes)
+    fit = _make_fit_lines(tests, wishes)
 
     def text_in(folder: Path, questions: Sequence[str] = ()) -> str:
         """Return the text of the campaign with paths relative to `folder`."""
         return format_campaign(tests, specimens, fit, folder, questions)
 
-    text = text_in(Path() if output is None else output.parent, questions_of(tests))
+    text = text_in(Path() if output is None else output.parent, list_questions_of_tests(tests))
     imported = Imported(tuple(understood), tests, read_only(specimens), text, missing, _collect_warnings(parts, tests))
     if not missing:
         imported = replace(imported, problem=_find_problem(text_in))
@@ -120,7 +128,7 @@ def _check_paths(paths: Sequence[Path], output: Path | None, overwrite: bool) ->
                              file=each)
 
 
-def _understand_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Understanding]:
+def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Understanding]:
     """Interpret all files.
 
     Raises:
@@ -129,7 +137,7 @@ def _understand_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Unde
     understood, faults = [], []
     for path in paths:
         try:
-            understood.append(_understand_file(path, wishes))
+            understood.append(_interpret_file(path, wishes))
         except InputError as error:
             faults.append(error)
     if len(faults) == 1:
@@ -141,20 +149,20 @@ def _understand_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Unde
     return understood
 
 
-def _understand_file(path: Path, wishes: ImportOptions) -> Understanding:
+def _interpret_file(path: Path, wishes: ImportOptions) -> Understanding:
     """Interpret one file with its sidecar, and read stress and strain if the size of the specimen is unknown."""
     stated = wishes.stated
     if stated.format in ("afm", "jpk", "bruker") or (not stated.format and bounded(is_afm, path, file=path)):
-        return understand_afm(path)
+        return interpret_afm_file(path)
     said = read_sidecar(path)
     speed, height = wishes.test.get("speed_mm_s"), wishes.specimen.get("height_mm")
     stated = replace(stated, kind=stated.kind or find_stated_kind(said), speed=None if speed is None else 1e-3 * speed,
                      height=None if height is None else 1e-3 * float(height))
-    found = with_sidecar(bounded(understand, path, stated, file=path), said,
-                         kind_stated=wishes.stated.kind is not None)
+    found = add_sidecar(bounded(understand, path, stated, file=path), said,
+                        kind_stated=wishes.stated.kind is not None)
     # Without the size of the specimen a force gives no modulus; stress and strain in the file give one.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= set(
-        reading.recordings[0].channels) and not _has_sizes(_merge_sizes(reading, wishes))]
+        reading.recordings[0].channels) and not _has_height_and_section(_merge_sizes(reading, wishes))]
     if lacking and not stated.columns:
         direct = bounded(understand, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
@@ -172,7 +180,7 @@ def _merge_sizes(reading: Reading, wishes: ImportOptions) -> dict[str, Size]:
     return found | {key: Size(key, float(value), "stated") for key, value in wishes.specimen.items() if key != "shape"}
 
 
-def _has_sizes(sizes: Mapping[str, Size]) -> bool:
+def _has_height_and_section(sizes: Mapping[str, Size]) -> bool:
     """Return whether the sizes give height and cross-section; other keys belong to a stated shape."""
     return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
@@ -196,7 +204,7 @@ def _build_tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]
         needs = "displacement" in reading.recordings[0] or (kind is not None and kind.closed_form is None)
         specimen = None
         if needs:
-            lines, lacks = _specimen_lines(reading, wishes, kind)
+            lines, lacks = _make_specimen_lines(reading, wishes, kind)
             missing += [what for what in lacks if what not in missing]
             values = [(line.key, line.value) for line in lines]
             # An equal test of another name has another specimen; a different test may share a specimen.
@@ -207,7 +215,7 @@ def _build_tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]
             if specimen is None:
                 specimen = name if specimens else "specimen"
                 specimens[specimen] = lines
-        keys, lacks = _test_lines(parts, wishes)
+        keys, lacks = _make_test_lines(parts, wishes)
         missing += [what for what in lacks if what not in missing]
         columns = tuple(Line(column.channel, column.entry(),
                              f"{FILL_IN}: {column.missing}; {column.reason}" if column.missing else column.reason)
@@ -222,15 +230,15 @@ def _build_tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]
     return tuple(tests), specimens, tuple(missing)
 
 
-def _specimen_lines(reading: Reading, wishes: ImportOptions, kind: TestKind | None
-                    ) -> tuple[tuple[Line, ...], list[str]]:
+def _make_specimen_lines(reading: Reading, wishes: ImportOptions, kind: TestKind | None
+                         ) -> tuple[tuple[Line, ...], list[str]]:
     """Return the lines of the specimen of a reading, and the missing sizes."""
     sizes = _merge_sizes(reading, wishes)
     shape, reason = wishes.specimen.get("shape"), "stated"
     if not wishes.specimen and reading.specimen.get("shape") in SPECIMENS:
         shape, reason = reading.specimen["shape"], "in the sidecar of the recording"
     if shape is not None:
-        return _shape_lines(str(shape), sizes, reason)
+        return _make_shape_lines(str(shape), sizes, reason)
     lines, missing = [], []
     flat = "area_mm2" in sizes or (kind is not None and kind.gripped and "radius_mm" not in sizes)
     lines.append(Line("shape", "prism" if flat else "cylinder"))
@@ -242,13 +250,13 @@ def _specimen_lines(reading: Reading, wishes: ImportOptions, kind: TestKind | No
         else:
             flag = f"--{key.replace('_', '-')}"
             also = " (or --radius-mm)" if key == "area_mm2" else ""
-            unclear = unclear_statement(reading, key)
+            unclear = describe_unclear_statement(reading, key)
             lines.append(Line(key, None, f"{what} of the specimen, {unclear or 'which no file states'}; {flag}{also}"))
             missing.append(f"the {what} of the specimen ({flag}{also}{f'; {unclear}' if unclear else ''})")
     return tuple(lines), missing
 
 
-def _shape_lines(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple[Line, ...], list[str]]:
+def _make_shape_lines(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple[Line, ...], list[str]]:
     """Return the lines of a specimen with a stated shape, and the missing sizes."""
     lines, missing = [Line("shape", shape, reason)], []
     for key, declared in sizes_of(shape).items():
@@ -261,7 +269,7 @@ def _shape_lines(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tu
     return tuple(lines), missing
 
 
-def _test_lines(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line], list[str]]:
+def _make_test_lines(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line], list[str]]:
     """Return the lines of a ``[[test]]`` without name, specimen, recordings and columns, and missing information."""
     reading, missing = parts[0].reading, []
     lines = [Line("kind", reading.kind.kind, reading.kind.reason if reading.kind.kind else
@@ -270,24 +278,24 @@ def _test_lines(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list[Line
         missing.append("the kind of test (--kind)")
     missing += [f"{what} (--{'scale' if what.startswith('the scale') else 'unit'} {_flag_name(column.channel)}=...)"
                 for column in reading.columns if (what := column.missing)]
-    lines += [Line(key, value, decimal_reason(parts) if key == "decimal" else "")
+    lines += [Line(key, value, describe_decimal_mark(parts) if key == "decimal" else "")
               for key, value in reading.options.items() if key != "columns"]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     test = dict(wishes.test)
     if kind is not None and kind.tool_stated:
-        more, lacks = _tool_lines(test, reading)
+        more, lacks = _make_tool_lines(test, reading)
         lines, missing = [*lines, *more], [*missing, *lacks]
     if kind is not None and kind.face.stated and "friction" not in test:
         lines.append(Line("friction", None, "coefficient of friction of both plates, or \"stick\"; --friction"))
         missing.append("the friction of the plates (--friction)")
-    lines += _air_and_failure_lines(parts)
+    lines += _make_air_and_failure_lines(parts)
     lines += format_left_out_samples(parts)
-    lines += _speed_lines(parts, test.pop("speed_mm_s", None))
+    lines += _make_speed_lines(parts, test.pop("speed_mm_s", None))
     lines += [Line(key, value, "stated") for key, value in test.items() if applies_to_kind(key, value, kind)]
     return lines, missing
 
 
-def _speed_lines(parts: Sequence[Part], stated: float | None) -> list[Line]:
+def _make_speed_lines(parts: Sequence[Part], stated: float | None) -> list[Line]:
     """Return the line ``speed_mm_s`` for recordings without displacement or without time."""
     reading = parts[0].reading
     if reading.speed is not None:
@@ -303,7 +311,7 @@ def _speed_lines(parts: Sequence[Part], stated: float | None) -> list[Line]:
     return [] if found is None else [Line("speed_mm_s", found.value, f"no clock; {found.reason}")]
 
 
-def _tool_lines(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
+def _make_tool_lines(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
     """Return the lines of the tool of an indentation and of its friction, and the missing information."""
     lines: list[Line] = []
     missing: list[str] = []
@@ -324,7 +332,7 @@ def _tool_lines(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], 
     return lines, missing
 
 
-def _air_and_failure_lines(parts: Sequence[Part]) -> list[Line]:
+def _make_air_and_failure_lines(parts: Sequence[Part]) -> list[Line]:
     """Return the lines for air before contact, and for samples after a failure."""
     lines = []
     motions = [(part.file.name, motion) for part in parts for motion in part.motions]
@@ -345,7 +353,7 @@ def _flag_name(channel: str) -> str:
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def _fit_lines(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[Line]:
+def _make_fit_lines(tests: Sequence[ImportedTest], wishes: ImportOptions) -> list[Line]:
     """Return the lines of ``[fit]``."""
     kinds = [KINDS[test.kind] for test in tests if test.kind]
     closed = all(kind.closed_form is not None for kind in kinds)

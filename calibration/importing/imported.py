@@ -134,12 +134,12 @@ class Imported:
     @property
     def assumptions(self) -> tuple[tuple[str, Assumption], ...]:
         """(file name, assumption) of all files: about the file, its tables, then its recordings."""
-        return assumptions_of(self.tests)
+        return list_assumptions_of_tests(self.tests)
 
     @property
     def questions(self) -> tuple[str, ...]:
         """Questions that the user must decide by a flag, each once, with the files that they concern."""
-        return questions_of(self.tests)
+        return list_questions_of_tests(self.tests)
 
     @property
     def complete(self) -> bool:
@@ -147,7 +147,7 @@ class Imported:
         return not self.missing and self.problem is None and not self.questions
 
 
-def assumptions_of(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption], ...]:
+def list_assumptions_of_tests(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption], ...]:
     """(file name, assumption) of tests: about the file, its tables, then its recordings."""
     found: dict[tuple[str, Assumption], None] = {}
     for test in tests:
@@ -158,10 +158,10 @@ def assumptions_of(tests: Sequence[ImportedTest]) -> tuple[tuple[str, Assumption
     return tuple(found)
 
 
-def questions_of(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
+def list_questions_of_tests(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
     """Questions that the user must decide by a flag, each once, with the files that they concern."""
     asked: dict[str, list[str]] = {}
-    for name, each in assumptions_of(tests):
+    for name, each in list_assumptions_of_tests(tests):
         if each.is_question:
             asked.setdefault(each.question, []).append(name)
     return tuple(f"{', '.join(dict.fromkeys(names))}: {question}" for question, names in asked.items())

@@ -84,7 +84,7 @@ def _draw_curves(left, right, test: ImportedTest) -> None:
             name = part.file.name if len(part.motions) == 1 else f"{part.file.name} {number + 1}"
             kept = np.arange(len(recording)) if motion.kept is None else motion.kept
             every = kept[thinning_slice(kept.size)]
-            ways, loads = (_plotted_values(recording, channel, raw) for channel in (motion.channel, load))
+            ways, loads = (_convert_to_plotted_unit(recording, channel, raw) for channel in (motion.channel, load))
             clocks = recording.time if motion.rate is not None else np.arange(len(recording))
             left.plot(clocks[every], ways[every], **style)
             right.plot(ways[every], loads[every], **style, label=name if number < _SETTINGS.most_names else None)
@@ -92,8 +92,8 @@ def _draw_curves(left, right, test: ImportedTest) -> None:
                 _mark_left_out(left, right, clocks, ways, loads, kept, motion.screening)
             if motion.failure is not None:
                 at = motion.sample(motion.failure.index)
-                right.plot(*(_plotted_values(recording, channel, raw)[at] for channel in (motion.channel, load)), "x",
-                           color="k", ms=7, label="failure" if number == 0 else None)
+                point = [_convert_to_plotted_unit(recording, channel, raw)[at] for channel in (motion.channel, load)]
+                right.plot(*point, "x", color="k", ms=7, label="failure" if number == 0 else None)
             if number == 0:
                 _label_axes(left, right, motion.channel, load, raw, timed=motion.rate is not None)
                 _shade_segments(left, recording, motion)
@@ -105,7 +105,7 @@ def _draw_curves(left, right, test: ImportedTest) -> None:
         right.legend(fontsize=7, title=more, title_fontsize=7)
 
 
-def _plotted_values(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
+def _convert_to_plotted_unit(recording: Recording, channel: str, raw: set[str]) -> np.ndarray:
     """Return the values of a channel in the unit of the picture; channels in `raw` have no known unit."""
     return recording.channel(channel) * (1.0 if channel in raw else _SHOWN[channel][1])
 

@@ -36,7 +36,7 @@ def find_stated_kind(said: Mapping[str, Any]) -> str | None:
     return kind if isinstance(kind, str) and kind in KINDS else None
 
 
-def with_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: bool) -> Understanding:
+def add_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: bool) -> Understanding:
     """Add the kind of test, the specimen and the tool in a sidecar to the interpretation of a file.
 
     Args:

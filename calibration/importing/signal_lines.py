@@ -65,7 +65,7 @@ def format_offset_settings(tests: Sequence[ImportedTest], *, bounded: bool) -> l
         tests: imported tests.
         bounded: whether the method supports bounds of the offset.
     """
-    found = [*_offsets_of_preloads(tests), *(_offsets_of_wide_intervals(tests) if bounded else ())]
+    found = [*_find_preload_offsets(tests), *(_find_wide_interval_offsets(tests) if bounded else ())]
     if not found:
         return []
     widest = max(found, key=lambda each: each.prior)
@@ -76,7 +76,7 @@ def format_offset_settings(tests: Sequence[ImportedTest], *, bounded: bool) -> l
     return lines
 
 
-def _offsets_of_preloads(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
+def _find_preload_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
     """Yield the contact offset of each test whose displacement was zeroed at a preload."""
     for test in tests:
         if test.zero is None or test.zero.value != PRELOAD:
@@ -87,7 +87,7 @@ def _offsets_of_preloads(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffs
                       f"{test.zero.load:.3g} N, about {shift:.2g} mm {side}")
 
 
-def _offsets_of_wide_intervals(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
+def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_ContactOffset]:
     """Yield the contact offset of each recording whose interval of contact changes the modulus too much.
 
     The limit is `MODULUS_TOLERANCE`; only tests with motion in air before contact are examined.

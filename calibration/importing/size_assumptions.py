@@ -21,14 +21,14 @@ _GIVEN_BY = {"radius_mm": ("diameter", "radius", "circumference", "area"), "area
              "height_mm": ("height", "thickness", "length", "gauge length")}
 
 
-def with_size_assumptions(found: Understanding, wishes: ImportOptions) -> Understanding:
+def add_size_assumptions(found: Understanding, wishes: ImportOptions) -> Understanding:
     """Add an assumption for each size that the file states."""
     return replace(found, readings=tuple(
-        replace(reading, assumptions=(*reading.assumptions, *size_assumptions(reading, wishes.specimen)))
+        replace(reading, assumptions=(*reading.assumptions, *list_size_assumptions(reading, wishes.specimen)))
         for reading in found.readings))
 
 
-def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assumption, ...]:
+def list_size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assumption, ...]:
     """Return one assumption for each size of the specimen that the file of a reading states.
 
     Args:
@@ -51,7 +51,7 @@ def size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assum
     return tuple(assumptions)
 
 
-def unclear_statement(reading: Reading, key: str) -> str:
+def describe_unclear_statement(reading: Reading, key: str) -> str:
     """Return the reason why a statement in the file does not give the size `key`; empty without such a statement."""
     seen = find_sizes_without_unit(reading.stated)
     found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")

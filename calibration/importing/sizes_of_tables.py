@@ -20,7 +20,7 @@ from tissue_sim.recording.recording import Recording
 _LEAST_RANGE_RATIO = 1.0 / 3.0
 
 
-def with_sizes_compared(found: Understanding, wishes: ImportOptions) -> Understanding:
+def compare_table_sizes(found: Understanding, wishes: ImportOptions) -> Understanding:
     """Add a question if tables of different sizes have the same forces.
 
     The stiffness of a homogeneous specimen is proportional to its cross-section over its height. Tables whose
@@ -29,11 +29,11 @@ def with_sizes_compared(found: Understanding, wishes: ImportOptions) -> Understa
     is_stated = "height_mm" in wishes.specimen and not {"radius_mm", "area_mm2"}.isdisjoint(wishes.specimen)
     if len(found.readings) < 2 or is_stated:
         return found
-    sized = [(reading, size) for reading in found.readings if (size := _area_over_height(reading)) is not None]
+    sized = [(reading, size) for reading in found.readings if (size := _compute_area_over_height(reading)) is not None]
     if len(sized) < len(found.readings):
         return found
     sizes = [size for _, size in sized]
-    stiffnesses = _secant_stiffnesses([reading.recordings[0] for reading, _ in sized])
+    stiffnesses = _compute_secant_stiffnesses([reading.recordings[0] for reading, _ in sized])
     apart, together = _logarithmic_range(sizes), _logarithmic_range(stiffnesses)
     if apart <= np.log1p(MODULUS_TOLERANCE) or together >= _LEAST_RANGE_RATIO * apart:
         return found
@@ -47,7 +47,7 @@ def with_sizes_compared(found: Understanding, wishes: ImportOptions) -> Understa
                                          for reading in found.readings))
 
 
-def _area_over_height(reading: Reading) -> float | None:
+def _compute_area_over_height(reading: Reading) -> float | None:
     """Return cross-section over height, mm; None: an unknown size, or a reading without force and displacement."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     read = {column.channel for column in reading.columns if not column.missing}
@@ -59,7 +59,7 @@ def _area_over_height(reading: Reading) -> float | None:
     return None if area is None or "height_mm" not in sizes else area / sizes["height_mm"]
 
 
-def _secant_stiffnesses(recordings: Sequence[Recording]) -> list[float]:
+def _compute_secant_stiffnesses(recordings: Sequence[Recording]) -> list[float]:
     """Return the secant stiffness of each first loading up to the common displacement, N/m; 0: unknown."""
     loadings = []
     for each in recordings:

@@ -98,7 +98,7 @@ def add_zero_assumption(parts: Sequence[Part], sizes: Mapping[str, float], laws:
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     found = [(curve, start) for part in parts for recording, motion in zip(part.reading.recordings, part.motions,
                                                                           strict=True)
-             if (curve := _first_loading(recording, motion, kind)) is not None
+             if (curve := _select_first_loading(recording, motion, kind)) is not None
              and (start := estimate_load_at_zero(*curve)) is not None]
     if not found or any(column.missing for column in reading.columns):
         return tuple(parts), None
@@ -113,7 +113,8 @@ def add_zero_assumption(parts: Sequence[Part], sizes: Mapping[str, float], laws:
     return tuple(_apply_zero(part, assumption, zero, is_constant=has_common_offset) for part in parts), zero
 
 
-def _first_loading(recording: Recording, motion: Motion, kind: TestKind | None) -> tuple[np.ndarray, np.ndarray] | None:
+def _select_first_loading(recording: Recording, motion: Motion, kind: TestKind | None
+                          ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return displacement (m) and force (N) of the first loading, positive under load.
 
     Returns:
@@ -238,7 +239,7 @@ def _compare_explanations(explanations: Sequence[tuple[dict[str, _Explanation], 
         Assumption, its value (`PRELOAD` or `SENSOR`), and fitted shift of contact, m; None: no fit.
     """
     if start.load < 0 and kind is not None and not kind.can_pull:
-        return _unzeroed_load_cell(start, stated), SENSOR, None
+        return _make_unzeroed_assumption(start, stated), SENSOR, None
     words = {**_EXPLANATIONS, PRELOAD: _PRELOAD_AGAINST_LOADING} if start.load < 0 else _EXPLANATIONS
     evidence = [f"the force at zero displacement is {start.load:.3g} N, {100 * start.fraction:.0f} % of its range"]
     against = [jump] if jump else []
@@ -264,7 +265,7 @@ def _compare_explanations(explanations: Sequence[tuple[dict[str, _Explanation], 
     return assumption, value, shift
 
 
-def _unzeroed_load_cell(start: LoadAtZero, stated: str | None) -> Assumption:
+def _make_unzeroed_assumption(start: LoadAtZero, stated: str | None) -> Assumption:
     """Return the assumption that the load cell was not zeroed, for a tensile force of a tool without adhesion.
 
     Raises:
@@ -295,7 +296,7 @@ def _apply_zero(part: Part, assumption: Assumption, zero: Zero, *, is_constant: 
     reading = part.reading
     if zero.value == SENSOR:
         reading = replace(reading, columns=tuple(
-            replace(column, offset=_offset_in_column_unit(column.unit, zero.load) if is_constant else "start",
+            replace(column, offset=_offset_that_cancels(column.unit, zero.load) if is_constant else "start",
                     reason=f"{column.reason}; {_EXPLANATIONS[SENSOR]}")
             if column.channel == "force" and column.offset is None else column for column in reading.columns))
         recordings = tuple(each.with_channels(force=each.force - zero.load) for each in reading.recordings)
@@ -304,7 +305,7 @@ def _apply_zero(part: Part, assumption: Assumption, zero: Zero, *, is_constant: 
     return replace(part, reading=reading, motions=motions)
 
 
-def _offset_in_column_unit(unit: str | None, load: float) -> float:
+def _offset_that_cancels(unit: str | None, load: float) -> float:
     """Return the offset, in the unit of the column of the force, that subtracts `load` (N)."""
     factor = 1.0 if unit is None or quantity_of(unit) == "signal" else to_si(unit)[0]
     return float(f"{-load / factor:.4g}")

@@ -55,7 +55,7 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
     name = f"{after.law}.material.json"
     write_material_file(_build_material_file(diagnosis, after, folder), folder / name)
     files["material"] = name
-    rigs = {test.name: _rig_with_fitted_values(after, test) for test in after.situation.tests
+    rigs = {test.name: _set_fitted_rig_values(after, test) for test in after.situation.tests
             if test.experiment is not None}
     if any(effect.category == "rig" for effect in diagnosis.effects):
         if len({json.dumps(to_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
@@ -101,7 +101,7 @@ def _build_material_file(diagnosis: Diagnosis, after: Evidence, folder: Path) ->
     return replace(file, provenance=replace(provenance, settings=settings))
 
 
-def _rig_with_fitted_values(after: Evidence, test: Test) -> Rig:
+def _set_fitted_rig_values(after: Evidence, test: Test) -> Rig:
     """Return the rig of a test with the fitted rig parameters."""
     space = after.problem.space
     values = {each.path.removeprefix("rig."): after.values[each.name] for each in space.unknowns

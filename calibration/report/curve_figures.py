@@ -23,7 +23,7 @@ from calibration.report.drawing import (
 )
 from calibration.report.layout import LAYOUT
 from calibration.report.units import Unit, Units
-from calibration.report.views import Trace, View, interpolate_law, is_timed, list_views, trace_of_law
+from calibration.report.views import Trace, View, compute_law_trace, interpolate_law, is_timed, list_views
 from tissue_sim.laws import find_law
 
 #: Colour of a region whose residuals exceed the noise.
@@ -95,7 +95,7 @@ def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -
             shown.append(y)
     for rank, (curves, title, style) in enumerate(drawn):
         line = {**style, "lw": 1.8 if rank == 0 else 1.2, "zorder": 4 - rank / len(drawn)}
-        trace = trace_of_law(curves, view.own)
+        trace = compute_law_trace(curves, view.own)
         for x, y, band in () if trace is None else view.lines(trace):
             axes.plot(x, y, label=title, **line)
             if rank == 0:
@@ -152,7 +152,7 @@ class Abscissa:
     def spans(self, region: Region, recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
         """Yield the interval of a region on this axis; on a time axis one interval for each cycle."""
         measured = recordings[0]
-        start, end = _region_ends(region, measured.test)
+        start, end = _find_region_ends(region, measured.test)
         if not self.timed:
             yield start / self.travel.size, end / self.travel.size
             return
@@ -253,10 +253,10 @@ def bin_residuals(measured: MeasuredCurve, residual: np.ndarray, x: Abscissa, ed
         sums = np.stack([np.bincount(bins, values[part], edges.size - 1) for values in (at, residual)])
         with np.errstate(invalid="ignore"):
             means = sums / count
-        yield means, noise.deviation * deviation_of_mean(count, step, noise.correlation_time)
+        yield means, noise.deviation * compute_deviation_of_mean(count, step, noise.correlation_time)
 
 
-def deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
+def compute_deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
     """Return the standard deviation of the mean of correlated samples of unit variance.
 
     The samples have the autocorrelation exp(-lag / correlation_time). The variance of the mean of n samples is
@@ -285,7 +285,7 @@ def _write_misfit_labels(axes, spans, load: Unit) -> None:
                       bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.5})
 
 
-def _region_ends(region: Region, test: Test) -> tuple[float, float]:
+def _find_region_ends(region: Region, test: Test) -> tuple[float, float]:
     """Return the displacements (strains for a test without specimen) at both ends of a region, SI."""
     size = 1.0 if test.specimen is None else 1e-3
     return region.start * size, region.end * size
@@ -294,7 +294,7 @@ def _region_ends(region: Region, test: Test) -> tuple[float, float]:
 def describe_region(region: Region, test: Test, units: Units) -> str:
     """Return a region in words, such as ``ramp from 3.3 to 6.7 mm`` or ``hold at 10 mm``."""
     travel = units.travel_unit(test)
-    start, end = (f"{end / travel.size:.3g}" for end in _region_ends(region, test))
+    start, end = (f"{end / travel.size:.3g}" for end in _find_region_ends(region, test))
     span = f"{f'at {start}' if start == end else f'from {start} to {end}'} {travel.name}".rstrip()
     return f"{region.segment} {span}".strip()
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calibration.diagnosis.diagnosis import CandidateStatement, RegionMisfit
+from calibration.diagnosis.diagnosis import CandidateStatement, SegmentMisfit
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Region
@@ -24,7 +24,7 @@ BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
 AFTER: dict = {"color": COLOURS[0], "ls": "-"}
 
 
-def curves_of_test(evidence: Evidence, name: str) -> TestCurves:
+def select_curves_of_test(evidence: Evidence, name: str) -> TestCurves:
     """Return the measured and fitted curves of one test, with the offset and zero of each recording, without bands."""
     problem = evidence.problem
     number = next(i for i, test in enumerate(problem.tests) if test.name == name)
@@ -37,7 +37,7 @@ def curves_of_test(evidence: Evidence, name: str) -> TestCurves:
 
 
 def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequence[Region],
-                     gaps: Sequence[RegionMisfit], label: str, units: Units):
+                     gaps: Sequence[SegmentMisfit], label: str, units: Units):
     """Draw one test: the recordings, the model without and with the added effects, and the residuals.
 
     Args:
@@ -107,7 +107,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     right.spines["right"].set_visible(True)
 
 
-def _write_misfit_labels(axes, spans, gaps: dict[str, RegionMisfit], x: Abscissa) -> None:
+def _write_misfit_labels(axes, spans, gaps: dict[str, SegmentMisfit], x: Abscissa) -> None:
     """Write the misfit before and after above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
@@ -119,7 +119,7 @@ def _write_misfit_labels(axes, spans, gaps: dict[str, RegionMisfit], x: Abscissa
                   transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8, color="#8a3c00", zorder=6)
 
 
-def draw_evidence(regions: Sequence[RegionMisfit], units: Units):
+def draw_evidence(regions: Sequence[SegmentMisfit], units: Units):
     """Draw the significance of the residuals of each region, before and after, in standard deviations."""
     figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(regions))
     axes = figure.subplots()
@@ -151,12 +151,12 @@ def draw_evidence(regions: Sequence[RegionMisfit], units: Units):
     return figure
 
 
-def _format_segment_and_speed(region: RegionMisfit) -> str:
+def _format_segment_and_speed(region: SegmentMisfit) -> str:
     """Return the segment of a region with its speed, such as ``ramp at 0.248 mm/s``."""
     return f"{region.segment} at {region.speed_mm_s:g} mm/s" if region.speed_mm_s else region.segment
 
 
-def _format_misfits(region: RegionMisfit, units: Units) -> str:
+def _format_misfits(region: SegmentMisfit, units: Units) -> str:
     sizes = [units.force.text(size, 2) for size in (region.before_N, region.after_N) if size is not None]
     return " → ".join(sizes)
 

@@ -14,19 +14,19 @@ from calibration.diagnosis.words import join_words
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
 from calibration.output_folder import picture_of_test
-from calibration.report.diagnosis_figures import curves_of_test, draw_candidates, draw_evidence, draw_test_misfit
+from calibration.report.diagnosis_figures import draw_candidates, draw_evidence, draw_test_misfit, select_curves_of_test
 from calibration.report.diagnosis_tables import (
     candidate_label,
     candidate_labels,
     capitalise,
-    fitted_table,
-    held_out_table,
-    parameter_table,
-    region_table,
-    relative_bias,
-    silent_table,
-    stage_table,
-    testable_table,
+    format_relative_bias,
+    make_fitted_table,
+    make_held_out_table,
+    make_parameter_table,
+    make_segment_misfit_table,
+    make_silent_table,
+    make_stage_table,
+    make_testable_table,
 )
 from calibration.report.drawing import Pictures, format_count
 from calibration.report.layout import LAYOUT
@@ -34,7 +34,7 @@ from calibration.report.page import (
     estimate_of,
     html_list,
     html_page,
-    recording_list,
+    make_recording_list,
     symbol_of,
     title_of,
     use_minus_signs,
@@ -71,19 +71,19 @@ def diagnosis_page(diagnosis: Diagnosis, before: Evidence, after: Evidence | Non
              f"{title_of(diagnosis.law)}, {format_count(len(effects), 'effect')} in the catalogue</p>",
              _format_summary(diagnosis, effects, units)]
     if pictures is not None:
-        parts += _misfit_section(diagnosis, before, after, units, pictures)
-    parts += ["<h2>Parameters</h2>", parameter_table(diagnosis.fit_before, diagnosis.fit_after, units)]
+        parts += _make_misfit_section(diagnosis, before, after, units, pictures)
+    parts += ["<h2>Parameters</h2>", make_parameter_table(diagnosis.fit_before, diagnosis.fit_after, units)]
     if diagnosis.held_out:
-        parts += ["<h2>Data that were not fitted</h2>", held_out_table(diagnosis.held_out, units)]
-    parts += _catalogue_section(diagnosis, units, pictures)
+        parts += ["<h2>Data that were not fitted</h2>", make_held_out_table(diagnosis.held_out, units)]
+    parts += _make_catalogue_section(diagnosis, units, pictures)
     if diagnosis.next_experiment:
         parts += ["<h2>What to measure next</h2>", _format_next_experiments(diagnosis)]
-    parts += ["<h2>Assumptions</h2>", html_list(_assumption_sentences(diagnosis, before, units)),
-              "<h2>Time</h2>", stage_table(diagnosis)]
+    parts += ["<h2>Assumptions</h2>", html_list(_list_assumption_sentences(diagnosis, before, units)),
+              "<h2>Time</h2>", make_stage_table(diagnosis)]
     if diagnosis.files:
         parts += ["<h2>Files</h2>", html_list(f"{escape(what)}: <code>{escape(name)}</code>"
                                               for what, name in diagnosis.files.items())]
-    parts += ["<h2>Recordings</h2>", recording_list(recordings)]
+    parts += ["<h2>Recordings</h2>", make_recording_list(recordings)]
     return html_page(f"Diagnosis of {diagnosis.campaign}", parts)
 
 
@@ -94,19 +94,19 @@ def _format_summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: 
     is_stated = VERDICTS[verdict] in diagnosis.message.lower()
     meaning = [] if is_stated else [f'<span class="quiet">{verdict}: {escape(VERDICTS[verdict])}.</span>']
     rows = [(HEADINGS[verdict], [f"<b>{escape(diagnosis.message)}</b>", *meaning]),
-            ("Where", [escape(sentence) for sentence in misfit_sentences(diagnosis)]),
+            ("Where", [escape(sentence) for sentence in list_misfit_sentences(diagnosis)]),
             ("Influence", [f"{escape(capitalise(effects[each.name].title))}: {escape(effects[each.name].signature)}"
                            + (f"; largest here in {escape(join_words(each.acts_in))}." if each.acts_in else ".")
                            for each in diagnosis.effects if each.name in effects]),
-            ("Distinguished by", list(_separation_sentences(diagnosis, effects))),
-            ("Biased parameters", list(_bias_sentences(diagnosis.fit_before, diagnosis.fit_after, units))),
-            ("Data not fitted", list(_unfitted_sentences(diagnosis, units))),
+            ("Distinguished by", list(_list_separation_sentences(diagnosis, effects))),
+            ("Biased parameters", list(_list_bias_sentences(diagnosis.fit_before, diagnosis.fit_after, units))),
+            ("Data not fitted", list(_list_unfitted_sentences(diagnosis, units))),
             ("Next", [f"{escape(capitalise(each.sentence))}." for each in diagnosis.next_experiment[:1]])]
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows if lines)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
 
-def misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
+def list_misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield a sentence for each of the worst regions, and one for the regions that agree with the model."""
     # Holds first: a reader understands a change of force at constant displacement without a model.
     bad = sorted((each for each in diagnosis.regions if not each.adequate_before),
@@ -122,7 +122,7 @@ def misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
         yield f"{join_words(good)} {'agrees' if len(good) == 1 else 'agree'}."
 
 
-def _separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
+def _list_separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
     if diagnosis.verdict != "SET":
         return
     labels = candidate_labels(diagnosis.candidates)
@@ -136,10 +136,10 @@ def _separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -
         yield f"{escape(capitalise(labels.get(name, effect.title)))}{against}: {escape(effect.separated_by)}."
 
 
-def _bias_sentences(before: Fit, after: Fit | None, units: Units) -> Iterator[str]:
+def _list_bias_sentences(before: Fit, after: Fit | None, units: Units) -> Iterator[str]:
     """Yield a sentence for each parameter that was biased because the effect was missing in the model."""
     for name in before.parameters:
-        change = relative_bias(before, after, name)
+        change = format_relative_bias(before, after, name)
         if after is not None and change is not None and abs(change) > _MIN_CHANGE:
             side = "too large" if change > 0 else "too small"
             yield (f"{symbol_of(before, name)} was {abs(100 * change):.2g}\u00a0% {side}: "
@@ -147,7 +147,7 @@ def _bias_sentences(before: Fit, after: Fit | None, units: Units) -> Iterator[st
                    f"{use_minus_signs(estimate_of(after, name, units))} with the effect.")
 
 
-def _unfitted_sentences(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
+def _list_unfitted_sentences(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
     """Yield a sentence about the prediction error of recordings left out, and one about tests held out."""
     for kind, noun, how in (("replicate", "recording", "left out"), ("test", "test", "held out")):
         predicted = [each for each in diagnosis.held_out if each.kind == kind and each.before_N is not None]
@@ -168,8 +168,8 @@ def _smallest_and_largest(sizes: Sequence[float | None]) -> list[float]:
     return sorted({min(known), max(known)}) if known else []
 
 
-def _misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units: Units,
-                    pictures: Pictures) -> Iterator[str]:
+def _make_misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units: Units,
+                         pictures: Pictures) -> Iterator[str]:
     yield "<h2>Where model and measurement differ</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
     label = join_words([each.title for each in diagnosis.effects])
@@ -180,31 +180,31 @@ def _misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence | No
         count = format_count(len(before.measured[test.name]), "recording")
         yield f"<h3>{escape(test.name)} <small>{escape(test.kind.name.replace('_', ' '))}; {count}</small></h3>"
         regions = [region for region in before.regions if region.test == test.name]
-        later = None if after is None else curves_of_test(after, test.name)
+        later = None if after is None else select_curves_of_test(after, test.name)
         yield pictures.show(picture_of_test(before.campaign, number), partial(
-            draw_test_misfit, curves_of_test(before, test.name), later, regions, gaps, label, units),
+            draw_test_misfit, select_curves_of_test(before, test.name), later, regions, gaps, label, units),
             f"Recordings, model before and after, and residuals of {test.name}")
     yield "<h2>Evidence by region</h2>"
     yield pictures.show("regions", partial(draw_evidence, diagnosis.regions, units),
                         "Significance of the residuals in each region, before and after",
                         "Significance of the smooth part of the residuals, adjusted for the number of regions "
                         "(Holm). Right: root mean square of the smooth part.")
-    yield f"<details><summary>In numbers</summary>{region_table(diagnosis.regions, units)}</details>"
+    yield f"<details><summary>In numbers</summary>{make_segment_misfit_table(diagnosis.regions, units)}</details>"
 
 
-def _catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
+def _make_catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>Effects of the catalogue in these tests</h2>"
     drawn = [each for each in seen
              if each.refitted or (each.p is not None and each.p <= LIMITS.effect_level)][:LAYOUT.drawn_effects]
     if drawn and pictures is not None:
         draw = partial(draw_candidates, drawn, [candidate_label(each) for each in drawn],
-                       _names_of_added_candidates(diagnosis, drawn))
+                       _list_added_candidates(diagnosis, drawn))
         yield pictures.show("candidates", draw, "Score and gain of each effect")
-    yield fitted_table(diagnosis.candidates, units)
+    yield make_fitted_table(diagnosis.candidates, units)
     if seen:
         yield "<h3>Effects that these tests can detect</h3>"
-        yield testable_table(diagnosis.candidates, units)
+        yield make_testable_table(diagnosis.candidates, units)
         yield ('<p class="quiet">Smallest detectable size: nine of ten data sets like this would show an effect of '
                "this size. Score: standard deviations along the force change that the effect makes and that the fitted "
                "parameters cannot compensate. p: probability that chance gives any effect of the catalogue such a "
@@ -212,10 +212,10 @@ def _catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictures | 
                "these tests in the same way except for a few per cent.</p>")
     if len(seen) < len(diagnosis.candidates):
         yield "<h3>Effects that these tests cannot detect</h3>"
-    yield silent_table(diagnosis.candidates)
+    yield make_silent_table(diagnosis.candidates)
 
 
-def _names_of_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
+def _list_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
     """Return the names of the candidates that were added; an effect of one test matches the candidate of that test."""
     added = {(each.name, tuple(each.tests)) for each in diagnosis.effects}
     return [each.name for each in seen for test in (each.name.partition("@")[2],)
@@ -233,7 +233,7 @@ def _format_next_experiments(diagnosis: Diagnosis) -> str:
     return f"<ol>{''.join(f'<li>{line}</li>' for line in lines)}</ol>"
 
 
-def _assumption_sentences(diagnosis: Diagnosis, before: Evidence, units: Units) -> Iterator[str]:
+def _list_assumption_sentences(diagnosis: Diagnosis, before: Evidence, units: Units) -> Iterator[str]:
     """Yield the assumptions of a diagnosis, one sentence each."""
     sources = sorted({curve.noise.source for curve in before.problem.measured})
     colour = "white" if not diagnosis.noise_correlation_s else \

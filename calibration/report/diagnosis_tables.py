@@ -10,7 +10,7 @@ from calibration.diagnosis.diagnosis import (
     Diagnosis,
     EffectParameter,
     HeldOutPrediction,
-    RegionMisfit,
+    SegmentMisfit,
 )
 from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
@@ -43,7 +43,7 @@ def unit_of(path: str, unit: str, units: Units) -> Unit:
     return Unit("%", 0.01) if unit == "1" and path.endswith("gain") else units.of_parameter(unit)
 
 
-def sizes_in_words(candidate: CandidateStatement, units: Units) -> str:
+def describe_sizes(candidate: CandidateStatement, units: Units) -> str:
     """Return the smallest detectable size of an effect as text, such as ``c 0.01 mm/N``.
 
     A size is the difference from the parameter value at which the effect is absent.
@@ -69,7 +69,7 @@ def number_in_words(number: EffectParameter, units: Units) -> str:
     return f"{html_symbol(number.symbol)} = {use_minus_signs(text)}".replace(" ", "\u00a0")
 
 
-def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
+def make_fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
     """Return the HTML table of the effects that were fitted, best first."""
     rows = []
     for each in (each for each in candidates if each.refitted):
@@ -85,7 +85,7 @@ def fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
                       narrow=True) if rows else ""
 
 
-def testable_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
+def make_testable_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
     """Return the HTML table of the effects that these tests can detect, by category.
 
     Columns: smallest detectable size, score, probability and effects that these tests cannot distinguish.
@@ -99,7 +99,7 @@ def testable_table(candidates: Sequence[CandidateStatement], units: Units) -> st
         test = each.name.partition("@")[2]
         rows.append([None if each.category == last.category else escape(each.category),
                      None if each.effect == last.effect else escape(each.title), escape(test),
-                     escape(sizes_in_words(each, units)),
+                     escape(describe_sizes(each, units)),
                      "-" if each.score is None else use_minus_signs(f"{each.score:.1f}"), _format_score_p_value(each),
                      escape(", ".join(labels.get(name, name) for name in each.twins)) or "-"])
         last = each
@@ -116,7 +116,7 @@ def _format_score_p_value(each: CandidateStatement) -> str:
     return format_p_value(each.p)
 
 
-def silent_table(candidates: Sequence[CandidateStatement]) -> str:
+def make_silent_table(candidates: Sequence[CandidateStatement]) -> str:
     """Return the HTML table of the effects that these tests cannot detect, grouped by the reason."""
     reasons: dict[str, list[CandidateStatement]] = {}
     for each in candidates:
@@ -144,7 +144,7 @@ def format_odds(ratio: float | None) -> str:
     return "best" if ratio <= 1.0 else f"{ratio_text(ratio)} : 1"
 
 
-def region_table(regions: Sequence[RegionMisfit], units: Units) -> str:
+def make_segment_misfit_table(regions: Sequence[SegmentMisfit], units: Units) -> str:
     """Return the HTML table of the regions: misfit and significance, before and after."""
     rows: list[list[str | None]] = []
     last = None
@@ -165,7 +165,7 @@ def _mark_inadequate(text: str, adequate: bool) -> str:
     return text if adequate else f'<span class="bad">{text}</span>'
 
 
-def parameter_table(before: Fit, after: Fit | None, units: Units) -> str:
+def make_parameter_table(before: Fit, after: Fit | None, units: Units) -> str:
     """Return the HTML table of the parameters: estimates before and after, and the bias due to the missing effect."""
     rows = []
     for name in dict.fromkeys((*before.parameters, *(() if after is None else after.parameters))):
@@ -173,7 +173,7 @@ def parameter_table(before: Fit, after: Fit | None, units: Units) -> str:
         for fit in (before, after):
             cells += ["-", "-"] if fit is None or name not in fit.parameters else [
                 use_minus_signs(estimate_of(fit, name, units)), use_minus_signs(interval_of(fit, name, units)) or "-"]
-        change = relative_bias(before, after, name)
+        change = format_relative_bias(before, after, name)
         cells.append("-" if change is None else use_minus_signs(f"{100 * change:+.2g}\u00a0%"))
         rows.append(cells)
     labels = ["Parameter", "Nothing added", "95 % interval", "With the added effects", "95 % interval", "Bias"]
@@ -181,7 +181,7 @@ def parameter_table(before: Fit, after: Fit | None, units: Units) -> str:
     return html_table(labels[kept], [row[kept] for row in rows], narrow=True)
 
 
-def relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
+def format_relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
     """Return the relative error of a parameter in the fit without the effect: value before / value after - 1.
 
     Returns:
@@ -194,7 +194,7 @@ def relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
     return before.parameters[name] / after.parameters[name] - 1.0
 
 
-def held_out_table(held_out: Sequence[HeldOutPrediction], units: Units) -> str:
+def make_held_out_table(held_out: Sequence[HeldOutPrediction], units: Units) -> str:
     """Return the HTML table of the prediction errors in data that were not fitted."""
     def format_error(value: float | None, noise: float | None, adequate: bool | None) -> str:
         if value is None:
@@ -217,7 +217,7 @@ def held_out_table(held_out: Sequence[HeldOutPrediction], units: Units) -> str:
                       text=[kept.index(j) for j in (1, 5) if j in kept], narrow=True)
 
 
-def stage_table(diagnosis: Diagnosis) -> str:
+def make_stage_table(diagnosis: Diagnosis) -> str:
     """Return the HTML table of the time and the simulations of each stage."""
     rows = [[escape(each.name), f"{each.wall_s:.1f}", str(each.simulations)] for each in diagnosis.stages]
     rows.append(["all", f"{sum(each.wall_s for each in diagnosis.stages):.1f}",

@@ -12,7 +12,7 @@ from calibration.campaign.segmented import summarise_notes
 from calibration.fit.fit import Fit
 from calibration.fit.population import describe_left_out
 from calibration.fit.result import CalibrationResult
-from calibration.forward.meshes import meshes_of
+from calibration.forward.meshes import find_meshes
 from calibration.report.drawing import format_count
 from calibration.report.figures import format_percent
 from calibration.report.page import (
@@ -63,7 +63,7 @@ _REFERENCES = {
 }
 
 
-def methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]], units: Units) -> str:
+def write_methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]], units: Units) -> str:
     """Return the methods text: paragraphs on data, model, method, noise and results, then the cited references.
 
     Args:
@@ -77,13 +77,14 @@ def methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[Meas
         cited.update(dict.fromkeys(keys))
         return f"({'; '.join(_REFERENCES[key][0] for key in keys)})"
 
-    paragraphs = [_data_paragraph(result, measured), _laws_paragraph(result, cite), _method_paragraph(result, cite),
-                  _noise_paragraph(result, units), _results_paragraph(result, units, cite), _software_paragraph(cite)]
+    paragraphs = [_write_data_paragraph(result, measured), _write_laws_paragraph(result, cite),
+                  _write_method_paragraph(result, cite), _write_noise_paragraph(result, units),
+                  _write_results_paragraph(result, units, cite), _write_software_paragraph(cite)]
     references = "\n".join(f"{reference}." for reference in sorted(_REFERENCES[key][1] for key in cited))
     return "\n\n".join([*paragraphs, f"References\n{references}"]) + "\n"
 
 
-def _data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
+def _write_data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]]) -> str:
     parts = []
     for test in result.campaign.tests:
         curves = measured[test.name]
@@ -116,7 +117,7 @@ def _recordings_from_contact(result: CalibrationResult,
             yield test.name, shifted
 
 
-def _laws_paragraph(result: CalibrationResult, cite) -> str:
+def _write_laws_paragraph(result: CalibrationResult, cite) -> str:
     laws = []
     for fit in sorted(result.fits, key=lambda fit: fit.law):
         key = next((key for key in _REFERENCES if fit.law.startswith(key)), None)
@@ -129,32 +130,33 @@ def _laws_paragraph(result: CalibrationResult, cite) -> str:
     return text
 
 
-def _method_paragraph(result: CalibrationResult, cite) -> str:
+def _write_method_paragraph(result: CalibrationResult, cite) -> str:
     if result.campaign.fit.method == "analytical":
         text = ("Identification. The closed forms of the homogeneous deformation of the incompressible material were "
                 "fitted to the nominal stress by non-linear least squares (trust region reflective, several "
                 f"starts; {cite('descent')[1:-1]}).")
         offsets = result.campaign.fit.offset == "fit"
         text += " Contact offset and force zero of each recording were fitted with priors." if offsets else ""
-        return f"{text} {_ranking_sentence(result, cite)}"
+        return f"{text} {_write_ranking_sentence(result, cite)}"
     starts = format_count(result.campaign.fit.starts, "start")
     simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
-    elements = " or ".join(dict.fromkeys(meshes_of(solver).elements for solver in simulated or [ROUND_SOLVER]))
+    elements = " or ".join(dict.fromkeys(find_meshes(solver).elements for solver in simulated or [ROUND_SOLVER]))
     return (f"Identification. All tests were simulated with {elements} (homogeneous tests: "
             "closed forms) under the recorded motion. The parameters were estimated by generalised least squares on "
             f"the force (trust region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and force zero of "
             f"each recording and the mesh error were marginalised as nuisance parameters {cite('projection')}. "
             f"Intervals are profile-likelihood intervals {cite('profiles')}. Residuals were tested for smooth misfit "
-            f"by region, with p adjusted for the number of regions {cite('holm')}. {_ranking_sentence(result, cite)}")
+            f"by region, with p adjusted for the number of regions {cite('holm')}. "
+            f"{_write_ranking_sentence(result, cite)}")
 
 
-def _ranking_sentence(result: CalibrationResult, cite) -> str:
+def _write_ranking_sentence(result: CalibrationResult, cite) -> str:
     by = "the prediction error in tests that they were not fitted to" if ranked_by_prediction(result.fits) else \
         f"the Bayesian information criterion {cite('BIC')}"
     return f"Laws were ranked by {by}."
 
 
-def _noise_paragraph(result: CalibrationResult, units: Units) -> str:
+def _write_noise_paragraph(result: CalibrationResult, units: Units) -> str:
     tests = {test.name: test for test in result.campaign.tests}
     levels = [f"{units.load_unit(tests[n.test]).text(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
         "white)" if n.correlation_time_s == 0 else f"correlated over {n.correlation_time_s:.2g} s)")
@@ -172,7 +174,7 @@ def _noise_paragraph(result: CalibrationResult, units: Units) -> str:
             "the Particle Data Group.")
 
 
-def _results_paragraph(result: CalibrationResult, units: Units, cite) -> str:
+def _write_results_paragraph(result: CalibrationResult, units: Units, cite) -> str:
     sentences = []
     for fit in result.fits:
         unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
@@ -202,7 +204,7 @@ def _format_parameters(fit: Fit, units: Units) -> Iterator[str]:
                               f"{f' [{interval}]' if interval else ''}")
 
 
-def _software_paragraph(cite) -> str:
+def _write_software_paragraph(cite) -> str:
     used = []
     for package in ("taichi", "numpy", "scipy"):
         try:

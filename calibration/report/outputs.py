@@ -22,7 +22,7 @@ from calibration.fit.self_weight import describe_self_weight
 from calibration.fit.typical_material import typical_material
 from calibration.output_folder import FIT_FILE
 from calibration.report.drawing import Pictures
-from calibration.report.methods import methods_text
+from calibration.report.methods import write_methods_text
 from calibration.report.page import html_page, html_table, title_of
 from calibration.report.report import report_page
 from calibration.report.units import Units
@@ -53,7 +53,7 @@ def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[
             write_material_file(build_material_file(fit, result, measured, method), result.output / fit.material_file)
     write_text(result.output / "curves.csv", _format_curve_table(curves))
     write_text(result.output / "residuals.csv", _format_residual_table(curves))
-    methods = methods_text(result, measured, Units.of(result))
+    methods = write_methods_text(result, measured, Units.of(result))
     write_text(result.output / "methods.txt", methods)
     pictures = Pictures(result.output, figures_format) if figures else None
     write_text(result.output / "report.html", report_page(result, curves, methods, pictures))

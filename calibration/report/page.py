@@ -190,7 +190,7 @@ def format_stable_stretches(fit: Fit) -> str:
     return "nowhere" if nowhere else f"{fit.stable_from:.3g} to {fit.stable_to:.3g}"
 
 
-def remarks_by_law(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
+def group_remarks(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
     """Yield groups of fits with their common remarks, the largest group first.
 
     A remark that several laws share appears once.
@@ -211,17 +211,17 @@ def remarks_by_law(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> I
         yield tuple(by_name[name] for name in names), "; ".join(remarks[names])
 
 
-def remark_list(fits: Sequence[Fit]) -> str:
+def make_remark_list(fits: Sequence[Fit]) -> str:
     """Return the HTML list of stability statements and messages; common ones appear once."""
     lines = []
-    for having, words in remarks_by_law(fits, lambda fit: [*fit.message.split("; "), f"Drucker: {fit.stability}"]):
+    for having, words in group_remarks(fits, lambda fit: [*fit.message.split("; "), f"Drucker: {fit.stability}"]):
         laws = "All laws" if 1 < len(having) == len(fits) else ", ".join(title_of(fit.law) for fit in having)
         warn = "" if any(fit.status == "converged" for fit in having) else ' class="bad"'
         lines.append(f"<li{warn}>{laws}: {escape(words)}</li>")
     return f"<ul>{''.join(lines)}</ul>"
 
 
-def parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[str]:
+def make_parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[str]:
     """Return the HTML tables of all parameters of each law: estimate, standard error, interval and its limit."""
     parts = []
     for fit in fits:
@@ -241,7 +241,7 @@ def parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[s
     return parts
 
 
-def correlation_tables(fits: Sequence[Fit]) -> list[str]:
+def make_correlation_tables(fits: Sequence[Fit]) -> list[str]:
     """Return the HTML tables of the parameter correlations of each law with more than one free parameter."""
     parts = []
     for fit in fits:
@@ -260,7 +260,7 @@ def free_parameters(fit: Fit) -> list[str]:
     return [name for name in fit.covariance.order if fit.standard_errors[name] not in (None, 0.0)]
 
 
-def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
+def make_nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
     """Return the HTML table of contact offset and force zero of each recording, in these units."""
 
     def format_nuisance(value: float, error: float | None, size: float) -> str:
@@ -274,7 +274,7 @@ def nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
     return html_table(labels[bound], [row[bound] for row in rows], text=(3,), narrow=True)
 
 
-def recording_list(recordings: Iterable[MeasuredCurve]) -> str:
+def make_recording_list(recordings: Iterable[MeasuredCurve]) -> str:
     """Return the HTML list of the recordings with file name, SHA-256 and number of points."""
     return html_list(f"{escape(curve.file.name)} <small>SHA-256 <code>{escape(curve.sha256)}</code>, "
                      f"{curve.force.size} points</small>" for curve in recordings)

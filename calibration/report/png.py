@@ -40,7 +40,7 @@ def render_png(figure: Any, dpi: float = 150) -> bytes:
     figure.set_dpi(dpi)
     try:
         canvas = FigureCanvasAgg(figure)
-        with _cached_measurements(figure):
+        with _cache_text_measurements(figure):
             canvas.draw()
         picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     finally:
@@ -51,7 +51,7 @@ def render_png(figure: Any, dpi: float = 150) -> bytes:
 
 
 @contextmanager
-def _cached_measurements(figure: Any) -> Iterator[None]:
+def _cache_text_measurements(figure: Any) -> Iterator[None]:
     """Replace the measuring methods of all axes by cached versions while the figure is drawn.
 
     The figure must not be changed by other code in the meantime.

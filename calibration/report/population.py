@@ -56,7 +56,7 @@ def format_population(fit: Fit, population: PopulationStatement, units: Units) -
                             intervals[0], f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
 
 
-def population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
+def make_population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
     """Yield the HTML of the section on the population of specimens; empty if no fit has a population."""
     having = [(fit, fit.population) for fit in fits if fit.population is not None]
     if not having:

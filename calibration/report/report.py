@@ -20,34 +20,34 @@ from calibration.report.estimate_figures import draw_correlation, draw_profiles,
 from calibration.report.figures import draw_history, draw_predictions, draw_regions, format_percent
 from calibration.report.layout import LAYOUT
 from calibration.report.page import (
-    correlation_tables,
     estimate_of,
     format_stable_stretches,
     format_young_modulus,
     html_list,
     html_page,
-    nuisance_table,
-    parameter_tables,
+    make_correlation_tables,
+    make_nuisance_table,
+    make_parameter_tables,
+    make_recording_list,
+    make_remark_list,
     ranked_by_prediction,
-    recording_list,
-    remark_list,
     symbol_of,
     title_of,
     use_minus_signs,
 )
-from calibration.report.population import population_section
+from calibration.report.population import make_population_section
 from calibration.report.report_tables import (
-    history_table,
-    identifiability_table,
-    prediction_table,
-    ranking_table,
-    region_table,
-    suggestion_in_words,
+    describe_suggestion,
+    make_history_table,
+    make_identifiability_table,
+    make_prediction_table,
+    make_ranking_table,
+    make_segment_test_table,
 )
-from calibration.report.segment_figures import segment_section
+from calibration.report.segment_figures import make_segment_section
 from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
-from calibration.report.usability import usability_section
+from calibration.report.usability import make_usability_section
 from tissue_sim.laws import find_law
 
 #: Explanation above the figures of the tests.
@@ -77,31 +77,31 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
              f"{'least squares on nominal stress' if analytical else 'inverse finite elements, all tests at once'}</p>",
              _format_summary(result, tests, units)]
     if pictures is not None:
-        parts += _figure_sections(result, curves, units, pictures)
+        parts += _make_figure_sections(result, curves, units, pictures)
     ranked_by = "prediction" if ranked_by_prediction(result.fits) else "BIC"
-    parts += [f"<h2>Ranking by {ranked_by}</h2>", ranking_table(result.fits, units),
-              remark_list(result.fits), *usability_section(result.fits, result.failures, units), "<h2>Parameters</h2>",
-              *parameter_tables(result.fits, units, pictures is not None)]
+    parts += [f"<h2>Ranking by {ranked_by}</h2>", make_ranking_table(result.fits, units),
+              make_remark_list(result.fits), *make_usability_section(result.fits, result.failures, units),
+              "<h2>Parameters</h2>", *make_parameter_tables(result.fits, units, pictures is not None)]
     if result.predictions:
-        parts += ["<h2>Predictions</h2>", prediction_table(result.predictions, tests, units)]
+        parts += ["<h2>Predictions</h2>", make_prediction_table(result.predictions, tests, units)]
     if any(fit.regions for fit in result.fits):
-        parts += ["<h2>Residuals by region</h2>", region_table(result.fits, tests, units)]
+        parts += ["<h2>Residuals by region</h2>", make_segment_test_table(result.fits, tests, units)]
     if not analytical:
-        parts += ["<h2>Identifiability of the parameters</h2>", identifiability_table(result.fits, units)]
-    parts += correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])
+        parts += ["<h2>Identifiability of the parameters</h2>", make_identifiability_table(result.fits, units)]
+    parts += make_correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])
     if result.best.nuisances:
         parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>",
-                  nuisance_table(result.best, units.travel_unit(typical), units.load_unit(typical))]
+                  make_nuisance_table(result.best, units.travel_unit(typical), units.load_unit(typical))]
     if any(fit.history for fit in result.fits):
         parts += ["<h2>Every solve</h2>", *(
             f"<details><summary>{title_of(fit.law)}: {_format_effort(fit)}</summary>"
-            f"{history_table(fit, units)}</details>"
+            f"{make_history_table(fit, units)}</details>"
             for fit in result.fits if fit.history)]
-    parts += segment_section(campaign, recordings, pictures)
+    parts += make_segment_section(campaign, recordings, pictures)
     parts += ["<h2>Assumptions</h2>", html_list(map(escape, list_assumptions(result, units))),
               '<h2>Methods <small class="quiet">for a paper; also in methods.txt</small></h2>',
               f'<pre class="paste">{escape(methods)}</pre>', "<h2>Recordings</h2>",
-              recording_list(curve for several in recordings.values() for curve in several)]
+              make_recording_list(curve for several in recordings.values() for curve in several)]
     return html_page(f"Calibration of {campaign.name}", parts)
 
 
@@ -115,7 +115,7 @@ def _format_summary(result: CalibrationResult, tests: Mapping[str, Test], units:
     if best.regions:
         rows.append(("Misfits", [*_misfit_sentences(best, tests, units)]
                      or ["All regions of all tests agree with the law within chance."]))
-    rows.append(("Undetermined", [*_undetermined_sentences(result.fits, units)]))
+    rows.append(("Undetermined", [*_list_undetermined_sentences(result.fits, units)]))
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
@@ -161,11 +161,11 @@ def _misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: Units) -> Iter
         yield f"and {len(bad) - LAYOUT.summary_misfits} more regions, in the table below."
 
 
-def _undetermined_sentences(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+def _list_undetermined_sentences(fits: Sequence[Fit], units: Units) -> Iterator[str]:
     for i, fit in enumerate(fits):
         if fit.not_identifiable:
             names = ", ".join(symbol_of(fit, name) for name in fit.not_identifiable)
-            remedy = "".join(f"; {escape(suggestion_in_words(each, fit, units, plain_symbol))}"
+            remedy = "".join(f"; {escape(describe_suggestion(each, fit, units, plain_symbol))}"
                              for each in fit.suggestions[:1])
             yield f'<span class="bad">{names}</span> of {title_of(fit.law)} from these tests{remedy}.'
         elif i == 0 and fit.left_out_specimens:
@@ -175,8 +175,8 @@ def _undetermined_sentences(fits: Sequence[Fit], units: Units) -> Iterator[str]:
             yield f"These tests determine every parameter of {title_of(fit.law)}."
 
 
-def _figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: Units,
-                     pictures: Pictures) -> Iterator[str]:
+def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: Units,
+                          pictures: Pictures) -> Iterator[str]:
     campaign, fits = result.campaign, result.fits
     # Without an expected error by chance the figure shows no more than the table.
     if any(p.percent is not None and (p.expected_N is not None or p.fitted) for p in result.predictions):
@@ -205,14 +205,14 @@ def _figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[Te
                             "Root mean square of the misfit in each region and its probability by chance, adjusted for "
                             "the number of regions (Holm); orange for p ≤ 0.05. Offsets, zeros and mesh error can "
                             "compensate part of the misfit; the numbers do not include this compensation.")
-    yield from population_section(fits, units, pictures)
+    yield from make_population_section(fits, units, pictures)
     differing = "" if any(fit.population for fit in fits) else pictures.show(
         "specimens", partial(draw_specimens, fits, units), "Parameters of each specimen",
         "Thick: ± one standard error; thin: 95 % interval.")
     if differing:
         yield f"<h2>Differences between specimens</h2>{differing}"
     for fit in (fit for fit in fits if _is_drawn(fit, result)):
-        inside = "".join(_estimate_figures(fit, campaign, units, pictures))
+        inside = "".join(_draw_estimate_figures(fit, campaign, units, pictures))
         if inside:
             name = title_of(fit.law)
             yield f"<h2>How well {name} is determined</h2>{inside}" if fit is fits[0] else \
@@ -231,7 +231,7 @@ def _is_drawn(fit: Fit, result: CalibrationResult) -> bool:
     return fit is result.best or bool(fit.profiles)
 
 
-def _estimate_figures(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -> Iterator[str]:
+def _draw_estimate_figures(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -> Iterator[str]:
     if fit.profiles:
         note = ("Increase of the sum of squares when one parameter is fixed and all others are fitted again. If the "
                 "profile differs from the dashed parabola, ± 2 standard errors are not a 95 % interval.")

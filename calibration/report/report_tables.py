@@ -24,7 +24,7 @@ from calibration.report.symbols import plain_symbol
 from calibration.report.units import Units
 
 
-def ranking_table(fits: Sequence[Fit], units: Units) -> str:
+def make_ranking_table(fits: Sequence[Fit], units: Units) -> str:
     """Return the HTML table of the laws in the order of their rank; columns without values are omitted."""
     best, pressure, force = fits[0], units.pressure, units.force
     rows = []
@@ -42,7 +42,7 @@ def ranking_table(fits: Sequence[Fit], units: Units) -> str:
     return html_table([labels[j] for j in kept], [[use_minus_signs(row[j]) for j in kept] for row in rows], best=True)
 
 
-def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test], units: Units) -> str:
+def make_prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test], units: Units) -> str:
     """Return the HTML table of the prediction errors of each law in tests that it was not fitted to."""
     rows: list[list[str | None]] = []
     last = None
@@ -60,7 +60,7 @@ def prediction_table(predictions: Iterable[Prediction], tests: Mapping[str, Test
     return html_table(["Law", "Test", "Fitted to", "RMSE", "RMSE / largest load", "RMSE by chance"], rows, text=(1, 2))
 
 
-def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> str:
+def make_segment_test_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> str:
     """Return the HTML table of the residual tests of each region."""
     rows: list[list[str | None]] = []
     for fit in fits:
@@ -79,16 +79,16 @@ def region_table(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -
                        "p, adjusted", "Residuals"], rows, text=(1, 2))
 
 
-def identifiability_table(fits: Sequence[Fit], units: Units) -> str:
+def make_identifiability_table(fits: Sequence[Fit], units: Units) -> str:
     """Return the HTML table of identifiability, one row per law.
 
     Columns: condition number, poorly determined combinations, parameters that are not identifiable, and remedies.
     """
     def format_suggestions(fit: Fit) -> str:
-        return "; ".join(escape(suggestion_in_words(each, fit, units, plain_symbol)) for each in fit.suggestions)
+        return "; ".join(escape(describe_suggestion(each, fit, units, plain_symbol)) for each in fit.suggestions)
 
     rows = [[title_of(fit.law), format_number(fit.condition, 3),
-             "; ".join(escape(direction_in_words(d, fit, plain_symbol)) for d in fit.directions) or "none",
+             "; ".join(escape(describe_direction(d, fit, plain_symbol)) for d in fit.directions) or "none",
              f'<span class="bad">{", ".join(symbol_of(fit, name) for name in fit.not_identifiable)}</span>'
              if fit.not_identifiable else "none",
              format_suggestions(fit) or "-"] for fit in fits]
@@ -96,7 +96,7 @@ def identifiability_table(fits: Sequence[Fit], units: Units) -> str:
                       text=(2, 3, 4))
 
 
-def direction_in_words(direction: Direction, fit: Fit, symbol: Callable[[str], str] = str) -> str:
+def describe_direction(direction: Direction, fit: Fit, symbol: Callable[[str], str] = str) -> str:
     """Return a poorly determined combination as text, such as ``0.99 C20 − 0.08 C10, known to ± 35 %``.
 
     The numbers are relative parameter changes that together change the forces little.
@@ -115,7 +115,7 @@ def direction_in_words(direction: Direction, fit: Fit, symbol: Callable[[str], s
         else f"{words}, undetermined"
 
 
-def suggestion_in_words(suggestion: Suggestion, fit: Fit, units: Units, symbol: Callable[[str], str] = str) -> str:
+def describe_suggestion(suggestion: Suggestion, fit: Fit, units: Units, symbol: Callable[[str], str] = str) -> str:
     """Return a suggested test as text, such as ``a test would give C20 ± 6.5 Pa``.
 
     Args:
@@ -132,7 +132,7 @@ def suggestion_in_words(suggestion: Suggestion, fit: Fit, units: Units, symbol: 
     return f"{suggestion.test} would give {errors}"
 
 
-def history_table(fit: Fit, units: Units) -> str:
+def make_history_table(fit: Fit, units: Units) -> str:
     """Return the HTML table of all solves of all starts of a fit."""
     names = list(fit.history[0].parameters)
     scales = [units.of_parameter(fit.units[name]) for name in names]

@@ -113,8 +113,8 @@ def _draw_contact(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray,
     axes.legend(loc="upper left", fontsize=8.5)
 
 
-def segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
-                    pictures: Pictures | None) -> Iterator[str]:
+def make_segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
+                         pictures: Pictures | None) -> Iterator[str]:
     """Yield the HTML of the section on segments: segments and fitted samples of each recording, one figure per test.
 
     The figure shows the first recording with a note, or the first recording if none has a note.

@@ -27,7 +27,7 @@ CRITERIA = {
 }
 
 
-def usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: Units) -> list[str]:
+def make_usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: Units) -> list[str]:
     """Return the HTML of the section on usable laws: criteria with reasons of failure, and alternative optima."""
     if not any(fit.clauses for fit in fits):
         return []
@@ -41,10 +41,10 @@ def usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: U
         rows.append([title_of(fit.law), "usable" if not failed else escape(fit.status), reasons or "-", escape(held)])
     rows += [[title_of(law), "no fit", escape(reason), "-"] for law, reason in failures.items()]
     parts = ["<h2>Which laws are usable</h2>", html_table(["Law", "Status", "Fails", "Holds"], rows, text=(1, 2, 3))]
-    return [*parts, *(_alternatives_table(fit, units) for fit in fits if fit.alternatives)]
+    return [*parts, *(_make_alternatives_table(fit, units) for fit in fits if fit.alternatives)]
 
 
-def _alternatives_table(fit: Fit, units: Units) -> str:
+def _make_alternatives_table(fit: Fit, units: Units) -> str:
     """Return the HTML table of the alternative optima of a law and the tests that distinguish them."""
     def format_values(parameters: Mapping[str, float]) -> list[str]:
         scales = [units.of_parameter(fit.units[name]) for name in parameters]

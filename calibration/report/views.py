@@ -108,7 +108,7 @@ def list_views(best: TestCurves, units: Units) -> list[View]:
     - Load against time, and load in holds against the logarithm of time, for timed tests.
     """
     test, found = best.test, []
-    x, load, area = units.travel_unit(test), units.load_unit(test), _loaded_area(best)
+    x, load, area = units.travel_unit(test), units.load_unit(test), _find_loaded_area(best)
     curve, x_label, history = _LoadCurve(x, load), x.label("displacement"), _LoadHistory(load)
     if test.specimen is not None:
         found.append(View("Force and displacement", x_label, load.label("force"), curve.lines))
@@ -130,7 +130,7 @@ def list_views(best: TestCurves, units: Units) -> list[View]:
     return found
 
 
-def _loaded_area(curves: TestCurves) -> float | None:
+def _find_loaded_area(curves: TestCurves) -> float | None:
     """Return the loaded cross-section, m2; 1 for recordings of stress.
 
     Returns:
@@ -148,7 +148,7 @@ def is_timed(recordings: Sequence[MeasuredCurve]) -> bool:
     return all(m.time is not None and m.segment is not None and np.unique(m.segment).size > 1 for m in recordings)
 
 
-def trace_of_law(curves: TestCurves, own: bool = False) -> Trace | None:
+def compute_law_trace(curves: TestCurves, own: bool = False) -> Trace | None:
     """Return the curve of a law.
 
     For a timed test the curve is evaluated at the samples of the first recording, otherwise along the model's motion.
@@ -211,7 +211,7 @@ class _LoadCurve:
         (x, y, _), = self.lines(trace)
         for label, first, after in trace.runs():
             if label.startswith(_LOADING) and after - first >= TANGENTS.min_samples:
-                yield (*local_slopes(x[first:after], y[first:after], self.window), None)
+                yield (*compute_local_slopes(x[first:after], y[first:after], self.window), None)
 
 
 @dataclass(frozen=True)
@@ -256,7 +256,7 @@ def _tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _LoadCurve) 
     return float(np.clip(window, TANGENTS.min_window / 2 * reach, TANGENTS.max_window / 2 * reach))
 
 
-def local_slopes(x: np.ndarray, y: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
+def compute_local_slopes(x: np.ndarray, y: np.ndarray, window: float) -> tuple[np.ndarray, np.ndarray]:
     """Fit straight lines to the samples in windows along a curve.
 
     Args:

@@ -91,15 +91,15 @@ def find_common_signal(residuals: np.ndarray, segments: Sequence[slice]) -> Comm
     ratio, *freedom = variance_ratio(residuals)
     whole = slice(0, residuals.shape[1])
     ranges = [whole, *segments] if len(segments) > 1 else [whole]
-    found = [CommonSignal(float(special.fdtrc(*freedom, ratio)), 0, whole.stop - 1), *_window_signals(residuals),
-             *(wave for each in ranges for wave in _wave_signals(residuals, each))]
+    found = [CommonSignal(float(special.fdtrc(*freedom, ratio)), 0, whole.stop - 1), *_make_window_signals(residuals),
+             *(wave for each in ranges for wave in _make_wave_signals(residuals, each))]
     best = min(found, key=lambda each: each.p)
     specific = [each for each in found[1:] if len(found) * each.p < _SETTINGS.significance]
     reported = min(specific, key=lambda each: (each.p, -each.waves)) if specific else best
     return replace(reported, p=min(len(found) * best.p, 1.0))
 
 
-def _window_signals(residuals: np.ndarray) -> list[CommonSignal]:
+def _make_window_signals(residuals: np.ndarray) -> list[CommonSignal]:
     """Return the most significant window among windows of dyadic widths that overlap by half; empty for few samples."""
     count, size = residuals.shape
     totals = np.concatenate([np.zeros((count, 1)), np.cumsum(residuals, axis=1)], axis=1)
@@ -118,7 +118,7 @@ def _window_signals(residuals: np.ndarray) -> list[CommonSignal]:
     return [CommonSignal(min(tried * best[0], 1.0), best[1], best[2])] if tried else []
 
 
-def _wave_signals(residuals: np.ndarray, segment: slice) -> list[CommonSignal]:
+def _make_wave_signals(residuals: np.ndarray, segment: slice) -> list[CommonSignal]:
     """Return the most significant frequency of a segment, with a p value corrected for the number of frequencies.
 
     The list is empty for a short segment.

@@ -98,7 +98,7 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
         return Jitter(contact or 0.0, zero or 0.0, 0)
     repeated = [test for test in tests if len(test) > 1]
     grams = [_GramMatrices(test) for test in repeated]
-    fixed = _independent_effects(grams)
+    fixed = _remove_dependent_effects(grams)
     unknown = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
 
     def insert_stated(values: np.ndarray) -> np.ndarray:
@@ -109,7 +109,7 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
     def criterion(values: np.ndarray) -> np.ndarray:
         return _evaluate_criterion(grams, fixed, insert_stated(values))
 
-    ranges = [_search_range(repeated, kind) for kind in unknown]
+    ranges = [_find_search_range(repeated, kind) for kind in unknown]
     best, lowest = np.zeros(len(unknown)), float(criterion(np.zeros(len(unknown))))
     # A standard deviation may be 0, where its logarithm is infinite: each subset of nonzero ones is minimised.
     for present in [[0]] if len(unknown) == 1 else [[0], [1], [0, 1]]:
@@ -167,7 +167,7 @@ def _assemble_normal_matrix(grams: Sequence[_GramMatrices], blocks: Sequence[np.
     return total
 
 
-def _independent_effects(grams: Sequence[_GramMatrices]) -> np.ndarray:
+def _remove_dependent_effects(grams: Sequence[_GramMatrices]) -> np.ndarray:
     """Return linearly independent combinations of the fixed effects, shape (fixed effects, rank).
 
     The rank does not depend on the covariance, so one computation serves all standard deviations.
@@ -188,7 +188,7 @@ def _evaluate_criterion(grams: Sequence[_GramMatrices], fixed: np.ndarray, devia
 
     Args:
         grams: Gram matrices of the tests.
-        fixed: independent combinations of the fixed effects from `_independent_effects`.
+        fixed: independent combinations of the fixed effects from `_remove_dependent_effects`.
         deviations: standard deviations of contact, m, and zero, N, shape (..., 2).
     """
     blocks, logarithms = zip(*(gram.eliminate_jitter(deviations) for gram in grams), strict=True)
@@ -201,7 +201,7 @@ def _evaluate_criterion(grams: Sequence[_GramMatrices], fixed: np.ndarray, devia
     return np.where(good, sum(logarithms) + logarithm + total[..., -1, -1] - explained, np.inf)
 
 
-def _search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
+def _find_search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) -> tuple[float, float]:
     """Return the smallest and largest trial value of a standard deviation.
 
     Args:

@@ -108,9 +108,12 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
         raise InputError(f"estimates and covariances must have the shapes {(n, p)} and {(n, p, p)}; got {x.shape} and "
                          f"{V.shape}", field="estimates")
     variances = np.diagonal(V, axis1=1, axis2=2)
-    if not (np.isfinite(x).all() and np.isfinite(V).all() and (variances > 0).all()):
-        first = int(np.argmin((np.isfinite(x) & np.isfinite(variances) & (variances > 0)).all(axis=1)))
-        raise InputError(f"the fit of {specimens[first]} does not determine {', '.join(order)}", field="specimen")
+    determined = np.isfinite(x) & np.isfinite(V).all(axis=2) & (variances > 0)
+    if not determined.all():
+        first = int(np.argmin(determined.all(axis=1)))
+        undetermined = ", ".join(name for name, known in zip(order, determined[first], strict=True) if not known)
+        raise InputError(f"the fit of {specimens[first]} must determine {undetermined}; got no finite estimate with a "
+                         "positive variance. Leave the specimen out, or fix these parameters", field="specimen")
     # Scaled to the size of each parameter: moduli in Pa and exponents differ by orders of magnitude.
     scale = np.sqrt(np.mean(x**2, axis=0) + variances.mean(axis=0))
     x, V = x / scale, V / np.outer(scale, scale)
@@ -190,12 +193,12 @@ def _compute_intervals(x: np.ndarray, v: np.ndarray, together: float):
     spread = np.array([_find_spread(x, v, statistic) for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
     weight = 1.0 / (v + spread[:, None]**2)
     centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
-    mean, following = (tuple(_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
+    mean, following = (tuple(_compute_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
                        for variances in (variance, variance + spread**2))
     return mean, ends, following
 
 
-def _mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float) -> float:
+def _compute_mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level: float) -> float:
     """Return the quantile of a mixture of normal distributions with equal weights.
 
     Args:

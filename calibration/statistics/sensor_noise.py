@@ -91,7 +91,8 @@ def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> 
     columns = np.asarray(columns, dtype=float)
     if not noise.correlation_time:
         return columns / noise.deviation
-    correlation, deviation = _step_statistics(spread_time_stamps(time, columns.shape[0]), noise.correlation_time)
+    spread_time = spread_time_stamps(time, columns.shape[0])
+    correlation, deviation = _autoregression_coefficients(spread_time, noise.correlation_time)
     return _compute_innovations(columns, correlation, deviation) / noise.deviation
 
 
@@ -164,7 +165,7 @@ class _Piece:
         """
         if not tau:
             return np.asarray(np.linalg.qr(self.columns, mode="r")), 0.0
-        correlation, deviation = _step_statistics(self.time, tau)
+        correlation, deviation = _autoregression_coefficients(self.time, tau)
         whitened = np.asarray(np.linalg.qr(_compute_innovations(self.columns, correlation, deviation), mode="r"))
         return whitened, 2.0 * float(np.log(deviation).sum())
 
@@ -289,7 +290,7 @@ def spread_time_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
     return np.interp(np.arange(samples), [*first, samples], [*time[first], end])
 
 
-def _step_statistics(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
+def _autoregression_coefficients(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the correlation of each sample with its predecessor, and the relative deviation of its innovation.
 
     The correlation is rho = exp(-lag / tau), 0 for the first sample; the deviation is sqrt(1 - rho^2).

@@ -123,8 +123,8 @@ def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: n
     root = root / scale[:, None]
     spread = root.T @ spread @ root
     if jitter is None and count >= COVARIANCE.min_replicates and root.shape[1]:
-        scores = _replicate_scores(jacobian, residual, parts) @ root
-        spread = _larger_variance(count / (count - 1) * scores.T @ scores, spread)
+        scores = _compute_replicate_scores(jacobian, residual, parts) @ root
+        spread = _select_larger_variance(count / (count - 1) * scores.T @ scores, spread)
         basis, quantile = "replicates", special.stdtrit(count - 1, 0.975)
     # The product of a factor with its transpose is symmetric and positive semidefinite in floating point.
     weights, axes = np.linalg.eigh(spread)
@@ -154,7 +154,7 @@ def inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return vectors[:, ~flat] / np.sqrt(values[~flat]), (np.abs(vectors[:, flat]) > 0.1).any(axis=1)
 
 
-def _replicate_scores(jacobian: np.ndarray, residual: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
+def _compute_replicate_scores(jacobian: np.ndarray, residual: np.ndarray, parts: Sequence[np.ndarray]) -> np.ndarray:
     """Return the gradient of each replicate including its part of the priors' gradient, shape (R, k).
 
     At the minimum the gradients of priors and data cancel, so the priors' gradient is minus that of the data. It is
@@ -167,7 +167,7 @@ def _replicate_scores(jacobian: np.ndarray, residual: np.ndarray, parts: Sequenc
     return scores - weights * scores.sum(axis=0)
 
 
-def _larger_variance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _select_larger_variance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return a matrix with the larger of two variances in each of their common (generalised) principal directions.
 
     Args:

@@ -116,7 +116,7 @@ class _ParallelTasks(Tasks):
         results: dict[int, Any] = {}
         failures: dict[int, BaseException] = {}
         try:
-            self._finish_tasks(function, arguments, on_done, results, failures)
+            self._run_until_failure(function, arguments, on_done, results, failures)
         except BaseException:
             # Ctrl-C, an error of on_done, or failed workers: running tasks are abandoned.
             self._executor.stop()
@@ -125,8 +125,19 @@ class _ParallelTasks(Tasks):
             raise failures[min(failures)]
         return [results[index] for index in range(len(arguments))]
 
-    def _finish_tasks(self, function, arguments, on_done, results, failures):
-        """Run all tasks; store each result in `results` or each exception in `failures`."""
+    def _run_until_failure(self, function, arguments, on_done, results, failures):
+        """Run the tasks until all are finished or one raises an exception; then start no further ones.
+
+        Args:
+            function: called as ``function(*arguments[i])``.
+            arguments: one tuple per task.
+            on_done: called as ``on_done(i, result)`` after each finished task; may be None.
+            results: receives index -> result.
+            failures: receives index -> exception.
+
+        Raises:
+            WorkerError: a task ended its process in each attempt, or the connection to the workers was lost.
+        """
         executor = self._executor
         waiting = deque(range(len(arguments)))
         # Tasks whose worker ended run again alone after all others, so that they have the whole memory and a failure

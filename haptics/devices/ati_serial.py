@@ -21,8 +21,8 @@ from haptics.protocols.ati_serial import (
     FORMAT,
     PROMPT,
     Record,
+    compute_transmission_time,
     is_at_end_of_range,
-    transmission_time,
 )
 from tissue_sim.errors import InputError
 
@@ -105,7 +105,7 @@ class AtiSerialSensor(ForceSensor):
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
         self._given_rate = rate
         length = FORMAT.padded_length if mode == "ascii" else FORMAT.binary_length + 1
-        self.rate = rate or 1.0 / transmission_time(length, baud)
+        self.rate = rate or 1.0 / compute_transmission_time(length, baud)
         self._zero = (0.0,) * 6
         self._receiver: _Receiver | None = None
 
@@ -169,7 +169,7 @@ class AtiSerialSensor(ForceSensor):
 
     def _configure(self, line: SerialLine) -> None:
         """Stop a stream, and set the mode: forces and torques, no checksum, no biases."""
-        quiet = 0.05 + transmission_time(FORMAT.padded_length + 8, self._baud)
+        quiet = 0.05 + compute_transmission_time(FORMAT.padded_length + 8, self._baud)
         answer = b""
         for _ in range(3):
             line.write(CARRIAGE_RETURN)
@@ -199,7 +199,7 @@ class AtiSerialSensor(ForceSensor):
                                   f"({quote_bytes(source.wrong)}); select all six components (CV 3F), and check the "
                                   "baud rate and the cable")
         source.require_present_form()
-        line_rate = 1.0 / transmission_time(source.length, self._baud)
+        line_rate = 1.0 / compute_transmission_time(source.length, self._baud)
         measured = (len(times) - 1) / max(times[-1] - times[0], 1e-9)
         is_close = abs(measured - line_rate) <= TIMING.rate_tolerance * line_rate
         self.rate = self._given_rate or (line_rate if is_close or measured > line_rate else measured)

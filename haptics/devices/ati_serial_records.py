@@ -10,10 +10,10 @@ from haptics.protocols.ati_serial import (
     FORMAT,
     ONE_RECORD,
     Record,
+    compute_transmission_time,
     decode_ascii,
     decode_binary,
     is_padded,
-    transmission_time,
 )
 
 
@@ -80,7 +80,7 @@ class BinaryRequests:
     def __init__(self, line: SerialLine, baud: int, timeout: float):
         self._line = line
         #: Pause that ends an answer, s; adapters delay bytes by up to 16 ms.
-        self._pause = 0.03 + transmission_time(self.length, baud)
+        self._pause = 0.03 + compute_transmission_time(self.length, baud)
         #: Longest wait for the first byte of an answer, s.
         self._timeout = max(timeout, self._pause)
         self.wrong = b""

@@ -49,17 +49,17 @@ HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic devic
 
 def open_motion(name: str) -> Motion:
     """Make a motion by name; see `open_haptic`."""
-    return _open_back_end(MOTIONS, name)
+    return _make_device(MOTIONS, name)
 
 
 def open_sensor(name: str) -> ForceSensor:
     """Make a force sensor by name; see `open_haptic`."""
-    return _open_back_end(FORCE_SENSORS, name)
+    return _make_device(FORCE_SENSORS, name)
 
 
 def open_stage(name: str) -> Stage:
     """Make a stage by name; see `open_haptic`."""
-    return _open_back_end(STAGES, name)
+    return _make_device(STAGES, name)
 
 
 def open_haptic(name: str) -> HapticDevice:
@@ -71,10 +71,10 @@ def open_haptic(name: str) -> HapticDevice:
     Raises:
         InputError: No back-end has this name (the message names the nearest), or the settings are invalid.
     """
-    return _open_back_end(HAPTIC_DEVICES, name)
+    return _make_device(HAPTIC_DEVICES, name)
 
 
-def _open_back_end(table: Registry[Callable[[str], Device]], name: str) -> Device:
+def _make_device(table: Registry[Callable[[str], Device]], name: str) -> Device:
     """Make a device from a table of back-ends; errors name the back-end."""
     back_end, _, rest = name.partition(":")
     make = table.find(back_end)

@@ -314,12 +314,12 @@ class GrblStage(Stage):
             connection.send(grbl.JOG_CANCEL)
             self._sent = None
             return
-        for target in self._next_targets(report.position, self._sent, goal, speed):
-            connection.send_line(grbl.jog_line(self._axis, target, speed * 60.0))
+        for target in self._list_jog_targets(report.position, self._sent, goal, speed):
+            connection.send_line(grbl.encode_jog(self._axis, target, speed * 60.0))
             self._sent = target
 
     @staticmethod
-    def _next_targets(position: float, sent: float, goal: float, speed: float) -> Iterator[float]:
+    def _list_jog_targets(position: float, sent: float, goal: float, speed: float) -> Iterator[float]:
         """Yield the targets of the jogs, mm, that fit into the queue after the last reported position.
 
         Args:

@@ -16,7 +16,7 @@ from typing import Any
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.devices.settings import read_settings
 from haptics.devices.web_socket import LineClosedError, WebSocketLine, check_address
-from haptics.protocols.haply import ADDRESS, HapticState, force_message, read_state
+from haptics.protocols.haply import ADDRESS, HapticState, encode_force, read_state
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Quaternion, Screw, Vector
 
@@ -145,7 +145,7 @@ class HaplyDevice(HapticDevice):
             if first.status.get("power_supply") is False:
                 raise DeviceError(f"the Inverse3 {first.device_id} has no power for its motors; plug its power supply "
                                   "in, then start again")
-            line.send(force_message(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
+            line.send(encode_force(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
             answers = line.receive(TIMING.connect)
             if not answers:
                 raise DeviceError(f"{service} does not answer; restart it")
@@ -286,7 +286,7 @@ class _ExchangeThread:
     def _exchange_messages(self, force: Vector, within: float = TIMING.answer) -> None:
         """Send a force, N, unless too many messages are in flight, and receive answers for up to `within` seconds."""
         if self._unanswered < TIMING.max_unanswered:
-            self._line.send(force_message(self._device_id, force), within + 1.0)
+            self._line.send(encode_force(self._device_id, force), within + 1.0)
             self._unanswered += 1
         messages = self._line.receive(within)
         if messages:

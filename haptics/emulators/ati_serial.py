@@ -24,9 +24,9 @@ from haptics.protocols.ati_serial import (
     PROMPT,
     RESET,
     Record,
+    compute_transmission_time,
     encode_ascii,
     encode_binary,
-    transmission_time,
 )
 from tissue_sim.errors import InputError
 
@@ -148,7 +148,7 @@ class AtiSerialEmulator(TerminalEmulator):
     def _queue_message(self, message: bytes, begins: float | None = None) -> None:
         """Queue a message that begins at a time, s; None: as soon as the line is free."""
         begins = max(self._free_at, time.monotonic()) if begins is None else begins
-        self._free_at = begins + transmission_time(len(message), self._baud)
+        self._free_at = begins + compute_transmission_time(len(message), self._baud)
         self._leaving.append((self._free_at, message))
 
     def _execute_command(self, command: bytes) -> None:

@@ -14,7 +14,7 @@ from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults, FaultyLine
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
-from haptics.protocols.haply import HapticState, read_force, state_message
+from haptics.protocols.haply import HapticState, encode_state, read_force
 from tissue_sim.pose import Vector
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class HaplyEmulator(Emulator):
             self._set_force((0.0, 0.0, 0.0))
         line = FaultyLine(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
-            connection.send(state_message(self._simulate_hand(config=_CONFIG), self.force, session=1))
+            connection.send(encode_state(self._simulate_hand(config=_CONFIG), self.force, session=1))
             while not self._ending.is_set():
                 message = None
                 with contextlib.suppress(TimeoutError):
@@ -171,7 +171,7 @@ class HaplyEmulator(Emulator):
                 force = None
             if force is not None:
                 self._set_force(force)
-        return state_message(state, self.force)
+        return encode_state(state, self.force)
 
     def _simulate_hand(self, config: dict[str, Any] | None = None) -> HapticState:
         """Simulate the hand until now and return its state."""

@@ -185,7 +185,7 @@ class TicEmulator(TerminalEmulator):
             self._halt_stage()
             self._input, self._target, self._uncertain = Planning.OFF, 0, True
             if command == Command.HALT_AND_SET_POSITION:
-                self._offset += tic.to_signed(received.value) - self._read_motor_position()[0]
+                self._offset += tic.to_signed(received.value) - self._motor_steps_and_motion()[0]
                 self._uncertain = False
             elif command == Command.RESET:
                 self._errors, self._occurred, self._state = Errors(0), 0, State.RESET
@@ -249,14 +249,14 @@ class TicEmulator(TerminalEmulator):
             stage.move(min(max(goal, limits.lowest), limits.highest), speed)
         self._motion = request
 
-    def _read_motor_position(self) -> tuple[int, bool]:
+    def _motor_steps_and_motion(self) -> tuple[int, bool]:
         """Return the current position, microsteps, and True if the motor moves."""
         sample = self._stage.position()
         return round(sample.position * self._steps) + self._offset, sample.moving
 
     def _pack_variables(self) -> bytes:
         """Return the block of all variables (section 7)."""
-        count, moving = self._read_motor_position()
+        count, moving = self._motor_steps_and_motion()
         position = (count - self._offset) / self._steps
         limits, velocity = self._stage.limits, 0
         if moving and self._motion is not None:

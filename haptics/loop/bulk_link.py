@@ -17,8 +17,15 @@ from typing import Any, Protocol
 import numpy as np
 
 from haptics.loop.multirate_settings import BULK_PROCESS
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, remove_file, unused_path
-from haptics.loop.slow_bulk import KIND_CORRECTION, KIND_MODEL, KIND_STATE, Started, first_state, make_linearisation
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, remove_file
+from haptics.loop.slow_bulk import (
+    KIND_CORRECTION,
+    KIND_MODEL,
+    KIND_STATE,
+    Started,
+    make_linearisation,
+    make_untouched_state,
+)
 from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import (
@@ -97,11 +104,11 @@ class DelayedBulk:
         self._predictive, self._now = PredictiveLinearisation(linearisation), 0.0
         self._tangent = tangent
         if tangent is not None:
-            linearisation.executor = self._finish_later
+            linearisation.executor = self._finish_after_delay
         self.linearising = 0.0
         self._coming: tuple[float, CondensedContact | None] | None = None
 
-    def _finish_later(self, compute: Callable[[], None]) -> Callable[[], bool]:
+    def _finish_after_delay(self, compute: Callable[[], None]) -> Callable[[], bool]:
         """Compute a tangent now and return a function that reports it as finished after the tangent's delay.
 
         After a reset the tangent belongs to a discarded specimen and is reported as finished at once.
@@ -117,7 +124,7 @@ class DelayedBulk:
         Raises:
             RuntimeError: the undeformed tissue has no linearisation.
         """
-        model = self._predictive.linearise(first_state(self.surface), 0.0, 0.0)
+        model = self._predictive.linearise(make_untouched_state(self.surface), 0.0, 0.0)
         if model is None:
             raise RuntimeError("the untouched tissue has no linearisation")
         return model
@@ -171,7 +178,7 @@ class BulkProcess:
 
     def __init__(self, model: Model, *, solver: str = "solid", resolution: str = "realtime", mesh: Any = None):
         self._task = pack(make_linearisation, (model, solver, resolution, mesh))
-        self._paths = tuple(unused_path(ending) for ending in ("states", "models", "corrections", "surface"))
+        self._paths = tuple(find_unused_path(ending) for ending in ("states", "models", "corrections", "surface"))
         self._process: subprocess.Popen[bytes] | None = None
         self._surface: ContactSurface | None = None
 
@@ -222,7 +229,7 @@ class BulkProcess:
 
     def receive(self, now: float) -> CondensedContact | None:
         """Read the next piece of a model; return the model when it is complete, a newer correction, or None."""
-        found = self._receive_whole() or self._receive_correction()
+        found = self._receive_model_piece() or self._receive_correction()
         if found is not None:
             self._model = found
         return found
@@ -241,7 +248,7 @@ class BulkProcess:
             now = time.monotonic()
         return None
 
-    def _receive_whole(self) -> CondensedContact | None:
+    def _receive_model_piece(self) -> CondensedContact | None:
         """Read the next piece of a model with tangent; return the model when it is complete.
 
         The arrays of the model are valid until the next complete model.

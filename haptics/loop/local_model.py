@@ -180,7 +180,7 @@ class LocalModelBlend:
             self.refused += 1
             return False
         self._published = model.time
-        self._change_to(model)
+        self._switch_to_model(model)
         return True
 
     def step(self, pose: float | Pose, dt: float) -> ToolForce:
@@ -201,16 +201,16 @@ class LocalModelBlend:
         if self._pose is None:
             # At the first tick the whole wrench counts as a change of the model.
             self._pose = pose
-            self._change_to(self._model)
+            self._switch_to_model(self._model)
         if self.age > self.oldest:
-            self._change_to(_NONE)
+            self._switch_to_model(_NONE)
         if any(self.offset):
             self.offset = _shorten(self.offset[:3], self.jump) + _shorten(self.offset[3:], self.torque_jump)
         self._pose = pose
         self._wrench = added(self._model.evaluate(pose), self.offset)
         return self._answer(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
-    def _change_to(self, model: LocalModel):
+    def _switch_to_model(self, model: LocalModel):
         self._model = model
         if self._pose is not None:
             self.offset = added(self._wrench, scaled(-1.0, model.evaluate(self._pose)))

@@ -12,7 +12,7 @@ from typing import Any, NoReturn
 from haptics.loop.bulk_link import BulkLink, BulkProcess
 from haptics.loop.model_transition import ModelTransition
 from haptics.loop.multirate_settings import MULTIRATE
-from haptics.loop.touch_frame import TouchFrame, first_touch
+from haptics.loop.touch_frame import TouchFrame, interpolate_touch_pose
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
@@ -200,7 +200,7 @@ class MultiRateTissue(KernelOwner):
         height = start.position[2]
         inside = self._touch.advance(pose.position[2] - height, dt)
         if inside is not None and not touched:
-            touch = first_touch(self._last_pose, pose, height)
+            touch = interpolate_touch_pose(self._last_pose, pose, height)
             if self._holds:
                 self._frame = TouchFrame(start, touch)
                 touch = start
@@ -222,7 +222,7 @@ class MultiRateTissue(KernelOwner):
 
     def _step_in_contact(self, pose: Pose, dt: float, began: float) -> ToolForce:
         """Solve the contact on the newest model and return the force."""
-        stepper, here = self._stepper, self._frame.into_bulk(pose)
+        stepper, here = self._stepper, self._frame.pose_in_bulk(pose)
         assert stepper is not None
         before, step = self._step, stepper.step(here)
         known, self._known, self._step, transition = self._known, None, step, self._transition
@@ -242,7 +242,7 @@ class MultiRateTissue(KernelOwner):
             earlier, there = self._poses[0]
             self._link.send(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
-        return self._force_of(step, here, pose, dt, began)
+        return self._make_tool_force(step, here, pose, dt, began)
 
     @exclusive
     def prepare(self) -> None:
@@ -253,9 +253,9 @@ class MultiRateTissue(KernelOwner):
         model = self._link.receive(self._time)
         if model is not None and model.epoch == self._epoch:
             self._known = stepper.model
-            self._adopt(model)
+            self._set_model_and_times(model)
 
-    def _adopt(self, model: CondensedContact) -> None:
+    def _set_model_and_times(self, model: CondensedContact) -> None:
         assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
         self._tangent_made = model.tangent_time
@@ -283,7 +283,7 @@ class MultiRateTissue(KernelOwner):
                 break
             if model.epoch != self._epoch:
                 continue
-            self._adopt(model)
+            self._set_model_and_times(model)
             before, step = step, stepper.step(pose)
             missed = math.dist(before.wrench[:3], step.wrench[:3])
             self._transition.learn(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
@@ -294,7 +294,7 @@ class MultiRateTissue(KernelOwner):
         self._transition.settle()
         return step
 
-    def _force_of(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
+    def _make_tool_force(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
         """Return the force of a step with its status and estimated error.
 
         Args:
@@ -320,7 +320,7 @@ class MultiRateTissue(KernelOwner):
         is_known = math.isfinite(self.error)
         return ToolForce(
             wrench, stiffness, ForceStatus.CONVERGED if good else ForceStatus.LATE, step.iterations, step.residual,
-            clock.perf_counter() - began, age=max(0.0, age), pose=self._frame.into_scene(model.pose),
+            clock.perf_counter() - began, age=max(0.0, age), pose=self._frame.pose_in_scene(model.pose),
             stiffness_age=max(0.0, self._time - self._tangent_made),
             force_error=self._left * self.error if is_known else None,
             error_age=max(0.0, self._time - transition.estimate.time) if is_known else 0.0)

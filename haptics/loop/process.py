@@ -18,7 +18,7 @@ from haptics.loop.child import PROCESS_TIMES, LoopFiles, LoopParts, run_child
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
-from haptics.loop.shared_slots import remove_file, unused_path
+from haptics.loop.shared_slots import find_unused_path, remove_file
 from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import start_with_one_thread, start_without_ctrl_c
@@ -46,7 +46,7 @@ class LoopProcess:
         device: haptic device or motion; started in the process of the loop when the tissue is ready.
         rendering: conversion of poses and forces; see `ForceRendering`.
         settings: settings of the loop; None: defaults.
-        ring_path: file of the ring; None: an unused file in `haptics.loop.shared_slots.runtime_folder`.
+        ring_path: file of the ring; None: an unused file in `haptics.loop.shared_slots.get_runtime_folder`.
 
     Attributes:
         ring_path: file of the ring of ticks, for viewers and recorders, while the process runs.
@@ -64,7 +64,7 @@ class LoopProcess:
 
     def __init__(self, make_tissue: Callable[[], Tissue], device: HapticDevice, rendering: ForceRendering,
                  settings: LoopSettings | None = None, *, ring_path: str | Path | None = None):
-        self.ring_path = unused_path("ring") if ring_path is None else Path(ring_path)
+        self.ring_path = find_unused_path("ring") if ring_path is None else Path(ring_path)
         self.snapshot_path = self.ring_path.with_name(f"{self.ring_path.name}.snapshots")
         self._files = LoopFiles(self.ring_path, self.snapshot_path)
         for path in self._files:
@@ -231,7 +231,8 @@ class LoopProcess:
             while not self._answers and self.report is None:
                 self._read_messages(0.1)
                 if time.monotonic() > until:
-                    raise LoopError(f"the loop does not answer within {self.patience:g} s")
+                    raise LoopError(f"the loop must answer within {self.patience:g} s; got no answer. Send the "
+                                    "command again, or stop the loop and start it again")
             if self._answers and self._answers[0]:
                 raise InputError(self._answers[0])
 

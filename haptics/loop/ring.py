@@ -85,7 +85,7 @@ class RingWriter(SlotWriter):
     """Write the ticks of a loop to a ring in a shared file.
 
     Args:
-        path: file to create; `haptics.loop.shared_slots.unused_path` returns a path in memory.
+        path: file to create; `haptics.loop.shared_slots.find_unused_path` returns a path in memory.
         capacity: number of ticks in the ring.
 
     Raises:

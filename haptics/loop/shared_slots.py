@@ -52,7 +52,7 @@ _ENDED = HEAD.size + 8
 _SLOT = struct.Struct("<QII")
 
 
-def runtime_folder() -> Path:
+def get_runtime_folder() -> Path:
     """Return this user's folder for temporary shared files, in memory if the platform supports it.
 
     Raises:
@@ -75,9 +75,9 @@ def runtime_folder() -> Path:
     return folder
 
 
-def unused_path(ending: str) -> Path:
-    """Return an unused path in `runtime_folder` with this file name extension."""
-    return runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
+def find_unused_path(ending: str) -> Path:
+    """Return an unused path in `get_runtime_folder` with this file name extension."""
+    return get_runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
 
 
 class SlotWriter:
@@ -123,7 +123,7 @@ class SlotWriter:
             raise InputError(f"content must have at most {self.size} bytes; got {length}", file=self.path)
         number = self.written + 1
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
-        _SLOT.pack_into(self._map, offset, number, length, _checksum(content, number))
+        _SLOT.pack_into(self._map, offset, number, length, _compute_checksum(content, number))
         offset += _SLOT.size
         self._map[offset:offset + length] = content
         self._numbers[0] = self.written = number
@@ -190,7 +190,7 @@ class SlotReader:
         copy = self._map[offset:offset + self._stride]
         found, length, checksum = _SLOT.unpack_from(copy)
         content = copy[_SLOT.size:_SLOT.size + length]
-        return content if found == number and checksum == _checksum(content, number) else None
+        return content if found == number and checksum == _compute_checksum(content, number) else None
 
     @property
     def size(self) -> int:
@@ -271,7 +271,7 @@ def remove_file(path: Path) -> None:
         path.unlink(missing_ok=True)
 
 
-def _checksum(content, number: int) -> int:
+def _compute_checksum(content, number: int) -> int:
     return zlib.crc32(content, number & 0xFFFFFFFF)
 
 

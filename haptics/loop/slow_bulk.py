@@ -71,14 +71,14 @@ def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) ->
     return LINEARISATIONS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
 
 
-def run_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
+def start_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
     """Start a computation in a thread and return a function that tells whether it is finished."""
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
     return lambda: not thread.is_alive()
 
 
-def first_state(surface: ContactSurface) -> ContactState:
+def make_untouched_state(surface: ContactSurface) -> ContactState:
     """Return the state of a tool without contact on undeformed tissue."""
     zeros, count = np.zeros((len(surface.places), 3)), len(surface.places)
     return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, zeros, zeros, np.zeros((3, count)), False)
@@ -97,8 +97,8 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     try:
         bulk = run_packed(task)
         predictive = PredictiveLinearisation(bulk)
-        first = predictive.linearise(first_state(bulk.surface), 0.0, 0.0)
-        bulk.executor = run_in_thread
+        first = predictive.linearise(make_untouched_state(bulk.surface), 0.0, 0.0)
+        bulk.executor = start_in_thread
         if first is None:
             raise InputError("the untouched tissue has no linearisation", field="specimen")
     except (InputError, ConvergenceError, MissingBackendError) as error:

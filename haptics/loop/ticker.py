@@ -90,7 +90,7 @@ class TimeHistogram:
             return 0.0
         rank = max(math.ceil(share * self.count), 1)
         index = next(index for index, below in enumerate(accumulate(self._bins)) if below >= rank)
-        return min(_bin_middle(index), self._maximum) / 1e9
+        return min(_middle_of_bin(index), self._maximum) / 1e9
 
     @property
     def maximum(self) -> float:
@@ -109,7 +109,7 @@ def _bin_index(nanoseconds: int) -> int:
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
-def _bin_middle(index: int) -> float:
+def _middle_of_bin(index: int) -> float:
     """Return the middle of a bin, ns."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)

@@ -23,16 +23,16 @@ class TouchFrame:
         self._start, self._touch = start, touch
         self._is_identity = start == touch
 
-    def into_bulk(self, pose: Pose) -> Pose:
+    def pose_in_bulk(self, pose: Pose) -> Pose:
         """Return the pose in the frame of the bulk for a pose in the scene."""
         return pose if self._is_identity else _apply_motion(self._touch, pose, self._start)
 
-    def into_scene(self, pose: Pose) -> Pose:
+    def pose_in_scene(self, pose: Pose) -> Pose:
         """Return the pose in the scene for a pose in the frame of the bulk."""
         return pose if self._is_identity else _apply_motion(self._start, pose, self._touch)
 
 
-def first_touch(before: Pose | None, pose: Pose, height: float) -> Pose:
+def interpolate_touch_pose(before: Pose | None, pose: Pose, height: float) -> Pose:
     """Return the pose at which a tool touches the surface of a tissue.
 
     Args:

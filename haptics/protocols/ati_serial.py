@@ -124,6 +124,6 @@ def is_at_end_of_range(record: Record) -> bool:
     return any(count in (FORMAT.lowest_count, FORMAT.highest_count) for count in record.counts)
 
 
-def transmission_time(bytes_sent: int, baud: float) -> float:
+def compute_transmission_time(bytes_sent: int, baud: float) -> float:
     """Return the time that bytes need on the line, s."""
     return FORMAT.bits_per_byte * bytes_sent / baud

@@ -139,7 +139,7 @@ class Jog:
     machine: bool = False
 
 
-def jog_line(axis: str, target: float, feed: float) -> bytes:
+def encode_jog(axis: str, target: float, feed: float) -> bytes:
     """Return the line of a jog in machine coordinates, to a target, mm, at a feed rate, mm/min."""
     return f"$J=G53G21G90{axis}{target:.4f}F{feed:.3f}\n".encode()
 

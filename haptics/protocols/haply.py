@@ -166,7 +166,7 @@ def _read_orientation(content: Mapping[str, Any]) -> Quaternion | None:
     return None
 
 
-def force_message(device_id: str, force: Vector, profile: str | None = None) -> str:
+def encode_force(device_id: str, force: Vector, profile: str | None = None) -> str:
     """Return the message that sets the force of a device until the next message.
 
     Args:
@@ -197,7 +197,7 @@ def read_force(message: str | bytes, device_id: str) -> Vector | None:
     return None
 
 
-def state_message(state: HapticState, force: Vector, session: int | None = None) -> str:
+def encode_state(state: HapticState, force: Vector, session: int | None = None) -> str:
     """Return the service's message about a device, and about a grip if the orientation is known.
 
     Args:

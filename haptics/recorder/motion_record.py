@@ -78,7 +78,7 @@ class MotionRecord:
                 for sample in samples]
 
     @property
-    def gaps(self) -> int:
+    def gap_count(self) -> int:
         """Number of interruptions in which force samples were lost."""
         return sum(bool(status & SampleStatus.GAP) for status in self.statuses)
 
@@ -120,7 +120,7 @@ def build_recording(record: MotionRecord, plan: Plan, contact_point: float, zero
                    if name in ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")}
     labels = {"segment": np.array([each[1] for each in record.legs])[leg],
               "cycle": np.array([each[2] for each in record.legs])[leg]}
-    return Recording(values, labels, {"gaps": record.gaps, "clock": {
+    return Recording(values, labels, {"gaps": record.gap_count, "clock": {
         "from": "line through the sequence numbers of the samples", "period_s": clock.period, "jitter_s": clock.jitter,
         "rate": "stated by the sensor" if clock.fits else "measured: the rate stated by the sensor does not fit",
         "stage": "interpolated", "lag": plan.lag or "unknown"}})

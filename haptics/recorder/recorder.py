@@ -108,7 +108,7 @@ class Recorder:
             DeviceError: a device does not start.
         """
         folder, plan, motion = self._folder, self._plan, self._motion
-        folder.update(state="running", limits=_limits_as_json(self._limits), about=self._about)
+        folder.update(state="running", limits=_convert_limits_to_json(self._limits), about=self._about)
         try:
             with motion.run_devices(self._plan_retraction):
                 stage = motion.stage
@@ -120,7 +120,7 @@ class Recorder:
                 self._tare()
                 self._phase = "home"
                 motion.home()
-                self._execute_plan(folder.missing_replicates(plan.name, plan.replicates))
+                self._execute_plan(folder.list_missing_replicates(plan.name, plan.replicates))
         except (StoppedError, DeviceError) as error:
             reason = error.reason if isinstance(error, StoppedError) else StopReason("device", str(error))
             # A full disk must not replace the error that stopped the tool.
@@ -291,7 +291,7 @@ class Recorder:
             self._refine_contact_point()
             self._phase = "rest"
         name, started = f"{plan.name}_{number}", _local_time()
-        loadings, stops = folder.get_test_history(plan.name)
+        loadings, stops = folder.count_loadings(plan.name), folder.list_stops(plan.name)
         partial = self._partial = folder.open_partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
         record = self._record = MotionRecord()
         try:
@@ -331,7 +331,7 @@ class Recorder:
             self._motion.check_zero(self._plan.contact_force)
 
 
-def _limits_as_json(limits: MotionLimits) -> dict[str, Any]:
+def _convert_limits_to_json(limits: MotionLimits) -> dict[str, Any]:
     """Return the limits as a JSON object with units in the keys."""
     return {"force_N": limits.force, "lowest_mm": limits.lowest * 1e3, "highest_mm": limits.highest * 1e3,
             "speed_mm_s": limits.speed * 1e3, "duration_s": limits.duration,

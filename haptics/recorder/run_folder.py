@@ -145,12 +145,15 @@ class RunFolder:
         self.update(history=history)
         return len(history) - 1 if entry is None else entry
 
-    def get_test_history(self, test: str) -> tuple[int, list[dict[str, Any]]]:
-        """Return the number of loadings of the specimen of a test, and the stops of the test."""
-        return (sum(entry["test"] == test for entry in self.state["history"]),
-                [stop for stop in self.state["stops"] if stop["test"] in (test, "")])
+    def count_loadings(self, test: str) -> int:
+        """Return the number of recorded loadings of the specimen in a test."""
+        return sum(entry["test"] == test for entry in self.state["history"])
 
-    def missing_replicates(self, name: str, replicates: int) -> list[int]:
+    def list_stops(self, test: str) -> list[dict[str, Any]]:
+        """Return the entries of `record_stop` for a test, and those that belong to no test."""
+        return [stop for stop in self.state["stops"] if stop["test"] in (test, "")]
+
+    def list_missing_replicates(self, name: str, replicates: int) -> list[int]:
         """Return the numbers of the replicates of a test that have no recording yet.
 
         Args:
@@ -183,7 +186,7 @@ class RunFolder:
         return self._copies[path]
 
     def open_partial(self, name: str, header: Sequence[str]) -> PartialRecording:
-        """Create the file of an unfinished recording.
+        """Create the file of an unfinished recording, and return the `PartialRecording` that writes its rows.
 
         Args:
             name: name of the recording, without ending.

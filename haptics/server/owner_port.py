@@ -69,7 +69,7 @@ class ReplyLimiter:
         #: Address -> remaining tokens, and time of their last update, s.
         self._buckets: dict[Address, tuple[float, float]] = {}
 
-    def allows(self, address: Address, now: float) -> bool:
+    def take_token(self, address: Address, now: float) -> bool:
         """Return whether a packet from an address is processed, and use a token of this address.
 
         A new address is refused while `RateLimit.most_addresses` other addresses are active.

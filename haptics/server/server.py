@@ -203,7 +203,7 @@ class TissueServer:
                 self.counters.malformed += 1
                 continue
             now = time.monotonic()
-            if service.owner not in (None, address) and not self._limiter.allows(address, now):
+            if service.owner not in (None, address) and not self._limiter.take_token(address, now):
                 self.counters.flooded += 1
                 continue
             self._last_packet = now

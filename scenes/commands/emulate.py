@@ -44,7 +44,7 @@ def run(arguments) -> int:
     from haptics.emulators.emulator import open_emulator
 
     faults = read_faults(arguments.faults)
-    bench = _reference_rig(arguments.rate_hz, faults).bench
+    bench = _make_reference_rig(arguments.rate_hz, faults).bench
     emulators = [open_emulator(name, bench, faults) for name in arguments.names]
     stop = threading.Event()
     with ExitStack() as stack, stopped_by_signals(stop.set):
@@ -73,7 +73,7 @@ def run(arguments) -> int:
     return ExitCode.DONE
 
 
-def _reference_rig(rate: float, faults: Any) -> Any:
+def _make_reference_rig(rate: float, faults: Any) -> Any:
     """Return a virtual rig with the needle and the silicone specimen of the reference study.
 
     Args:

@@ -140,7 +140,7 @@ def run(arguments) -> int:
     progress = progress_console(quiet=arguments.json)
 
     build = real_time_tissue(ts.Model(experiment, material), resolution=arguments.resolution,
-                             budget=step_budget(arguments), inertia=arguments.inertia, solver=arguments.solver,
+                             budget=choose_step_budget(arguments), inertia=arguments.inertia, solver=arguments.solver,
                              mesh=reduced)
 
     def rebuild() -> ServedTissue:
@@ -156,7 +156,7 @@ def run(arguments) -> int:
                       description=lambda: describe_scene(arguments, experiment, material_file, simulator, reduced),
                       parameters={} if reduced and reduced.rest else parameter_values(material),
                       silence=arguments.silence_s, limits=limits,
-                      rebuild=rebuild, session=arguments.session, spin=spin_time(arguments),
+                      rebuild=rebuild, session=arguments.session, spin=choose_spin_time(arguments),
                       expose=arguments.expose) as server:
         with progress.status("loading the solver (the first run on a computer compiles it)"):
             simulator.warm_up()
@@ -169,13 +169,13 @@ def run(arguments) -> int:
     return 0
 
 
-def step_budget(arguments) -> float | None:
+def choose_step_budget(arguments) -> float | None:
     """Return the time limit of a simulation step, s; None for no limit."""
     default = 0.0 if arguments.resolution == "accurate" else SETTINGS.budget_us
     return (default if arguments.budget_us is None else arguments.budget_us) * 1e-6 or None
 
 
-def spin_time(arguments) -> float:
+def choose_spin_time(arguments) -> float:
     """Return how long the server busy-waits for the next packet before it sleeps, s."""
     if arguments.spin_us is not None:
         return arguments.spin_us * 1e-6

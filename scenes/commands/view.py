@@ -134,7 +134,8 @@ def run(arguments) -> int:
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
         return ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
-    return run_page(scene, folder, page_options(arguments), seconds=arguments.seconds, json=arguments.json, **options)
+    return run_page(scene, folder, read_page_options(arguments), seconds=arguments.seconds, json=arguments.json,
+                    **options)
 
 
 def _show_bench(arguments) -> int:
@@ -158,13 +159,13 @@ def _show_bench(arguments) -> int:
     except DeviceError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return ExitCode.GOAL_MISSED
-    return run_bench_page(source, page_options(arguments), seconds=arguments.seconds, json=arguments.json)
+    return run_bench_page(source, read_page_options(arguments), seconds=arguments.seconds, json=arguments.json)
 
 
-def page_options(arguments) -> dict:
+def read_page_options(arguments) -> dict:
     """Return the options of the page for `scenes.viewer.run.run_page`."""
-    from scenes.viewer.page_token import new_token
+    from scenes.viewer.page_token import make_token
 
     return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose,
-            "token": "" if arguments.no_token else new_token(), "open": arguments.open,
+            "token": "" if arguments.no_token else make_token(), "open": arguments.open,
             "low_graphics": arguments.low_graphics, "dark": arguments.dark}

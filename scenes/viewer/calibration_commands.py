@@ -9,7 +9,7 @@ from typing import Protocol
 
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.material_files import new_material_path
+from scenes.viewer.material_files import choose_new_material_path
 from scenes.viewer.recording_upload import Upload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
@@ -70,7 +70,7 @@ def _save_material(session: CalibrationHost, folder: Path, name: str) -> None:
     result = session.calibration.state.result
     if result is None:
         raise InputError("There is no calibrated material yet. Press Calibrate first.")
-    path = new_material_path(folder, name)
+    path = choose_new_material_path(folder, name)
     write_bytes(path, result.file)
     if session.scene.source == CALIBRATED and session.scene.material == result.material:
         session.scene = replace(session.scene, source=path.name)

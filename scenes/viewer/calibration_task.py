@@ -134,7 +134,7 @@ def calibrate_files(folder: str, request: CalibrationRequest) -> CalibrationResu
         file = root / "results" / fit.material_file
         if request.origins:
             _add_origins(file, request.origins)
-        return CalibrationResult(ts.load_material(file), _fitted_values(fit), fit.RMSE_N, _collect_warnings(fit),
+        return CalibrationResult(ts.load_material(file), _list_fitted_values(fit), fit.RMSE_N, _collect_warnings(fit),
                                  fit.fem_solves, read_bytes(file, "a calibrated material"), fit.unusable or "")
     except InputError as error:
         own = error.file is None or Path(error.file) == campaign
@@ -172,7 +172,7 @@ def build_campaign(request: CalibrationRequest, folder: Path) -> str:
     body: dict[str, Any] = {"shape": specimen.shape, **_with_absolute_paths(specimen)}
     if density is not None:
         body |= {"density_kg_m3": density, "gravity": specimen.gravity > 0, "height_is": specimen.height_is}
-    test = {"kind": request.kind, **_experiment_keys(request)}
+    test = {"kind": request.kind, **_make_experiment_keys(request)}
     if request.rig != ts.Rig():
         write_rig(request.rig, folder / "rig.json")
         test["rig"] = "rig.json"
@@ -193,7 +193,7 @@ def _with_absolute_paths(specimen: ts.Specimen) -> dict[str, float | str]:
             for key, value in specimen.stated.items()}
 
 
-def _experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
+def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
     """Return the keys of a ``[[test]]`` table for tool and interfaces, without those that the kind of test fixes."""
     experiment, kind = request.experiment, KINDS[request.kind]
     tool = experiment.tool
@@ -212,7 +212,7 @@ def _experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
     return keys | ({"slip": experiment.slip} if experiment.slip else {})
 
 
-def _fitted_values(fit: Fit) -> dict[str, FittedValue]:
+def _list_fitted_values(fit: Fit) -> dict[str, FittedValue]:
     """Return the parameters that were free in the fit."""
     free = [name for name, error in fit.standard_errors.items() if error != 0]
     return {name: FittedValue(fit.parameters[name], fit.intervals95.get(name), fit.units.get(name, "1"),

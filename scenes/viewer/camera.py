@@ -29,8 +29,8 @@ class CameraPose:
 PRESETS = {"iso": (-62.0, 24.0), "front": (-90.0, 0.0), "top": (-90.0, 89.0), "contact": (-72.0, 12.0)}
 
 
-def camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: float, above: float,
-                aspect: float = 1.0, turn: float = 0.0, lateral: tuple[float, float] = (0.0, 0.0)) -> CameraPose:
+def compute_camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: float, above: float, aspect: float = 1.0,
+                        turn: float = 0.0, lateral: tuple[float, float] = (0.0, 0.0)) -> CameraPose:
     """Return the camera of a preset view, which shows the whole scene or, for ``contact``, the end of the tool.
 
     Args:

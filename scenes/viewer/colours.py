@@ -67,7 +67,7 @@ def field_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1
     return low, high
 
 
-def band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
+def choose_band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
     """Return levels with a round step that cover a range.
 
     A range of one value, up to rounding, gives levels that cover the value and zero, with the value well inside a band.
@@ -97,7 +97,7 @@ def band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np.ndarra
     return _round_levels(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
 
 
-def steady_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
+def keep_steady_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
     """Return levels for a range that changes with time, and keep the previous levels while they are suitable.
 
     Args:
@@ -108,12 +108,12 @@ def steady_levels(previous: np.ndarray | None, low: float, high: float, bands: i
 
     Returns:
         `previous`, the same object, if these levels cover the range and span at most `ColourSettings.widest` times the
-        range of `band_levels`; otherwise `band_levels`.
+        range of `choose_band_levels`; otherwise `choose_band_levels`.
 
     Raises:
-        InputError: As `band_levels`.
+        InputError: As `choose_band_levels`.
     """
-    levels = band_levels(low, high, bands)
+    levels = choose_band_levels(low, high, bands)
     if previous is None or len(previous) != len(levels) or low < previous[0] or high > previous[-1]:
         return levels
     return previous if np.ptp(previous) <= SETTINGS.widest * np.ptp(levels) else levels

@@ -10,7 +10,7 @@ from numpy.polynomial.legendre import leggauss
 from scipy.sparse import csr_array
 
 from scenes.viewer.bands import Triangulation, split_polyline
-from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolved_surfaces, section_surfaces
+from scenes.viewer.revolution import Opening, Surface, join_surfaces, make_section_surfaces, revolve_polyline
 from tissue_sim.mesh import Mesh
 
 
@@ -126,11 +126,11 @@ class CutAway:
         points, at_points = self._interpolate(positions), self.weights @ values
         bands = len(levels) - 1
         line, band_of_line = split_polyline(points[self.outline], at_points[self.outline], levels)
-        outside = revolved_surfaces(line, band_of_line, bands, opening)
+        outside = revolve_polyline(line, band_of_line, bands, opening)
         if opening.is_closed:
             return outside
         pieces = self.triangulation.cut(points, at_points, levels)
-        sections = section_surfaces(pieces.points, pieces.triangles, pieces.band, bands, opening)
+        sections = make_section_surfaces(pieces.points, pieces.triangles, pieces.band, bands, opening)
         return [join_surfaces(*both) for both in zip(sections, outside, strict=True)]
 
     def mesh_lines(self, positions: np.ndarray, opening: Opening) -> np.ndarray:

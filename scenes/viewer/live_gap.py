@@ -21,15 +21,15 @@ class LiveGap:
         force: Live force minus model force, N.
         depth: Depth of the largest difference, m.
         speed: Median speed of the moving tool in the newest loading and unloading, m/s.
-        late: Fraction of the points of these branches whose force late ticks extrapolated.
-        inertial: Fraction of these points at which the inertia of the tissue was included.
+        late_fraction: Fraction of the points of these branches whose force late ticks extrapolated.
+        inertia_fraction: Fraction of these points at which the inertia of the tissue was included.
     """
 
     force: float
     depth: float
     speed: float
-    late: float
-    inertial: float
+    late_fraction: float
+    inertia_fraction: float
 
 
 def live_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveGap | None:
@@ -52,13 +52,13 @@ def live_gap(trace: Trace, grid: np.ndarray, live: Pair, model: Pair) -> LiveGap
     speeds = np.concatenate([np.abs(np.diff(each.depth) / np.diff(each.time)) for each in branches]) \
         if branches else np.zeros(1)
     moving = speeds[speeds > _STANDING_SPEED]
-    late, inertial = (np.concatenate([getattr(each, name) for each in branches]) if branches else np.zeros(1)
-                      for name in ("late", "inertial"))
+    is_late, includes_inertia = (np.concatenate([getattr(each, name) for each in branches]) if branches
+                                 else np.zeros(1) for name in ("is_late", "includes_inertia"))
     return LiveGap(float(gaps[worst]), float(grid[worst % grid.size]), float(np.median(moving)) if moving.size else 0.0,
-                   float(late.mean()), float(inertial.mean()))
+                   float(is_late.mean()), float(includes_inertia.mean()))
 
 
-def late_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:
+def select_late_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:
     """Return the forces of the newest loading and unloading that late ticks extrapolated.
 
     Args:
@@ -71,7 +71,7 @@ def late_forces(trace: Trace, grid: np.ndarray) -> np.ndarray:
     forces = np.full(grid.size, np.nan)
     for branch in trace.branches():
         if branch is not None:
-            depth, force = branch.depth[branch.late], branch.force[branch.late]
+            depth, force = branch.depth[branch.is_late], branch.force[branch.is_late]
             inside = (depth >= grid[0]) & (depth <= grid[-1])
             nearest = np.rint((depth[inside] - grid[0]) / (grid[1] - grid[0])).astype(int)
             forces[nearest] = force[inside]

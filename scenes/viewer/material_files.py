@@ -120,11 +120,11 @@ def _slider_range(material: Material, parameter: Parameter) -> SliderRange:
     unit, factor = get_display_unit(parameter.declaration.unit)
     scale = material.mu0 if unit == "kPa" else 1.0
     if value == 0 or (name in material.parameters and abs(value) < SETTINGS.zero_tolerance * scale):
-        ends = [_nearest_accepted(material, name, value, -scale), _nearest_accepted(material, name, value, scale)]
+        ends = [_find_nearest_accepted(material, name, value, end) for end in (-scale, scale)]
     else:
         inner = 0.0 if _accepts_value(material, name, 0.0) else value / SETTINGS.span
-        ends = sorted([_nearest_accepted(material, name, value, inner),
-                       _nearest_accepted(material, name, value, SETTINGS.span * value)])
+        ends = sorted([_find_nearest_accepted(material, name, value, inner),
+                       _find_nearest_accepted(material, name, value, SETTINGS.span * value)])
     low, high = (factor * end for end in ends)
     now = factor * value
     step = 10.0 ** math.floor(math.log10(max(high - low, 1e-3 * abs(now), 1e-12) / SETTINGS.steps))
@@ -153,7 +153,7 @@ def _accepts_value(material: Material, name: str, value: float) -> bool:
     return math.isinf(changed.bulk_modulus) or low <= changed.bulk_modulus / changed.mu0 <= high
 
 
-def _nearest_accepted(material: Material, name: str, value: float, target: float) -> float:
+def _find_nearest_accepted(material: Material, name: str, value: float, target: float) -> float:
     """Return the number between the accepted `value` and `target` that is nearest to `target` and accepted.
 
     The function bisects 40 times, so the result is exact up to 1e-12 of the interval.
@@ -185,14 +185,14 @@ def save_edited(material: Material, folder: str | Path, name: str, *, source: st
     Raises:
         InputError: The name is not a valid file name, the file exists already, or the folder cannot be written.
     """
-    path = new_material_path(folder, name)
+    path = choose_new_material_path(folder, name)
     provenance = {"method": "edited by hand", "settings": {"edited_from": source}}
     named = replace(material, name=path.name.removesuffix(SUFFIX))
     write_material_file(MaterialFile.of(named, provenance=provenance), path)
     return path
 
 
-def new_material_path(folder: str | Path, name: str) -> Path:
+def choose_new_material_path(folder: str | Path, name: str) -> Path:
     """Return the path for a new material file without writing the file.
 
     Args:

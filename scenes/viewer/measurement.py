@@ -186,7 +186,7 @@ def _compute_envelope(recordings: Sequence[Recording], branches: Sequence[np.nda
     return Envelope(forces.mean(axis=0), forces.min(axis=0), forces.max(axis=0), spread)
 
 
-def branches_on_grid(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def interpolate_branches(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate loading and unloading of a recording to a grid of depths.
 
     The interpolant is a monotone cubic (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300), because a
@@ -226,7 +226,7 @@ def residual(model: Recording, measured: Measurement) -> Residual:
     Raises:
         InputError: The model reaches no sample of the measurement.
     """
-    load, unload = branches_on_grid(model, measured.depth)
+    load, unload = interpolate_branches(model, measured.depth)
     model_branches = dict(zip((1, -1), find_loading_and_unloading(model), strict=True))
     differences = []
     for recording, branches in zip(measured.recordings, measured.branches, strict=True):
@@ -257,7 +257,7 @@ def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.mot
     Raises:
         InputError: The speed is not positive.
     """
-    recording, (load, unload) = typical_replicate(measured)
+    recording, (load, unload) = find_typical_replicate(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
     depth = recording.displacement[:end]
     time = recording.time[:end] if "time" in recording else _compute_times(depth, recording, speed)
@@ -273,7 +273,7 @@ def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.mot
     return Protocol(time[chosen], depth[chosen], **labels)
 
 
-def typical_replicate(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
+def find_typical_replicate(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
     """Return the replicate whose loading is nearest to the mean in least squares, and its `Measurement.branches`."""
     def distance(pair) -> float:
         recording, (loading, _) = pair
@@ -307,7 +307,7 @@ def _select_even_samples(time: np.ndarray, depth: np.ndarray, corners: np.ndarra
     return np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, depth.size - 1))
 
 
-def residual_or_none(model: Recording | None, measured: Measurement | None) -> Residual | None:
+def compute_residual_if_possible(model: Recording | None, measured: Measurement | None) -> Residual | None:
     """Return `residual`; None if one of the two is missing or the model reaches no measured depth."""
     if model is None or measured is None:
         return None

@@ -17,7 +17,7 @@ REFUSAL = ("The token is missing or wrong. Open this page with the complete addr
            "started.")
 
 
-def new_token() -> str:
+def make_token() -> str:
     """Return a random token of 192 bits."""
     return secrets.token_urlsafe(24)
 
@@ -34,7 +34,7 @@ def contains_token(token: str, port: int, path: str, cookies: Sequence[str]) -> 
     try:
         given = parse_qs(urlsplit(path).query).get("token", [])
         for each in cookies:
-            if (morsel := SimpleCookie(each).get(_cookie_name(port))) is not None:
+            if (morsel := SimpleCookie(each).get(_make_cookie_name(port))) is not None:
                 given.append(morsel.value)
     except (ValueError, CookieError):
         return False
@@ -43,8 +43,8 @@ def contains_token(token: str, port: int, path: str, cookies: Sequence[str]) -> 
 
 def make_cookie_header(token: str, port: int) -> str:
     """Return the ``Set-Cookie`` header that stores the token until the browser is closed."""
-    return f"{_cookie_name(port)}={token}; Path=/; HttpOnly; SameSite=Strict"
+    return f"{_make_cookie_name(port)}={token}; Path=/; HttpOnly; SameSite=Strict"
 
 
-def _cookie_name(port: int) -> str:
+def _make_cookie_name(port: int) -> str:
     return f"tissue_sim_{port}"

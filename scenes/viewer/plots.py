@@ -2,7 +2,7 @@
 
 Arrays are in mm, N and s with ascending x. Missing values are NaN, so that the number of series is constant. The axis
 ranges are always given, because uPlot's automatic range fails at NaN. A change of the options makes the browser rebuild
-the plot, so `settled_range` changes a range rarely.
+the plot, so `round_axis_range` changes a range rarely.
 """
 
 from __future__ import annotations
@@ -57,14 +57,14 @@ _DASH = (6, 4)
 _NICE = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
 
 
-def depth_grid(deepest: float, points: int = 201) -> np.ndarray:
+def make_depth_grid(deepest: float, points: int = 201) -> np.ndarray:
     """Return equally spaced depths from 0 to `deepest`, m, shape (points,)."""
     return np.linspace(0.0, deepest, points)
 
 
-def force_depth(grid: np.ndarray, *, measured: Measurement | None = None, model: Pair | None = None,
-                compared: Pair | None = None, live: Pair | None = None, late: np.ndarray | None = None,
-                now: tuple[float, float] | None = None) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def force_depth_data(grid: np.ndarray, *, measured: Measurement | None = None, model: Pair | None = None,
+                     compared: Pair | None = None, live: Pair | None = None, late: np.ndarray | None = None,
+                     now: tuple[float, float] | None = None) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of force over depth.
 
     Args:
@@ -95,12 +95,12 @@ def force_depth(grid: np.ndarray, *, measured: Measurement | None = None, model:
             columns = [np.insert(column, i, _interpolate_between(grid, column, i, now[0])) for column in columns]
             x, point = np.insert(grid, i, now[0]), np.insert(point, i, np.nan)
         point[i] = now[1]
-    return (x * 1e3, *columns, point), _value_range([*columns, point])
+    return (x * 1e3, *columns, point), _find_finite_range([*columns, point])
 
 
 def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
                         dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `force_depth`.
+    """Return the keyword arguments of `add_uplot` for the data of `force_depth_data`.
 
     Args:
         x_range: Range of the depth axis, mm.
@@ -110,21 +110,22 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
     colours = DARK if dark else LIGHT
     series: list[dict[str, Any]] = [{"label": "depth [mm]"}]
     for branch, dash in (("load", ()), ("unload", _DASH)):
-        series += [_band_edge_series(f"measured {branch}, lowest"), _band_edge_series(f"measured {branch}, highest"),
-                   _line_series(f"measured {branch}", colours["measured"], 1.5, dash)]
+        series += [_make_band_edge_series(f"measured {branch}, lowest"),
+                   _make_band_edge_series(f"measured {branch}, highest"),
+                   _make_line_series(f"measured {branch}", colours["measured"], 1.5, dash)]
     for role, width in (("model", 3.0), ("compared", 2.0), ("live", 1.5)):
-        series += [_line_series(f"{role} {branch}", colours[role], width, dash)
+        series += [_make_line_series(f"{role} {branch}", colours[role], width, dash)
                    for branch, dash in (("load", ()), ("unload", _DASH))]
     series.append({"label": "late", "stroke": colours["late"], "width": 0,
                    "points": {"show": True, "size": 4, "fill": colours["late"], "stroke": colours["late"]}})
     series.append({"label": "now", "stroke": colours["live"], "width": 0,
                    "points": {"show": True, "size": 9, "fill": colours["live"], "stroke": colours["live"]}})
-    return _plot_options(series, x_range, y_range, "depth [mm]", "force [N]", height=PLOTS.force_height,
-                         bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
+    return _make_plot_options(series, x_range, y_range, "depth [mm]", "force [N]", height=PLOTS.force_height,
+                              bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
 
 
-def residual_depth(residual: Residual | None, measured: Measurement | None,
-                   grid: np.ndarray) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def residual_depth_data(residual: Residual | None, measured: Measurement | None,
+                        grid: np.ndarray) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of model minus measurement over depth.
 
     Args:
@@ -144,12 +145,12 @@ def residual_depth(residual: Residual | None, measured: Measurement | None,
     pair = (None, None) if residual is None else (residual.load, residual.unload)
     zero = np.zeros(grid.size)
     columns = [*_fill_band_edges(low, high, zero), zero, *(_interpolate(grid, residual, each) for each in pair)]
-    return (grid * 1e3, *columns), _value_range(columns)
+    return (grid * 1e3, *columns), _find_finite_range(columns)
 
 
 def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
                            dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `residual_depth`.
+    """Return the keyword arguments of `add_uplot` for the data of `residual_depth_data`.
 
     Args:
         x_range: Range of the depth axis, mm.
@@ -157,16 +158,16 @@ def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, f
         dark: Use the colours of a dark page.
     """
     colour = (DARK if dark else LIGHT)["model"]
-    series = [{"label": "depth [mm]"}, _band_edge_series("lowest"), _band_edge_series("highest"),
-              _line_series("zero", (DARK if dark else LIGHT)["measured"], 1.0), _line_series("load", colour, 2.0),
-              _line_series("unload", colour, 2.0, _DASH)]
-    return _plot_options(series, x_range, y_range, "depth [mm]", "residual [N]", height=PLOTS.other_height,
-                         bands=({"series": (2, 1), "fill": _BAND},))
+    series = [{"label": "depth [mm]"}, _make_band_edge_series("lowest"), _make_band_edge_series("highest"),
+              _make_line_series("zero", (DARK if dark else LIGHT)["measured"], 1.0),
+              _make_line_series("load", colour, 2.0), _make_line_series("unload", colour, 2.0, _DASH)]
+    return _make_plot_options(series, x_range, y_range, "depth [mm]", "residual [N]", height=PLOTS.other_height,
+                              bands=({"series": (2, 1), "fill": _BAND},))
 
 
-def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
-               hand: np.ndarray | None = None,
-               seconds: float = PLOTS.time_span) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def force_time_data(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
+                    hand: np.ndarray | None = None,
+                    seconds: float = PLOTS.time_span) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of force over time.
 
     Args:
@@ -190,12 +191,12 @@ def force_time(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pai
     replayed = np.full(x.size, np.nan)
     if measured is not None and len(measured[0]):
         replayed = np.interp(x + now, *measured, left=np.nan, right=np.nan)
-    return (x, replayed, live, on_hand), _value_range([replayed, live, on_hand])
+    return (x, replayed, live, on_hand), _find_finite_range([replayed, live, on_hand])
 
 
 def force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.time_span,
                        dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `force_time`.
+    """Return the keyword arguments of `add_uplot` for the data of `force_time_data`.
 
     Args:
         y_range: Range of the force axis, N.
@@ -203,13 +204,13 @@ def force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.t
         dark: Use the colours of a dark page.
     """
     colours = DARK if dark else LIGHT
-    series = [{"label": "time [s]"}, _line_series("measured", colours["measured"], 1.5),
-              _line_series("live", colours["live"], 2.0), _line_series("on the hand", colours["hand"], 1.5)]
-    return _plot_options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]",
-                         height=PLOTS.other_height)
+    series = [{"label": "time [s]"}, _make_line_series("measured", colours["measured"], 1.5),
+              _make_line_series("live", colours["live"], 2.0), _make_line_series("on the hand", colours["hand"], 1.5)]
+    return _make_plot_options(series, (-seconds, 0.0), y_range, "time before now [s]", "force [N]",
+                              height=PLOTS.other_height)
 
 
-def plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:
+def make_plot_scales(x_range: tuple[float, float], y_range: tuple[float, float]) -> dict[str, Any]:
     """Return the option ``scales`` of a plot, the only option that changes after its creation."""
     return {"x": {"time": False, "range": tuple(map(float, x_range))}, "y": {"range": tuple(map(float, y_range))}}
 
@@ -227,11 +228,11 @@ def curve_options(label: str, x_range: tuple[float, float], y_range: tuple[float
     colour = (DARK if dark else LIGHT)["live"]
     series: list[dict[str, Any]] = [{"label": label}, {"label": "force", "stroke": colour, "width": 0, "points": {
         "show": True, "size": 3, "fill": colour, "stroke": colour}}]
-    return _plot_options(series, x_range, y_range, label, "force [N]", height=PLOTS.force_height)
+    return _make_plot_options(series, x_range, y_range, label, "force [N]", height=PLOTS.force_height)
 
 
-def settled_range(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
-                  about_zero: bool = False) -> tuple[float, float]:
+def round_axis_range(extent: tuple[float, float], previous: tuple[float, float] | None = None, *,
+                     about_zero: bool = False) -> tuple[float, float]:
     """Return a range of an axis with round ends that contains zero and the data.
 
     Args:
@@ -313,7 +314,7 @@ def _interpolate_between(grid: np.ndarray, column: np.ndarray, i: int, depth: fl
     return float(np.interp(depth, grid[i - 1:i + 1], column[i - 1:i + 1]))
 
 
-def _value_range(columns: list[np.ndarray]) -> tuple[float, float]:
+def _find_finite_range(columns: list[np.ndarray]) -> tuple[float, float]:
     """Return the smallest and largest finite value of all columns; (0, 0) if there is none."""
     values = np.concatenate(columns)
     values = values[np.isfinite(values)]
@@ -357,25 +358,25 @@ def _smallest_and_largest(age: np.ndarray, force: np.ndarray, seconds: float) ->
     return values.ravel()
 
 
-def _line_series(label: str, colour: str, width: float, dash: tuple[int, ...] = ()) -> dict[str, Any]:
+def _make_line_series(label: str, colour: str, width: float, dash: tuple[int, ...] = ()) -> dict[str, Any]:
     return {"label": label, "stroke": colour, "width": width, "points": {"show": False}, "dash": dash}
 
 
-def _band_edge_series(label: str) -> dict[str, Any]:
+def _make_band_edge_series(label: str) -> dict[str, Any]:
     """Series of an edge of a band, whose line is invisible."""
     return {"label": label, "stroke": "rgba(0, 0, 0, 0)", "width": 0, "points": {"show": False}}
 
 
-def _plot_options(series: list[dict[str, Any]], x_range: tuple[float, float], y_range: tuple[float, float],
-                  x_label: str, y_label: str, *, height: int,
-                  bands: tuple[dict[str, Any], ...] | None = None) -> dict[str, Any]:
+def _make_plot_options(series: list[dict[str, Any]], x_range: tuple[float, float], y_range: tuple[float, float],
+                       x_label: str, y_label: str, *, height: int,
+                       bands: tuple[dict[str, Any], ...] | None = None) -> dict[str, Any]:
     """Return the options of a uPlot chart without legend and cursor."""
     axis = {"labelFont": "12px system-ui, sans-serif", "font": "11px system-ui, sans-serif",
             "grid": {"show": True, "stroke": _GRID, "width": 1}, "ticks": {"show": True, "size": 4, "width": 1},
             "gap": 4, "labelGap": 0}
     return {
         "series": tuple(series), "bands": bands, "height": height, "padding": (8, 16, 0, 0),
-        "scales": plot_scales(x_range, y_range),
+        "scales": make_plot_scales(x_range, y_range),
         "axes": ({**axis, "label": x_label, "labelSize": 18, "size": 28, "space": 45},
                  {**axis, "label": y_label, "labelSize": 18, "size": 44, "space": 28}),
         "legend": {"show": False}, "cursor": {"show": False},

@@ -64,12 +64,12 @@ def require_within_reach(scene: Scene, protocol: Protocol, field: str) -> None:
         InputError: The motion is deeper than the scene's mesh allows, or lifts a tool that is attached to a reduced
             solid.
     """
-    deepest, mesh_depth = float(protocol.displacement.max()), scene.deepest
+    deepest, mesh_depth = float(protocol.displacement.max()), scene.max_tool_displacement
     # The tolerance of 1 % allows for noise of measured displacements.
     if deepest > 1.01 * mesh_depth:
         raise InputError(f"must have a depth of at most {mesh_depth * 1e3:.4g} mm, because the mesh is made for "
                          f"{mesh_depth * 1e3:.4g} mm; got {deepest * 1e3:.4g} mm. Restart the viewer with a larger "
                          "--depth-mm.", field=field)
-    if scene.highest == 0.0 and float(protocol.displacement.min()) < -0.01 * mesh_depth:
+    if scene.min_tool_displacement == 0.0 and float(protocol.displacement.min()) < -0.01 * mesh_depth:
         raise InputError("must not lift the tool: a reduced solid that it holds cannot be lifted. Remove approach and "
                          "retract.", field=field)

@@ -96,7 +96,8 @@ def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Upload, .
     from tissue_sim.recording.formats.understanding import understand
 
     found = bounded(understand, path, file=path)
-    recordings = [(reading, recording) for reading in found.readings for recording in _usable_recordings(reading)]
+    recordings = [(reading, recording) for reading in found.readings
+                  for recording in _select_usable_recordings(reading)]
     uploads = []
     for number, (reading, recording) in enumerate(recordings, start=1):
         stem = path.stem if len(recordings) == 1 else f"{path.stem}_{number}"
@@ -111,7 +112,7 @@ def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Upload, .
     return tuple(uploads)
 
 
-def _usable_recordings(reading: Reading) -> tuple[Recording, ...]:
+def _select_usable_recordings(reading: Reading) -> tuple[Recording, ...]:
     """Return the recordings of a reading.
 
     Raises:

@@ -102,8 +102,8 @@ class Opening:
         return lines if self.is_closed else lines[:-1]
 
 
-def section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray, bands: int,
-                     opening: Opening, offset: float = 0.0) -> list[Surface]:
+def make_section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray, bands: int,
+                          opening: Opening, offset: float = 0.0) -> list[Surface]:
     """Return both section faces, split into one surface per band.
 
     Args:
@@ -115,7 +115,7 @@ def section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray
         offset: Distance of the surfaces in front of the faces, in the unit of the points.
     """
     if opening.is_closed:
-        return [_empty_surface()] * bands
+        return [_make_empty_surface()] * bands
     kept, numbers, slices = split_by_band(triangles, band, len(points), bands)
     first, last = opening.on_faces(points[kept], offset).astype(np.float32)
     numbers = numbers.astype(np.uint32)
@@ -125,7 +125,7 @@ def section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray
             for points_of, cut in slices]
 
 
-def revolved_surfaces(points: np.ndarray, band: np.ndarray, bands: int, opening: Opening) -> list[Surface]:
+def revolve_polyline(points: np.ndarray, band: np.ndarray, bands: int, opening: Opening) -> list[Surface]:
     """Revolve a polyline around the axis; return one surface per band.
 
     Args:
@@ -183,5 +183,5 @@ def join_surfaces(*surfaces: Surface) -> Surface:
                    np.concatenate([surface.faces + first for surface, first in zip(surfaces, before, strict=False)]))
 
 
-def _empty_surface() -> Surface:
+def _make_empty_surface() -> Surface:
     return Surface(np.empty((0, 3), dtype=np.float32), np.empty((0, 3), dtype=np.uint32))

@@ -57,7 +57,7 @@ class Scene:
         return self.measurements.get(self.kind.name)
 
     @property
-    def deepest(self) -> float:
+    def max_tool_displacement(self) -> float:
         """Largest tool displacement, m."""
         return self.experiment.protocol.depth
 
@@ -78,7 +78,7 @@ class Scene:
             return self._top_edges
         (x, y, _), half_width = self.experiment.tool_pose(0.0).position, self.reduced.box.sideways
         # An inclined tool moves along x as it goes deeper.
-        (end, *_) = self.experiment.tool_pose(self.deepest).position
+        (end, *_) = self.experiment.tool_pose(self.max_tool_displacement).position
         low, high = x - half_width - min(end - x, 0.0), x + half_width - max(end - x, 0.0)
         if low > high:
             low = high = 0.5 * (low + high)
@@ -92,7 +92,7 @@ class Scene:
                 (-_distance_to_edge(specimen, 0.0, -1.0), _distance_to_edge(specimen, 0.0, 1.0)))
 
     @property
-    def highest(self) -> float:
+    def min_tool_displacement(self) -> float:
         """Smallest tool displacement, m: `CLEARANCE` above the tissue; 0 if the tool is attached to a reduced solid."""
         return 0.0 if self.reduced is not None and self.reduced.lifting else -CLEARANCE
 

@@ -18,12 +18,12 @@ from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.frame import FRAMES, Curves, Frame, Phase, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited
-from scenes.viewer.measurement import make_motion_protocol, residual_or_none
+from scenes.viewer.measurement import compute_residual_if_possible, make_motion_protocol
 from scenes.viewer.model_curve import ModelCurve
 from scenes.viewer.reach import limit_to_reach
 from scenes.viewer.requests import RequestQueue, differ_in_parameters_only
 from scenes.viewer.scene import Scene
-from scenes.viewer.tool_motions import HAND_SPEED, hand_motion, protocol_motion, replay_motion
+from scenes.viewer.tool_motions import HAND_SPEED, make_hand_motion, make_protocol_motion, make_replay_motion
 from scenes.viewer.trace import Trace
 from tissue_sim.errors import InputError
 from tissue_sim.live_material import require_tissue
@@ -157,7 +157,8 @@ class Session:
             simulation.ask("switch_device", device=HandMotion(None, HAND_SPEED))
             self._motion, self._target, self._has_hand_force = "hand", simulation.tool_depth, False
             self._across = simulation.tool_across or self._across
-        depth = min(max(self._target if depth is None else depth, self.scene.highest), self.scene.deepest)
+        depth = max(self._target if depth is None else depth, self.scene.min_tool_displacement)
+        depth = min(depth, self.scene.max_tool_displacement)
         target: dict[str, Any] = {"depth": depth}
         if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
             target["across"] = limit_to_reach(self.scene, simulation.snapshot, across)
@@ -175,7 +176,7 @@ class Session:
         Raises:
             InputError: The protocol is invalid, or deeper than the scene.
         """
-        self._start_motion("protocol", protocol_motion(self.scene, text, speed, repeat))
+        self._start_motion("protocol", make_protocol_motion(self.scene, text, speed, repeat))
 
     def replay(self, speed: float = 1.0) -> None:
         """Repeat the measured motion on undeformed tissue.
@@ -186,7 +187,7 @@ class Session:
         Raises:
             InputError: The scene has no measurement, or the measured motion is deeper than the scene.
         """
-        measured_motion, force = replay_motion(self.scene, speed)
+        measured_motion, force = make_replay_motion(self.scene, speed)
         self._start_motion("recording", measured_motion)
         self._replayed = force
 
@@ -211,7 +212,7 @@ class Session:
 
     def reset(self) -> None:
         """Move the tool to the undeformed surface, and reset the tissue to its undeformed state."""
-        self._start_motion("hand", hand_motion(self.scene))
+        self._start_motion("hand", make_hand_motion(self.scene))
         self._target, self._across = 0.0, self._entry_point
 
     def set_parameters(self, values: dict[str, float]) -> None:
@@ -317,7 +318,7 @@ class Session:
         self._clear_trace()
         self._material_pending = False
         self._device_waits = self._device is not None
-        simulation = LiveSimulation(self.scene.model, hand_motion(self.scene), solver=self.scene.solver,
+        simulation = LiveSimulation(self.scene.model, make_hand_motion(self.scene), solver=self.scene.solver,
                                     resolution=self._resolution, settings=self._settings, reduced=self.scene.reduced)
         self._curve.request(self._test_model())
         return simulation
@@ -364,7 +365,7 @@ class Session:
         recording = self._curve.recording
         if recording is not curves.model or measurement is not curves.measurement:
             curves = replace(curves, model=recording, measurement=measurement,
-                             residual=residual_or_none(recording, measurement))
+                             residual=compute_residual_if_possible(recording, measurement))
         if self._trace_version != curves.number or curves.trace is None:
             replayed = None
             if self._replayed is not None and len(trace):

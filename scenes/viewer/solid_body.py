@@ -116,7 +116,7 @@ class SolidBody:
             the whole body, shape (elements, q); and the fields to which these points belong.
         """
         small = fields.weights.size <= SETTINGS.max_points
-        means = fields if small else self._element_means(fields)
+        means = fields if small else self._cached_element_means(fields)
         sample = fields if small else means.part(self.for_range)
         at_points = sample.at_points(name)
         if name == "displacement":
@@ -132,7 +132,7 @@ class SolidBody:
         visible |= _has_flagged_node(at_cut, self.corners)
         return means.part(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
-    def _element_means(self, fields: SolidFields) -> SolidFields:
+    def _cached_element_means(self, fields: SolidFields) -> SolidFields:
         """Return `SolidFields.means`, with a cache of the parts that stay the same from frame to frame."""
         cached = self._means.get(0)
         if cached is None or cached[0] is not fields.gradients:
@@ -160,7 +160,7 @@ class SolidBody:
                                                                values[self.nodes])
         all_points, all_triangles, all_values = [points], [triangles], [at_points]
         before = len(points)
-        for face_points, face_triangles, face_values in self._section_faces(positions, values, wedge):
+        for face_points, face_triangles, face_values in self._cut_section_faces(positions, values, wedge):
             all_points.append(face_points)
             all_triangles.append(face_triangles + before)
             all_values.append(face_values)
@@ -182,16 +182,16 @@ class SolidBody:
         offset = SETTINGS.line_offset * self.size
         points = positions[self.nodes]
         raised = points + offset * _vertex_normals(points, self.triangles)
-        on_surface = wedge.to_tool_frame(points)[self.lines]
+        on_surface = wedge.points_from_scene_to_tool(points)[self.lines]
         lines = [wedge.clip_lines(on_surface, raised[self.lines])]
-        element, local = self.mesh.element, wedge.to_tool_frame(positions)
+        element, local = self.mesh.element, wedge.points_from_scene_to_tool(positions)
         cuts = self._find_cut_elements(positions, wedge)
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.faces, strict=True):
             sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
             ends = intersect_triangles(surface_triangles(element, sides), heights)
             kept = (ends.interpolate(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
-            lines.append(wedge.to_scene_frame(on_face))
+            lines.append(wedge.points_from_tool_to_scene(on_face))
         return np.concatenate(lines)
 
     def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
@@ -220,7 +220,7 @@ class SolidBody:
             The lines; None without contact.
         """
         points = positions[self.nodes]
-        local = wedge.to_tool_frame(points)
+        local = wedge.points_from_scene_to_tool(points)
         largest_gap = SETTINGS.contact_gap * (tool.radius or self.size)
         gaps = tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]]))
         touches = (gaps <= largest_gap)[self.triangles].all(axis=1)
@@ -234,12 +234,12 @@ class SolidBody:
         radius = np.linalg.norm(rim[..., :2], axis=-1, keepdims=True)
         raised = rim * np.concatenate([np.repeat(1.0 + offset / np.maximum(radius, offset), 2, axis=-1),
                                        np.ones_like(radius)], axis=-1)
-        lines = [wedge.to_scene_frame(wedge.clip_lines(rim, raised))]
+        lines = [wedge.points_from_tool_to_scene(wedge.clip_lines(rim, raised))]
         for (heights, along), (_, normal) in zip(wedge.heights_over_faces(local), wedge.opening.faces, strict=True):
             ends = intersect_triangles(touching, heights)
             kept = (ends.interpolate(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
-            lines.append(wedge.to_scene_frame(on_face))
+            lines.append(wedge.points_from_tool_to_scene(on_face))
         return np.concatenate(lines)
 
     def _find_cut_elements(self, positions: np.ndarray,
@@ -253,7 +253,7 @@ class SolidBody:
         cached = wedge.cache.get(id(positions))
         if cached is None:
             cached = []
-            for heights, along in wedge.heights_over_faces(wedge.to_tool_frame(positions)):
+            for heights, along in wedge.heights_over_faces(wedge.points_from_scene_to_tool(positions)):
                 above = heights > 0.0
                 crossed = (_has_flagged_node(above, self.corners) & _has_flagged_node(~above, self.corners)
                            & _has_flagged_node(along >= 0.0, self.corners))
@@ -261,8 +261,8 @@ class SolidBody:
             wedge.cache[id(positions)] = cached
         return cached
 
-    def _section_faces(self, positions: np.ndarray, values: np.ndarray,
-                       wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _cut_section_faces(self, positions: np.ndarray, values: np.ndarray,
+                           wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
         for heights, along, elements in self._find_cut_elements(positions, wedge):
             crossings, triangles = cut_tetrahedra(self.cells[elements].reshape(-1, 4), heights)

@@ -36,7 +36,7 @@ class ToneCurve:
 _CURVE = ToneCurve()
 
 
-def seen_colour(surface: tuple[int, int, int]) -> tuple[int, int, int]:
+def displayed_srgb(surface: tuple[int, int, int]) -> tuple[int, int, int]:
     """Return the colour on the screen of a surface in full light, sRGB, 0 to 255.
 
     Args:
@@ -47,7 +47,7 @@ def seen_colour(surface: tuple[int, int, int]) -> tuple[int, int, int]:
     return _to_srgb(_OUT @ curve)
 
 
-def surface_colour(seen: tuple[int, int, int]) -> tuple[int, int, int]:
+def surface_srgb_for(seen: tuple[int, int, int]) -> tuple[int, int, int]:
     """Return the surface colour whose colour on the screen is nearest to a given one, sRGB, 0 to 255.
 
     Args:
@@ -61,7 +61,7 @@ def surface_colour(seen: tuple[int, int, int]) -> tuple[int, int, int]:
     # several steps. Therefore all neighbours of the rounded colour are compared.
     reds, greens, blues = (range(max(part - 1, 0), min(part + 1, 255) + 1) for part in rounded)
     neighbours = ((red, green, blue) for red in reds for green in greens for blue in blues)
-    return min(neighbours, key=lambda surface: float(np.sum(np.subtract(seen_colour(surface), seen) ** 2)))
+    return min(neighbours, key=lambda surface: float(np.sum(np.subtract(displayed_srgb(surface), seen) ** 2)))
 
 
 def _to_linear(colour: tuple[int, int, int]) -> np.ndarray:

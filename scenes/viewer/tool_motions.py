@@ -6,7 +6,7 @@ import numpy as np
 
 import tissue_sim as ts
 from haptics.devices.motions import HandMotion, ProtocolMotion
-from scenes.viewer.measurement import make_motion_protocol, typical_replicate
+from scenes.viewer.measurement import find_typical_replicate, make_motion_protocol
 from scenes.viewer.reach import require_within_reach
 from scenes.viewer.scene import Scene
 from tissue_sim.errors import InputError
@@ -17,19 +17,19 @@ HAND_SPEED = 0.1
 _POINTS = 21
 
 
-def hand_motion(scene: Scene) -> HandMotion:
+def make_hand_motion(scene: Scene) -> HandMotion:
     """Return a motion by hand that starts at the undeformed surface."""
     return HandMotion(0.0, HAND_SPEED, approach=scene.experiment.approach)
 
 
-def protocol_motion(scene: Scene, text: str, speed: float, repeat: bool) -> ProtocolMotion:
+def make_protocol_motion(scene: Scene, text: str, speed: float, repeat: bool) -> ProtocolMotion:
     """Return the motion of a protocol; arguments and errors as `Session.play`."""
     protocol = ts.Protocol.parse(text, _POINTS, speed)
     require_within_reach(scene, protocol, "protocol")
     return ProtocolMotion(protocol, repeat, scene.experiment.approach)
 
 
-def replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tuple[np.ndarray, np.ndarray] | None]:
+def make_replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tuple[np.ndarray, np.ndarray] | None]:
     """Return the measured motion of a scene.
 
     Args:
@@ -44,10 +44,10 @@ def replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tuple[np.
     """
     if scene.measurement is None:
         raise InputError("This scene has no measurement. Start the viewer with --measured FILE.")
-    measured, (recording, _) = make_motion_protocol(scene.measurement), typical_replicate(scene.measurement)
+    measured, (recording, _) = make_motion_protocol(scene.measurement), find_typical_replicate(scene.measurement)
     require_within_reach(scene, measured, "recording")
     displacement = measured.displacement
-    if scene.highest == 0.0:
+    if scene.min_tool_displacement == 0.0:
         # Noise around zero displacement must not lift a tool that is attached to the tissue.
         displacement = np.maximum(displacement, 0.0)
     replayed = None

@@ -8,7 +8,7 @@ from functools import lru_cache
 import numpy as np
 
 from scenes.viewer.cut_away import SurfaceLine
-from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolved_surfaces, section_surfaces
+from scenes.viewer.revolution import Opening, Surface, join_surfaces, make_section_surfaces, revolve_polyline
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.specimen import Specimen
 
@@ -116,7 +116,7 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     return drawn
 
 
-def tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
+def make_tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
     """Return the surface of a tool from which the same wedge as from the specimen is removed.
 
     Args:
@@ -130,7 +130,7 @@ def tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
     return _revolve_outline(tool_outline(tool, specimen), opening, SETTINGS.recess * specimen.outer_radius)
 
 
-def base_plate(specimen: Specimen, opening: Opening) -> Surface:
+def make_base_plate(specimen: Specimen, opening: Opening) -> Surface:
     """Return the surface of the plate under the specimen, m; the plate is not cut open.
 
     Args:
@@ -144,7 +144,7 @@ def base_plate(specimen: Specimen, opening: Opening) -> Surface:
     return _revolve_outline(outline, replace(opening, cut=0.0))
 
 
-def picture_height(tool: Tool, specimen: Specimen) -> float:
+def compute_picture_height(tool: Tool, specimen: Specimen) -> float:
     """Return the height of tool and full-scale arrow above the deepest point of the tool, m."""
     return float(tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
 
@@ -164,7 +164,7 @@ def scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
     return np.stack([ends, *(np.stack([end - across, end + across]) for end in ends)]), length
 
 
-def force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> Arrow | None:
+def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> Arrow | None:
     """Return the arrow above the tool that shows the force on the tool.
 
     The arrow points upwards if the tissue pushes the tool back, and downwards if the tissue pulls the tool.
@@ -200,11 +200,11 @@ def arrow_foot(tool: Tool, specimen: Specimen) -> float:
     return float(tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.inset * specimen.height
 
 
-def rotated_arrow(arrow: Arrow, lateral: tuple[float, float]) -> Arrow:
+def rotate_arrow(arrow: Arrow, lateral: tuple[float, float]) -> Arrow:
     """Rotate an arrow along z about its lower end, so that its direction has the given lateral components.
 
     Args:
-        arrow: Arrow of `force_arrow`.
+        arrow: Arrow of `make_force_arrow`.
         lateral: x and y components of the unit vector of the new direction.
     """
     foot = min(arrow.start, arrow.tip, key=lambda end: end[2])
@@ -259,8 +259,8 @@ def _revolve_outline(outline: np.ndarray, opening: Opening, recess: float = 0.0)
         opening: Wedge that is removed.
         recess: Distance of the section faces behind the cut, in the unit of the outline.
     """
-    # `revolved_surfaces` expects the body on the right-hand side, hence the outline from top to bottom.
-    outside, = revolved_surfaces(outline[::-1], np.zeros(len(outline) - 1, dtype=int), 1, opening)
+    # `revolve_polyline` expects the body on the right-hand side, hence the outline from top to bottom.
+    outside, = revolve_polyline(outline[::-1], np.zeros(len(outline) - 1, dtype=int), 1, opening)
     if opening.is_closed:
         return outside
     count = len(outline)
@@ -271,7 +271,7 @@ def _revolve_outline(outline: np.ndarray, opening: Opening, recess: float = 0.0)
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     area = np.cross(np.c_[b - a, np.zeros(len(a))], np.c_[c - a, np.zeros(len(a))])[:, 2]
     triangles = triangles[area > 1e-12 * outline.max() ** 2]
-    sections, = section_surfaces(points, triangles, np.zeros(len(triangles), dtype=int), 1, opening, -recess)
+    sections, = make_section_surfaces(points, triangles, np.zeros(len(triangles), dtype=int), 1, opening, -recess)
     return join_surfaces(sections, outside)
 
 

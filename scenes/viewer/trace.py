@@ -80,15 +80,15 @@ class Branch:
         time: Time, s, shape (n,).
         depth: Displacement of the tool, m, shape (n,).
         force: Force of the tissue, N, shape (n,).
-        late: Whether a late tick extrapolated the force, shape (n,).
-        inertial: Whether the force includes the inertia of the tissue, shape (n,).
+        is_late: Whether a late tick extrapolated the force, shape (n,).
+        includes_inertia: Whether the force includes the inertia of the tissue, shape (n,).
     """
 
     time: np.ndarray
     depth: np.ndarray
     force: np.ndarray
-    late: np.ndarray
-    inertial: np.ndarray
+    is_late: np.ndarray
+    includes_inertia: np.ndarray
 
 
 def interpolate_branch(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
@@ -201,12 +201,12 @@ class Trace:
         return self._points[Row.FORCE, self._first:self._end]
 
     @property
-    def late(self) -> np.ndarray:
+    def is_late(self) -> np.ndarray:
         """Whether the budget of the tick ended before equilibrium, so that its force is extrapolated, shape (n,)."""
         return self._points[Row.STATUS, self._first:self._end] == ForceStatus.LATE
 
     @property
-    def inertial(self) -> np.ndarray:
+    def includes_inertia(self) -> np.ndarray:
         """Whether the force includes the inertia of the tissue, shape (n,)."""
         return self._points[Row.INERTIAL, self._first:self._end] != 0.0
 
@@ -269,7 +269,7 @@ class Trace:
         Raises:
             InputError: There are fewer than two equilibrium points.
         """
-        in_equilibrium = ~self.late
+        in_equilibrium = ~self.is_late
         if in_equilibrium.sum() < 2:
             raise InputError("must have at least two equilibrium points. Push the tool into the tissue first, and "
                              "slowly if many ticks are late.", field="trace")
@@ -289,11 +289,11 @@ class Trace:
 
     def _make_branch(self, first: int, last: int) -> Branch:
         part = slice(first, last + 1)
-        return Branch(self.time[part], self.depth[part], self.force[part], self.late[part],
-                      self.inertial[part])
+        return Branch(self.time[part], self.depth[part], self.force[part], self.is_late[part],
+                      self.includes_inertia[part])
 
 
-def recording_files(recording: Recording, stem: str) -> dict[str, bytes]:
+def make_recording_files(recording: Recording, stem: str) -> dict[str, bytes]:
     """Return the files of a recording: ``STEM.csv`` with all digits, and its sidecar ``STEM.json``.
 
     Args:

@@ -259,7 +259,7 @@ class _CheckedListener:
     def _add_access_checks(self, answer: Callable) -> Callable:
         """Return viser's function for HTTP requests with the access checks before it."""
         def process_request(connection, request):
-            allowed = self._allowed_names(connection)
+            allowed = self._list_allowed_names(connection)
             headers = request.headers
             refusal = find_refusal_reason(headers.get_all("Host"), headers.get_all("Origin"), allowed, self.port)
             if refusal:
@@ -274,7 +274,7 @@ class _CheckedListener:
 
         return process_request
 
-    def _allowed_names(self, connection) -> frozenset[str]:
+    def _list_allowed_names(self, connection) -> frozenset[str]:
         if _is_loopback(self.host):
             return _LOCAL_NAMES | {normalise_name(self.host)}
         name = platform.node().lower()

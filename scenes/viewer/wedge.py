@@ -36,13 +36,13 @@ class Wedge:
     def _rotation(self) -> np.ndarray:
         return np.array(self.pose.rotation)
 
-    def to_tool_frame(self, points: np.ndarray) -> np.ndarray:
+    def points_from_scene_to_tool(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the scene to the frame of the tool, m, shape (n, 3)."""
         x, y, z = (points - np.array(self.pose.position)).T
         # A matrix product would start the threads of BLAS on other cores.
         return np.stack([x * u + y * v + z * w for u, v, w in self._rotation.T], axis=-1)
 
-    def to_scene_frame(self, points: np.ndarray) -> np.ndarray:
+    def points_from_tool_to_scene(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the tool to the frame of the scene, m, shape (..., 3)."""
         return np.array(self.pose.position) + points @ self._rotation.T
 
@@ -113,7 +113,7 @@ class Wedge:
         parts, rest = [], triangles
         at_points = [points, *values]
         for number in range(len(self.opening.faces)):
-            heights, _ = self.heights_over_faces(self.to_tool_frame(at_points[0]))[number]
+            heights, _ = self.heights_over_faces(self.points_from_scene_to_tool(at_points[0]))[number]
             crossings, below, rest = cut_triangles(rest, heights)
             at_points = [crossings.extend(each) for each in at_points]
             parts.append(below)

@@ -11,12 +11,12 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
 from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, NextExperiment
-from calibration.diagnosis.words import diagnosis_message
+from calibration.diagnosis.words import format_diagnosis_message
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
 from calibration.report.diagnosis_page import diagnosis_page
-from calibration.report.diagnosis_tables import number_in_words, sizes_in_words
+from calibration.report.diagnosis_tables import describe_sizes, number_in_words
 from calibration.report.drawing import Pictures
 from calibration.report.units import Unit, Units
 from calibration.tasks.executors import Workers, open_tasks
@@ -127,7 +127,7 @@ bulk_ratio = 1000.0
 
 def test_a_gap_in_no_region_is_described_by_the_scores():
     gaps = 0.01, None, 0.01
-    words = diagnosis_message("UNKNOWN", [], [], [], gaps, 0, scored=["zero offset (8.1 standard deviations)"])
+    words = format_diagnosis_message("UNKNOWN", [], [], [], gaps, 0, scored=["zero offset (8.1 standard deviations)"])
     assert ": ." not in words and "of every region are within the noise" in words and "zero offset (8.1" in words
 
 
@@ -243,7 +243,7 @@ def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
     candidate = CandidateStatement(name="x", effect="x", category="rig", title="x", testable=True,
                                    seen_from={path: value}, symbols={path: "c"}, units={path: unit},
                                    absent={path: absent})
-    assert sizes_in_words(candidate, UNITS) == words
+    assert describe_sizes(candidate, UNITS) == words
 
 
 def test_numbers_do_not_break():

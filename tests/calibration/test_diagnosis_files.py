@@ -18,11 +18,11 @@ from calibration.diagnosis.diagnosis import (
     EffectParameter,
     FoundEffect,
     HeldOutPrediction,
-    RegionMisfit,
+    SegmentMisfit,
 )
-from calibration.diagnosis.evidence import upper_jitter, whole_campaign
+from calibration.diagnosis.evidence import jitter_upper_limit, make_whole_recording_campaign
 from calibration.diagnosis.next_experiment import vary_existing_tests
-from calibration.diagnosis.words import diagnosis_message
+from calibration.diagnosis.words import format_diagnosis_message
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
@@ -144,11 +144,11 @@ def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
     noise = found.before.campaign.noise
     problem.jitter = replace(problem.jitter, contact=0.0, zero=0.0)
     problem.reset_nuisances()
-    larger = upper_jitter(problem, theta, noise)
+    larger = jitter_upper_limit(problem, theta, noise)
     assert 0 < larger.zero < 0.03 and larger.contact > 0
-    assert upper_jitter(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
+    assert jitter_upper_limit(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
     problem.jitter = replace(problem.jitter, zero=0.02)
-    assert 0.02 < upper_jitter(problem, theta, noise).zero < 0.08
+    assert 0.02 < jitter_upper_limit(problem, theta, noise).zero < 0.08
 
 
 def test_plans_change_one_thing(drifting):
@@ -159,13 +159,13 @@ def test_plans_change_one_thing(drifting):
 
 def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
-    campaign = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
+    campaign = make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     with open_tasks(Workers()) as tasks:
         found = compute_design(campaign, read_planned(campaign, replicates=3, samples=121), RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
     assert 0 < found.standard_errors["C10"] < 20 and [test.recordings for test in found.tests] == [3]
-    shorter = whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
+    shorter = make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_tasks(Workers()) as tasks:
         ramp = compute_design(shorter, read_planned(shorter, replicates=3, samples=121), RunContext("plan", tasks))
@@ -182,7 +182,7 @@ def test_a_plan_needs_no_recording(tmp_path):
 def test_a_plan_that_is_none_is_refused(text, field, tmp_path):
     (tmp_path / "plan.toml").write_text(text, encoding="utf-8")
     with pytest.raises(InputError) as refused:
-        read_planned(whole_campaign(load_campaign(tmp_path / "plan.toml", planned=True)))
+        read_planned(make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True)))
     assert refused.value.field == field
 
 
@@ -194,29 +194,31 @@ def test_toml_is_read_back():
 
 
 def test_sentences():
-    region = RegionMisfit(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
-                          adequate_before=False,
-                          sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
+    region = SegmentMisfit(test="plates", segment="hold", before_N=0.1, largest_before_N=-0.1, before_sigma=9.0,
+                           adequate_before=False,
+                           sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
     compliance = FoundEffect(name="machine_compliance", category="rig", title="machine compliance", parameters=[
         EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
-    named = diagnosis_message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
+    named = format_diagnosis_message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
     assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The misfit falls from 0.1 to 0.01 N "
                      "(5 to 0.5 of the noise).")
-    several = diagnosis_message("SET", [compliance], ["machine compliance", "height"], [region], (0.1, 0.01, 0.02), 3)
+    several = format_diagnosis_message("SET", [compliance], ["machine compliance", "height"], [region],
+                                       (0.1, 0.01, 0.02), 3)
     assert several.startswith("Machine compliance or height is missing, and these tests cannot distinguish them")
     softening = CandidateStatement(name="softening", effect="softening", category="tissue", title="softening",
                                    testable=True, explained_percent=49.0)
-    unknown = diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
+    unknown = format_diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
     assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 % of it." in unknown
     train = CandidateStatement(
         name="machine_compliance", effect="machine_compliance", category="rig", title="machine compliance",
         testable=True, explained_percent=100.0, separated_by="pressing on steel", parameters=[EffectParameter(
             path="rig.compliance", symbol="c", unit="m/N", value=2e-3, standard_error=1e-6, absent=0.0, bound=2e-3)])
-    bounded = diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
+    bounded = format_diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
     assert ("Machine compliance comes nearest and explains 100 % of it, but its fit ended on a bound, c = 2 mm/N, the "
             "largest that a fit may take. A value on a bound is not reliable, so the effect was not named. Either its "
             "size exceeds the bound, which a separate measurement would show (here: pressing on steel), or another "
             "effect changes the forces in the same way.") in bounded
     worse = [HeldOutPrediction(name="later", kind="test", before_N=0.1, after_N=0.2)]
-    assert "predicted worse" in diagnosis_message("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3, worse)
-    assert diagnosis_message("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")
+    assert "predicted worse" in format_diagnosis_message("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3,
+                                                         worse)
+    assert format_diagnosis_message("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")

@@ -9,8 +9,8 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.diagnosis import duration
-from calibration.diagnosis.duration import describe_duration, simulation_seconds
-from calibration.diagnosis.evidence import whole_campaign
+from calibration.diagnosis.duration import describe_duration, estimate_simulation_seconds
+from calibration.diagnosis.evidence import make_whole_recording_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.campaign_problem import build_problem
@@ -87,12 +87,12 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
 
 @pytest.mark.slow
 def test_on_the_axis_there_is_nothing_to_wait_for(glued):
-    campaign = whole_campaign(calibration.load_campaign(glued))
+    campaign = make_whole_recording_campaign(calibration.load_campaign(glued))
     problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), SimulationCache())
-    seconds = simulation_seconds(problem)
+    seconds = estimate_simulation_seconds(problem)
     assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
     problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)
-    assert simulation_seconds(problem) == {}
+    assert estimate_simulation_seconds(problem) == {}
 
 
 @pytest.mark.parametrize(("seconds", "words"), [

@@ -14,8 +14,8 @@ from calibration.campaign.campaign import Noise
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.checks import check_start
-from calibration.fit.estimate import settle
-from calibration.fit.profiles import profile_side
+from calibration.fit.estimate import iterate_mesh_and_jitter
+from calibration.fit.profiles import compute_profile_side
 from calibration.fit.starts import generate_starts
 from calibration.fit.trust_region import descend
 from calibration.fit.uncertainty import assess_uncertainty
@@ -248,7 +248,7 @@ class TestStudy:
             ends.append(descent.theta)
         spread = assess_uncertainty(problem, problem.evaluate(ends[0]))
         assert np.ptp(ends, axis=0) == pytest.approx([0.0, 0.0], abs=0.2 * spread.standard_errors.max())
-        estimate = settle(problem, ends[0], Noise(contact_jitter=0.03e-3, zero_jitter=0.01))
+        estimate = iterate_mesh_and_jitter(problem, ends[0], Noise(contact_jitter=0.03e-3, zero_jitter=0.01))
         assert estimate.theta[0] == pytest.approx(TRUTH["C10"], rel=0.003)
         assert estimate.theta[1] == pytest.approx(TRUTH["C20"], rel=0.03)
         # The meshes differ by what docs/simulation.md says.
@@ -261,7 +261,7 @@ class TestStudy:
         _, problem = problem_of(folder, campaign_text("lubricated", "bonded"))
         descent = descend(problem, np.array([1400.0, 600.0]), enough=1e-6)
         spread = assess_uncertainty(problem, problem.evaluate(descent.theta))
-        side = profile_side(problem, descent.theta, descent.error, spread, 1, 1)
+        side = compute_profile_side(problem, descent.theta, descent.error, spread, 1, 1)
         assert side.note == ""
         # Nearly linear, so the profile is nearly a parabola.
         assert side.end - descent.theta[1] == pytest.approx(1.96 * spread.standard_errors[1], rel=0.03)
@@ -270,7 +270,7 @@ class TestStudy:
         errors = [problem.evaluate(np.array([c10, side.end])).error for c10 in others]
         assert min(errors) >= descent.error + 0.95 * 1.96**2
         problem.space.high[1] = descent.theta[1] + 0.5 * spread.standard_errors[1]
-        cut = profile_side(problem, descent.theta, descent.error, spread, 1, 1)
+        cut = compute_profile_side(problem, descent.theta, descent.error, spread, 1, 1)
         assert cut.note.startswith("bound")
         assert cut.end == problem.space.high[1]
 

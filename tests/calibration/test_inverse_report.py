@@ -29,7 +29,7 @@ from calibration.fit.population_records import Covariance
 from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
 from calibration.report.drawing import Pictures
-from calibration.report.methods import methods_text
+from calibration.report.methods import write_methods_text
 from calibration.report.png import render_png
 from calibration.report.report import report_page
 from calibration.report.units import Units
@@ -245,7 +245,7 @@ def closes(page):
 def written(campaign, tmp_path, figures=True):
     result, curves = campaign
     measured = {c.test.name: c.measured for c in next(iter(curves.values()))}
-    methods = methods_text(result, measured, Units.of(result))
+    methods = write_methods_text(result, measured, Units.of(result))
     return report_page(result, curves, methods, Pictures(tmp_path, "svg") if figures else None)
 
 
@@ -376,7 +376,7 @@ def test_a_test_without_specimen_is_drawn_as_stress_and_strain(campaign):
 @pytest.mark.parametrize("correlation_time", [0.0, 0.3, 2.0])
 def test_noise_of_a_mean_is_that_of_the_dense_covariance(correlation_time):
     step, counts = 0.1, np.array([1, 2, 7, 40])
-    found = curve_figures.deviation_of_mean(counts, step, correlation_time)
+    found = curve_figures.compute_deviation_of_mean(counts, step, correlation_time)
     for n, deviation in zip(counts, found, strict=True):
         lag = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
         dense = np.exp(-lag / correlation_time) if correlation_time else np.eye(n)

@@ -95,8 +95,10 @@ def test_intervals_hold_the_truth():
 def test_too_few_specimens_and_undetermined_parameters_are_refused():
     with pytest.raises(InputError, match="requires at least 2 specimens; got 1"):
         alone([1.0], [1.0])
-    with pytest.raises(InputError, match="the fit of 1 does not determine a"):
+    with pytest.raises(InputError, match="the fit of 1 must determine a; got no finite estimate"):
         alone([1.0, 2.0], [1.0, np.inf])
+    with pytest.raises(InputError, match="the fit of b must determine y; got no finite estimate"):
+        estimate_population(["x", "y"], ["a", "b"], np.ones((2, 2)), [np.eye(2), np.diag([1.0, 0.0])])
     with pytest.raises(InputError, match="must have the shapes"):
         estimate_population(["a"], ["x", "y"], np.zeros((2, 2)), np.zeros((2, 2, 2)))
 

@@ -7,7 +7,7 @@ import pytest
 from calibration.report.page import (
     format_moduli,
     format_young_modulus,
-    remarks_by_law,
+    group_remarks,
     shear_modulus_error,
     use_minus_signs,
 )
@@ -80,7 +80,7 @@ def test_one_unit_of_each_quantity(mu0, RMSE, end, names):
 def test_what_laws_share_is_said_once():
     fits = [SimpleNamespace(law=law, warnings=warnings) for law, warnings in (
         ("a", ["assumed", "far off"]), ("b", ["assumed", "on a bound"]), ("c", ["assumed", "far off"]))]
-    told = [([fit.law for fit in having], words) for having, words in remarks_by_law(fits, lambda fit: fit.warnings)]
+    told = [([fit.law for fit in having], words) for having, words in group_remarks(fits, lambda fit: fit.warnings)]
     assert told == [(["a", "b", "c"], "assumed"), (["a", "c"], "far off"), (["b"], "on a bound")]
 
 

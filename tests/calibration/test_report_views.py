@@ -9,7 +9,7 @@ import tissue_sim as ts
 from calibration import calibrate
 from calibration.report.curve_figures import draw_test
 from calibration.report.drawing import panels_per_row
-from calibration.report.views import local_slopes
+from calibration.report.views import compute_local_slopes
 from tissue_sim.errors import InputError
 
 #: Radius, m.
@@ -51,10 +51,10 @@ def campaign(tmp_path_factory):
 
 def test_local_slopes_are_those_of_the_curve():
     x = np.linspace(0.0, 1.0, 401)
-    places, slopes = local_slopes(x, x**2, 0.05)
+    places, slopes = compute_local_slopes(x, x**2, 0.05)
     np.testing.assert_allclose(slopes, 2 * places, atol=1e-12)
     # Few and unevenly spaced: lines through the nearest five.
-    places, slopes = local_slopes(np.geomspace(0.1, 10.0, 9), 3 * np.geomspace(0.1, 10.0, 9), 0.01)
+    places, slopes = compute_local_slopes(np.geomspace(0.1, 10.0, 9), 3 * np.geomspace(0.1, 10.0, 9), 0.01)
     np.testing.assert_allclose(slopes, 3.0)
 
 

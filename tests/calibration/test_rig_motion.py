@@ -8,7 +8,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.diagnosis.evidence import whole_campaign
+from calibration.diagnosis.evidence import make_whole_recording_campaign
 from calibration.fit.campaign_problem import build_problem
 from calibration.fit.problem import Problem
 from calibration.fit.trust_region import descend
@@ -66,7 +66,7 @@ def study(folder, kind="lubricated_compression", tool="", start="", fixed="", de
                        folder / "test_1.csv")
     path = folder / "study.toml"
     path.write_text(CAMPAIGN.format(kind=kind, tool=tool, start=start, fixed=fixed), encoding="utf-8")
-    campaign = whole_campaign(calibration.load_campaign(path))
+    campaign = make_whole_recording_campaign(calibration.load_campaign(path))
     solves = SimulationCache()
     problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), solves)
     return problem.tests[0], problem.space, solves

@@ -14,8 +14,8 @@ from calibration.campaign.digest import compute_digest
 from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.forms import build_test, mesh_uncertainty
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, Meshes, exact_mesh
-from calibration.forward.simulation_cache import content_key, simulate_curve
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, Meshes, make_exact_mesh
+from calibration.forward.simulation_cache import hash_content, simulate_curve
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
 from tissue_sim.mesh.grading import Grading
@@ -138,13 +138,13 @@ def test_a_mesh_counts_by_what_is_in_its_file(folder, tmp_path_factory):
     """Another folder is the same specimen, another content another: solutions and results are found again by that."""
     def keys():
         campaign = load(folder, MESH)
-        return content_key(campaign.tests[0].experiment), compute_digest(campaign, [])
+        return hash_content(campaign.tests[0].experiment), compute_digest(campaign, [])
 
     first = keys()
     elsewhere = tmp_path_factory.mktemp("elsewhere") / "other.vtu"
     elsewhere.write_bytes((folder / "cube.vtu").read_bytes())
     other = replace(load(folder, MESH).tests[0].experiment.specimen, mesh_file=elsewhere)
-    assert content_key(replace(load(folder, MESH).tests[0].experiment, specimen=other)) == first[0]
+    assert hash_content(replace(load(folder, MESH).tests[0].experiment, specimen=other)) == first[0]
     write_mesh(folder / "cube.vtu", ts.Block(0.02, 0.02, 0.02), scale=1.1)
     assert all(one != two for one, two in zip(keys(), first, strict=True))
 
@@ -190,7 +190,7 @@ def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
     experiment = ts.KINDS["lubricated_compression"].experiment(
         specimen=ts.Block(0.020, 0.030, 0.015), protocol=ts.Protocol(time, 1e-3 * np.array([0.0, 1.0, 2.0, 2.0, 0.5])))
     model = ts.Model(experiment, replace(MATERIAL, **more))
-    assert exact_mesh(model, "solid").connectivity.shape[0] == 8
+    assert make_exact_mesh(model, "solid").connectivity.shape[0] == 8
     few = simulate_curve(model, None, ["C10"], "realtime", "solid")
     many = ts.sensitivities(model, ["C10"], resolution="realtime", solver="solid")
     # Steps end where forces balance to 1e-6.
@@ -203,7 +203,7 @@ def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
     {"specimen": ts.Block(0.020, 0.030, 0.015, density=1000.0, gravity=9.81)}])
 def test_where_a_mesh_matters_it_is_that_of_the_resolution(change):
     experiment = replace(pressed(ts.Block(0.020, 0.030, 0.015), kind="lubricated_compression"), **change)
-    assert exact_mesh(ts.Model(experiment, MATERIAL), "solid") is None
+    assert make_exact_mesh(ts.Model(experiment, MATERIAL), "solid") is None
 
 
 def test_a_moved_block_keeps_its_circle_and_its_sides():

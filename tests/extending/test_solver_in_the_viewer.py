@@ -163,14 +163,14 @@ def test_the_page_draws_it(shown, tmp_path):
 
 def test_empty_triangles_are_published(spring, scene, monkeypatch):
     """A solver may have no surface to show: the board holds a snapshot without numbers."""
-    from haptics.loop.shared_slots import unused_path
+    from haptics.loop.shared_slots import find_unused_path
     from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 
     monkeypatch.setattr(spring.SpringSurface, "triangles", lambda surface, segments=48: ([], []))
     tissue = ts.Simulator(scene.model, solver="spring")
     pose = Pose((1e-3, 2e-3, -3e-3), (math.cos(0.1), 0.0, math.sin(0.1), 0.0))
     tissue.step(pose, 1e-3)
-    pattern, path = tissue.snapshot(), unused_path("empty")
+    pattern, path = tissue.snapshot(), find_unused_path("empty")
     with SnapshotBoard(path, pattern) as board:
         board.publish(0.5, pattern)
         with SnapshotReader(path, pattern) as reader:

@@ -8,7 +8,7 @@ import distributed
 import pytest
 
 import tissue_sim as ts
-from calibration.forward.simulation_cache import content_key
+from calibration.forward.simulation_cache import hash_content
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.parameters import value
 
@@ -113,8 +113,8 @@ def test_kept_curves_do_not_outlive_the_plugin_they_were_made_with(tmp_path, mon
         importlib.invalidate_caches()
         importlib.import_module("a_changing_plugin")
         try:
-            keys.append(content_key("a model"))
+            keys.append(hash_content("a model"))
         finally:
             ts.LAWS.unregister("fung_of_a_plugin")
             del sys.modules["a_changing_plugin"]
-    assert keys[0] != keys[1] != content_key("a model") != keys[0]
+    assert keys[0] != keys[1] != hash_content("a model") != keys[0]

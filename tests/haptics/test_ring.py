@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.loop.ring import TICK, RingReader, RingWriter
-from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, runtime_folder, unused_path
+from haptics.loop.shared_slots import SLOTS, SlotReader, SlotWriter, find_unused_path, get_runtime_folder
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -253,8 +253,8 @@ def test_a_file_is_whole_when_its_name_appears(path, monkeypatch):
 
 def test_files_of_a_loop_are_this_users_alone(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    path = unused_path("ring")
-    assert path.parent == runtime_folder() == tmp_path / "tissue_sim" and path != unused_path("ring")
+    path = find_unused_path("ring")
+    assert path.parent == get_runtime_folder() == tmp_path / "tissue_sim" and path != find_unused_path("ring")
     with RingWriter(path, 2) as ring:
         if os.name != "nt":
             assert path.stat().st_mode & 0o077 == 0 and path.parent.stat().st_mode & 0o077 == 0
@@ -264,6 +264,6 @@ def test_files_of_a_loop_are_this_users_alone(tmp_path, monkeypatch):
     blocked.touch()
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(blocked))
     with pytest.raises(InputError, match="set XDG_RUNTIME_DIR to a folder that you own"):
-        runtime_folder()
+        get_runtime_folder()
     monkeypatch.delenv("XDG_RUNTIME_DIR")
-    assert runtime_folder().is_dir()
+    assert get_runtime_folder().is_dir()

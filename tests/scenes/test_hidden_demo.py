@@ -14,7 +14,7 @@ from calibration.effects.backlash import Backlash
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
-from scenes.commands.demo.found_scene import before_and_after_scene
+from scenes.commands.demo.found_scene import make_before_and_after_scene
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
 from scenes.demo.hidden_test import MEASUREMENT, build_plain_models
 from scenes.viewer.measurement import residual
@@ -109,7 +109,7 @@ def test_the_viewer_shows_both_models(demo):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     assert result.resumed
-    scene = before_and_after_scene(result, out / "measured")
+    scene = make_before_and_after_scene(result, out / "measured")
     assert scene.kind.name == "needle_indentation" and scene.compared[0] == "without viscoelasticity"
     assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "the material relaxes"
     with_it = ts.simulate(ts.Model(scene.experiment, scene.material))
@@ -120,7 +120,7 @@ def test_the_viewer_shows_both_models(demo):
 def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     out, _ = demo
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
-    scene = before_and_after_scene(result, out / "measured")
+    scene = make_before_and_after_scene(result, out / "measured")
     asked = []
     monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.request", lambda self, model: asked.append(model))
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))

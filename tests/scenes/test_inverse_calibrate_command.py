@@ -93,7 +93,7 @@ def joint(write):
 @pytest.fixture(autouse=True)
 def without_pictures(monkeypatch):
     """Skip the figures of the reports, which take longer than the fits."""
-    monkeypatch.setattr("calibration.report.report._figure_sections", lambda *content: [])
+    monkeypatch.setattr("calibration.report.report._make_figure_sections", lambda *content: [])
 
 
 def run(*words):
@@ -369,7 +369,7 @@ def test_a_failed_fit_is_exit_code_1(kind, joint, tmp_path, capsys, monkeypatch)
     def ends(*arguments, **keywords):
         raise kind("the fit stopped")
 
-    monkeypatch.setattr(generalised, "run_start", ends)
+    monkeypatch.setattr(generalised, "descend_from_start", ends)
     assert run(joint, "-o", tmp_path / "out", "--json") == 1
     stdout, stderr = capsys.readouterr()
     assert stdout == "" and stderr == "tissue-sim: the fit stopped\n"

@@ -12,7 +12,7 @@ from haptics.emulators.rdt import RdtEmulator
 from haptics.emulators.tic import emulate_tic
 from haptics.protocols.rdt import Settings
 from scenes.cli import main
-from scenes.commands.record.bench import virtual_rig
+from scenes.commands.record.bench import make_virtual_rig
 from scenes.commands.record.protocol_file import read_protocol_file
 from scenes.demo.specimen import PHANTOM
 from tissue_sim import read_recording
@@ -107,7 +107,7 @@ def test_recordings_over_device_protocols_recover_the_specimen(protocol, tmp_pat
     run = tmp_path / "run"
     for number, test in enumerate(read.campaign.tests):
         # Emulate sensor and stage of this specimen with the protocols of an ATI box and of a Tic.
-        rig = virtual_rig(read, test)
+        rig = make_virtual_rig(read, test)
         sensor = RdtEmulator(rig.sensor, port=rdt, http_port=http, settings=Settings(1e6, 1e6, rate=250.0))
         stage = emulate_tic(rig.bench, "steps_per_mm=1000", Faults())
         with sensor, stage:

@@ -92,7 +92,8 @@ def test_flags_reach_the_session(staged, capsys, tmp_path):
     session = staged.newest
     assert session.options == {"resolution": "fast", "settings": replace(SETTINGS, real_time=False)} and session.closed
     scene = session.scene
-    assert (scene.kind.name, scene.source, scene.deepest) == ("needle_indentation", "silicone of the study", 3e-3)
+    assert (scene.kind.name, scene.source) == ("needle_indentation", "silicone of the study")
+    assert scene.max_tool_displacement == 3e-3
     assert scene.experiment.specimen.radius == pytest.approx(0.03) and scene.measurement is None
     assert set(scene.measurements) == {"bonded_compression"}
     (command, values), = session.posted

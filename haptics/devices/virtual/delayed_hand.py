@@ -86,7 +86,11 @@ class DelayedHand(HapticDevice):
         self._hand.stop()
 
     def set_approach(self, approach: Approach | None) -> None:
-        """Set the approach of the hand."""
+        """Set the straight path of the tool by which the motion of the hand converts depths to poses.
+
+        Args:
+            approach: Offset and tilt of the path; None: along the axis of the specimen.
+        """
         self._hand.set_approach(approach)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:

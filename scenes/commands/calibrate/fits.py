@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from rich.text import Text
 
-from calibration.fit.ranking import ranked_by_held_out
+from calibration.fit.ranking import is_ranked_by_held_out_tests
 from calibration.fit.self_weight import describe_self_weight
 from calibration.report.curve_figures import describe_region, format_probability
 from calibration.report.drawing import format_count
@@ -18,12 +18,12 @@ from calibration.report.page import (
     format_moduli,
     format_number,
     format_stable_stretches,
+    group_remarks,
     interval_of,
-    remarks_by_law,
 )
-from calibration.report.report_tables import direction_in_words, suggestion_in_words
+from calibration.report.report_tables import describe_direction, describe_suggestion
 from calibration.report.units import Units
-from scenes.commands.calibrate.population import population_table
+from scenes.commands.calibrate.population import make_population_table
 from scenes.commands.shared.text_table import print_sentence, text_table
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     """Print ranking, parameters and predictions of the laws, and remarks on them."""
     fits, tests, units = result.fits, {test.name: test for test in result.campaign.tests}, Units.of(result)
     heading, meaning = _ranking_criterion(result)
-    console.print(_ranking_table(fits, heading, units))
+    console.print(_make_ranking_table(fits, heading, units))
     star = "" if fits[0].unusable else "* best usable law; "
     print_sentence(console, f"{star}{meaning}; stable: range of stable stretches")
     console.print()
@@ -66,11 +66,11 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
     if legend := _make_legend(fits):
         print_sentence(console, legend)
         console.print()
-    if table := population_table(fits, units):
+    if table := make_population_table(fits, units):
         console.print(table)
         console.print()
     if result.predictions:
-        console.print(_prediction_table(result.predictions, tests, units))
+        console.print(_make_prediction_table(result.predictions, tests, units))
         chance = "; by chance: error expected from noise, jitter and the errors of the parameters"
         several = any(prediction.mean_of for prediction in result.predictions)
         chance += "; by the mean: predicted with the mean of other specimens, whose scatter is part of the chance" \
@@ -79,12 +79,12 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
         print_sentence(console, f"%: relative to the largest force or stress{chance if known else ''}")
         console.print()
     print_sentence(console, result.message)
-    for sentence in (*_missing_predictions(result.predictions), *_identifiability_remarks(fits, units),
-                     *_misfit_remarks(fits, tests, units), *_accuracy_remarks(result, tests, units)):
+    for sentence in (*_list_missing_predictions(result.predictions), *_list_identifiability_remarks(fits, units),
+                     *_list_misfit_remarks(fits, tests, units), *_list_accuracy_remarks(result, tests, units)):
         print_sentence(console, sentence)
     # The message of the result contains that of the first law if the law is unusable.
-    for having, remarks in remarks_by_law(fits, lambda fit: fit.warnings if fit.unusable is None else
-                                          [] if fit is fits[0] else [fit.message]):
+    for having, remarks in group_remarks(fits, lambda fit: fit.warnings if fit.unusable is None else
+                                         [] if fit is fits[0] else [fit.message]):
         names = "all laws" if 1 < len(having) == len(fits) else ", ".join(fit.law for fit in having)
         print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
@@ -96,12 +96,12 @@ def _ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
     """Return column heading and explanation of the criterion that ranks the laws."""
     if all(fit.left_out is None for fit in result.fits):
         return "dBIC", "dBIC: BIC minus the best"
-    if ranked_by_held_out(result.predictions):
+    if is_ranked_by_held_out_tests(result.predictions):
         return "held out %", "held out: error in tests that no fit used"
     return "left out %", "left out: error in each test, predicted by a fit to the other tests"
 
 
-def _ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
+def _make_ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
     """Return the table of the laws with ranking criterion, errors, moduli and stable stretches."""
     best, pressure = fits[0], units.pressure
     forces = best.RMSE_N is not None or best.RMSE_Pa is None
@@ -161,7 +161,7 @@ def _make_legend(fits: Sequence[Fit]) -> str:
     return "; ".join(parts)
 
 
-def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: Units) -> Table:
+def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: Units) -> Table:
     """Return the table of the errors in tests to which a law was not fitted."""
     table = text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
     table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
@@ -178,14 +178,14 @@ def _prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Tes
     return table
 
 
-def _missing_predictions(predictions: Sequence[Prediction]) -> Iterator[str]:
+def _list_missing_predictions(predictions: Sequence[Prediction]) -> Iterator[str]:
     """Yield the reason for each missing prediction."""
     for p in predictions:
         if p.percent is None:
             yield f"{p.law} does not predict {p.test}: {p.note or 'the simulation did not reach its depth'}"
 
 
-def _identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+def _list_identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator[str]:
     """Yield sentences on truncated intervals, unidentifiable parameters and poorly determined directions."""
     for fit in fits:
         cuts = [f"{fit.symbols[name]} {shorten(note, _LAYOUT.note_width, placeholder=' ...')}"
@@ -193,18 +193,18 @@ def _identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator[str]
         if cuts:
             yield f"{fit.law}: cut intervals: {'; '.join(cuts)}"
         if fit.not_identifiable:
-            advice = "; ".join(suggestion_in_words(each, fit, units) for each in fit.suggestions)
+            advice = "; ".join(describe_suggestion(each, fit, units) for each in fit.suggestions)
             if fit.fem_solves and not advice:
                 advice = "no further test is known to help"
             yield (f"{fit.law}: not identifiable from these tests: {fit.in_symbols(fit.not_identifiable)}"
                    f"{f'; {advice}' if advice else ''}")
         elif fit.directions:
-            advice = f"; {suggestion_in_words(fit.suggestions[0], fit, units)}" if fit.suggestions else ""
-            directions = "; ".join(direction_in_words(each, fit) for each in fit.directions)
+            advice = f"; {describe_suggestion(fit.suggestions[0], fit, units)}" if fit.suggestions else ""
+            directions = "; ".join(describe_direction(each, fit) for each in fit.directions)
             yield f"{fit.law}: poorly determined: {directions}{advice}"
 
 
-def _misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _list_misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     """Yield sentences on regions whose residuals exceed noise, the most significant first."""
     for fit in fits:
         bad = sorted((region for region in fit.regions if not region.adequate),
@@ -224,7 +224,7 @@ def _describe_misfit(region: Region, test: Test, units: Units) -> str:
     return f"{region.test} ({describe_region(region, test, units)}): {size}, {format_probability(region.p)}"
 
 
-def _accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _list_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
     """Yield sentences on the noise, the scatter between recordings, the mesh error and the self-weight of the fit."""
     tests_by_noise: dict[str, list[str]] = {}
     for noise in result.noise:

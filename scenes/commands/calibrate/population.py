@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from calibration.report.units import Units
 
 
-def population_table(fits: Sequence[Fit], units: Units) -> Table | None:
+def make_population_table(fits: Sequence[Fit], units: Units) -> Table | None:
     """Return the table of mean and between-specimen scatter of each parameter, with 95 % intervals.
 
     Args:

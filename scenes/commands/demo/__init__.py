@@ -10,7 +10,7 @@ from scenes.commands.shared.console import print_json, progress_console, results
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.log_lines import LogLines
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, make_integer_type
-from scenes.commands.view import add_page_flags, page_options
+from scenes.commands.view import add_page_flags, read_page_options
 
 SUMMARY = "measure a virtual specimen, calibrate its material and predict tests that the calibration did not use"
 EXAMPLE = "tissue-sim demo --hidden --view -o my-demo"
@@ -73,11 +73,11 @@ def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
     if arguments.json:
         print_json(answer.to_json())
     if arguments.view:
-        from scenes.commands.demo.found_scene import before_and_after_scene
+        from scenes.commands.demo.found_scene import make_before_and_after_scene
         from scenes.viewer.run import run_page
 
-        return run_page(before_and_after_scene(answer.result, output / "measured"), answer.result.output,
-                        page_options(arguments), json=arguments.json)
+        return run_page(make_before_and_after_scene(answer.result, output / "measured"), answer.result.output,
+                        read_page_options(arguments), json=arguments.json)
     return ExitCode.DONE
 
 
@@ -105,4 +105,4 @@ def _show_page(arguments, output: Path, material_file: Path) -> int:
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
     measured = read_measurements(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
     scene = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
-    return run_page(scene, material_file.parent, page_options(arguments), json=arguments.json)
+    return run_page(scene, material_file.parent, read_page_options(arguments), json=arguments.json)

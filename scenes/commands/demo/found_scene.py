@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calibration import Diagnosis, DiagnosisResult
 
 
-def before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
+def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scene:
     """Return the scene of the test that shows the found effects best, with measurements and the curve without effects.
 
     The test is the needle indentation for effects of the tissue, otherwise the test in which the model without effects

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from calibration.report.diagnosis_tables import candidate_label, candidate_labels, sizes_in_words
+from calibration.report.diagnosis_tables import candidate_label, candidate_labels, describe_sizes
 from calibration.report.rounding import value_and_error
 from calibration.report.units import Units
 from scenes.commands.shared.text_table import print_sentence, text_table
@@ -26,14 +26,14 @@ def print_design(design: Design, console: Console) -> None:
                            max(test.force_N for test in design.tests), modulus)
     noise = Units.of_sizes(1e-3, design.noise_N, modulus).force
     print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.text(design.noise_N, 3)}")
-    tables = [_tests_table(design, units), _parameters_table(design, units)]
-    effects = [_detectable_table(design, units), _undetectable_table(design)]
+    tables = [_make_tests_table(design, units), _parameters_table(design, units)]
+    effects = [_make_detectable_table(design, units), _make_undetectable_table(design)]
     for table in [*tables, *(each for each in effects if each is not None)]:
         console.print()
         console.print(table)
 
 
-def _tests_table(design: Design, units: Units) -> Table:
+def _make_tests_table(design: Design, units: Units) -> Table:
     """Return the table of the planned tests."""
     table = text_table("planned test", "recordings", "samples", "depth", "largest force", "duration")
     for test in design.tests:
@@ -54,7 +54,7 @@ def _parameters_table(design: Design, units: Units) -> Table:
     return table
 
 
-def _detectable_table(design: Design, units: Units) -> Table | None:
+def _make_detectable_table(design: Design, units: Units) -> Table | None:
     """Return the table of detectable effects, with their smallest detectable size and effects that look alike."""
     labels = candidate_labels(design.candidates)
     rows = [each for each in design.candidates if each.testable]
@@ -63,12 +63,12 @@ def _detectable_table(design: Design, units: Units) -> Table | None:
     table = text_table("effect", "detectable from", "similar to", text=3)
     table.columns[2].no_wrap = False
     for each in rows:
-        table.add_row(candidate_label(each), sizes_in_words(each, units), ", ".join(labels.get(name, name)
+        table.add_row(candidate_label(each), describe_sizes(each, units), ", ".join(labels.get(name, name)
                                                                             for name in each.twins) or "-")
     return table
 
 
-def _undetectable_table(design: Design) -> Table | None:
+def _make_undetectable_table(design: Design) -> Table | None:
     """Return the table of undetectable effects, with the reason and the experiment that would detect them."""
     rows = [each for each in design.candidates if not each.testable]
     if not rows:

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from calibration.diagnosis.words import join_words
-from calibration.report.diagnosis_page import misfit_sentences
+from calibration.report.diagnosis_page import list_misfit_sentences
 from calibration.report.diagnosis_tables import (
     candidate_label,
     candidate_labels,
+    describe_sizes,
     format_odds,
-    relative_bias,
-    sizes_in_words,
+    format_relative_bias,
 )
 from calibration.report.drawing import format_count
 from calibration.report.page import estimate_of
@@ -36,23 +36,23 @@ def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> Non
         console.print(f"{result.campaign.name}: {diagnosis.verdict}", style="bold", markup=False, emoji=False)
         print_sentence(console, diagnosis.message)
         console.print()
-        for sentence in misfit_sentences(diagnosis):
+        for sentence in list_misfit_sentences(diagnosis):
             print_sentence(console, f"- {sentence}")
-        tables = (_effects_table(diagnosis, units), _parameters_table(diagnosis, units),
-                  _held_out_table(diagnosis, units))
+        tables = (_make_effects_table(diagnosis, units), _parameters_table(diagnosis, units),
+                  _make_held_out_table(diagnosis, units))
         for table in tables:
             if table is not None:
                 console.print()
                 console.print(table)
         console.print()
-        for sentence in _remarks(diagnosis):
+        for sentence in _list_remarks(diagnosis):
             print_sentence(console, sentence)
         read = " (this diagnosis was already finished)" if result.resumed else ""
         console.print(f"{'read' if result.resumed else 'wrote'} {result.output / 'report.html'}{read}", markup=False,
                       emoji=False, soft_wrap=True)
 
 
-def _effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
+def _make_effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
     """Return the table of the most likely effects that the tests can detect; None without such an effect."""
     detectable = [each for each in diagnosis.candidates if each.testable]
     if not detectable:
@@ -63,7 +63,7 @@ def _effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
                       "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
                       "-" if each.explained_percent is None else f"{each.explained_percent:.3g} %",
                       format_odds(each.evidence_ratio),
-                      sizes_in_words(each, units))
+                      describe_sizes(each, units))
     return table
 
 
@@ -77,12 +77,12 @@ def _parameters_table(diagnosis: Diagnosis, units: Units) -> Table:
         row = [(before if name in before.parameters else after or before).symbols[name]]
         row += ["-" if fit is None or name not in fit.parameters else estimate_of(fit, name, units)
                 for fit in (before, after)][:len(headings) - 1]
-        moved = relative_bias(before, after, name)
+        moved = format_relative_bias(before, after, name)
         table.add_row(*[*row, "-" if moved is None else f"{100 * moved:+.2g} %"][:len(headings)])
     return table
 
 
-def _held_out_table(diagnosis: Diagnosis, units: Units) -> Table | None:
+def _make_held_out_table(diagnosis: Diagnosis, units: Units) -> Table | None:
     """Return the table of the errors in data that the fits did not use; None without such data."""
     if not diagnosis.held_out:
         return None
@@ -95,7 +95,7 @@ def _held_out_table(diagnosis: Diagnosis, units: Units) -> Table | None:
     return table
 
 
-def _remarks(diagnosis: Diagnosis) -> Iterator[str]:
+def _list_remarks(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield sentences on further effects, undetectable effects, the next experiments and the computing time."""
     detectable = sum(each.testable for each in diagnosis.candidates)
     if detectable > TABLES.max_effects:

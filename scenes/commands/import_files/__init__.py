@@ -112,7 +112,7 @@ def run(arguments) -> int:
     if arguments.overwrite and arguments.output is None:
         raise InputError("has an effect only with -o. Leave this flag out, or add -o",
                          field="--overwrite")
-    imported = import_files(arguments.files, arguments.output, _import_options(arguments),
+    imported = import_files(arguments.files, arguments.output, _make_import_options(arguments),
                             overwrite=arguments.overwrite)
     if arguments.json:
         print_json(to_json(imported))
@@ -123,7 +123,7 @@ def run(arguments) -> int:
     return ExitCode.DONE if imported.complete else ExitCode.GOAL_MISSED
 
 
-def _import_options(arguments):
+def _make_import_options(arguments):
     """Return the options of `calibration.importing` from the flags of columns, specimen and test.
 
     Raises:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from rich.markup import escape
 
-from calibration.importing.assumption_table import HEADINGS, assumption_rows, list_unused_columns
+from calibration.importing.assumption_table import HEADINGS, list_unused_columns, make_assumption_rows
 from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
 from tissue_sim.units import get_display_unit
 
@@ -33,7 +33,7 @@ def print_imported(imported: Imported, console: Console) -> None:
         files.add_row(part.file.name + several, _describe_format(part), name,
                       str(len(part.reading.recordings[number - 1])),
                       "-" if motion.rate is None else f"{motion.rate:.3g}", _format_reach(part, motion),
-                      _format_contact(motion), str(motion.cycles), ", ".join(_segment_names(motion)))
+                      _format_contact(motion), str(motion.cycles), ", ".join(_list_segment_names(motion)))
     console.print(files)
     if len(rows) > TABLES.max_recordings:
         print_sentence(console, f"and {len(rows) - TABLES.max_recordings} more recordings")
@@ -60,7 +60,7 @@ def print_imported(imported: Imported, console: Console) -> None:
 
 def _print_assumptions(imported: Imported, console: Console) -> None:
     """Print the table of the assumptions, without columns that are empty in all rows."""
-    rows = [row.cells for row in assumption_rows(imported.tests)]
+    rows = [row.cells for row in make_assumption_rows(imported.tests)]
     if not rows:
         return
     used = [i for i in range(len(HEADINGS)) if any(cells[i] for cells in rows)]
@@ -107,7 +107,7 @@ def _format_contact(motion: Motion) -> str:
     return f"{factor * contact.displacement:.3g} ({low:.3g} to {high:.3g}){unit}"
 
 
-def _segment_names(motion: Motion) -> list[str]:
+def _list_segment_names(motion: Motion) -> list[str]:
     """Return the names of the segments; of more than four segments the number of each, such as ``8 ramp``."""
     names = [segment.name for segment in motion.segments]
     if len(names) <= 4:

@@ -63,7 +63,7 @@ def describe_instability(material_file: MaterialFile) -> str | None:
         One sentence; None for a stable law.
     """
     material = material_file.material
-    low, high = valid_stretches(material_file)
+    low, high = find_valid_stretch_range(material_file)
     checked_range = (min(low, 1.0), max(high, 1.0))
     for region, local in {"": material, **material.regions}.items():
         stability = check_stability(local.energy_law, local.values, checked_range)
@@ -73,7 +73,7 @@ def describe_instability(material_file: MaterialFile) -> str | None:
     return None
 
 
-def range_warnings(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
+def list_range_warnings(material_file: MaterialFile, recording: Recording, height: float) -> list[str]:
     """Return warnings about a simulated test in which the material leaves its valid range or its stable range.
 
     Args:
@@ -103,7 +103,7 @@ def range_warnings(material_file: MaterialFile, recording: Recording, height: fl
     return sentences
 
 
-def valid_stretches(material_file: MaterialFile) -> tuple[float, float]:
+def find_valid_stretch_range(material_file: MaterialFile) -> tuple[float, float]:
     """Return the lowest and highest stretch of the valid range; (1, 1) if the file states none."""
     stated = msgspec.to_builtins(material_file.valid_range) or {}
     low, high = stated.get("stretch") or (1.0, 1.0)

@@ -144,7 +144,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
 
         for test in tests:
             plan = protocol.plans[test.name]
-            if not folder.missing_replicates(plan.name, plan.replicates):
+            if not folder.list_missing_replicates(plan.name, plan.replicates):
                 continue
             try:
                 recorder = Recorder(open_bench(protocol, test), plan, protocol.limits, folder, about=about,
@@ -156,7 +156,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
             except (StoppedError, DeviceError) as error:
                 stopped = str(error)
                 break
-        if not stopped and not any(folder.missing_replicates(plan.name, plan.replicates)
+        if not stopped and not any(folder.list_missing_replicates(plan.name, plan.replicates)
                                    for plan in protocol.plans.values()):
             folder.update(state="complete")
         _write_campaign(protocol, folder)
@@ -184,7 +184,7 @@ def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
                          if f"{name}_{number}.csv" in done] for name, plan in protocol.plans.items()}
     if any(recordings.values()):
         missing = [f"{name}_{number}.csv" for name, plan in protocol.plans.items()
-                   for number in folder.missing_replicates(name, plan.replicates)]
+                   for number in folder.list_missing_replicates(name, plan.replicates)]
         words = f"# Not recorded yet: {', '.join(missing)}.\n" if missing else ""
         write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings, folder.copy_file))
 

@@ -46,10 +46,10 @@ def open_bench(protocol: ProtocolFile, test: Test) -> Bench:
     """
     if not is_virtual(protocol):
         return Bench(open_sensor(protocol.devices.sensor), open_stage(protocol.devices.stage))
-    return virtual_rig(protocol, test).bench
+    return make_virtual_rig(protocol, test).bench
 
 
-def virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
+def make_virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
     """Return the virtual rig of a test; its specimen has the material of ``[virtual]``.
 
     Raises:

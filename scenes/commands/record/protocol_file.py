@@ -253,8 +253,9 @@ def _read_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
     """
     for number, entry in enumerate(content.get("test", [])):
         if isinstance(entry, dict) and "recordings" in entry:
-            raise InputError("must not be given, because the test is recorded. Give a protocol instead, such as "
-                             "'ramp 10mm @0.248mm/s; hold 60s; unload'", field=f"test[{number}].recordings")
+            raise InputError("must not be given in a protocol file, because `record` makes the recordings. Give a "
+                             "protocol instead, such as 'ramp 10mm @0.248mm/s; hold 60s; unload'",
+                             field=f"test[{number}].recordings")
         if isinstance(entry, dict) and "protocol" not in {**content.get("defaults", {}), **entry}:
             raise InputError("is required. Give a motion such as 'ramp 10mm @0.248mm/s; hold 60s; unload'",
                              field=f"test[{number}].protocol")
@@ -299,7 +300,7 @@ def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, numbe
         raise InputError(f"tests of kind {test.kind.name} have no tool and cannot be recorded. Leave the test out",
                          field=f"{test.place}.kind")
     entry = {**content.get("defaults", {}), **content["test"][number]}
-    about = {"specimen": None if test.specimen is None else _specimen_metadata(test.specimen, prism=prism),
+    about = {"specimen": None if test.specimen is None else _make_specimen_metadata(test.specimen, prism=prism),
              "kind": test.kind.name, "tool": entry.get("tool", "plate"), "tool_radius_mm": entry.get("tool_radius_mm"),
              "friction": entry.get("friction"), "lubricant": record.lubricant,
              "temperature_degC": record.temperature_degC, "operator": record.operator, "notes": record.notes}
@@ -312,7 +313,7 @@ def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, numbe
                 {key: value for key, value in about.items() if value is not None})
 
 
-def _specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:
+def _make_specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:
     """Return the metadata of a specimen for its recordings; of a prism only cross-section and height are known."""
     if prism:
         return {"name": specimen.name, "shape": PRISM, "area_mm2": 1e6 * specimen.area,

@@ -12,10 +12,10 @@ from scenes.commands.shared.experiment_flags import add_experiment_flags, check_
 from scenes.commands.shared.log_lines import show_status
 from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, check_output
 from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
-from scenes.commands.simulate.replicates import add_rig_flags, make_rig, output_files, read_replicates
+from scenes.commands.simulate.replicates import add_rig_flags, list_output_files, make_rig, read_replicates
 from scenes.commands.simulate.report import as_json, print_curve, print_solver
 from scenes.field_labels import LABELS
-from scenes.provenance import recording_provenance
+from scenes.provenance import describe_provenance
 from tissue_sim.errors import ConvergenceError, InputError
 
 SUMMARY = "simulate a mechanical test and print force against displacement"
@@ -54,7 +54,7 @@ def run(arguments) -> int:
         ConvergenceError: the solver stopped early; its partial curve was printed and written.
     """
     check_scene(arguments.scene)
-    outputs = output_files(arguments.output, arguments.replicates)
+    outputs = list_output_files(arguments.output, arguments.replicates)
     for path in outputs:
         check_output(path, "-o", overwrite=arguments.overwrite, suffixes=(".csv",))
         check_output(path.with_suffix(".json"), "-o", overwrite=arguments.overwrite)
@@ -76,7 +76,7 @@ def run(arguments) -> int:
                          field="--points" if rig.sampling_rate is None else "--rig")
     material_file = ts.read_material_file(arguments.material)
 
-    from scenes.commands.material.summary import range_warnings
+    from scenes.commands.material.summary import list_range_warnings
 
     experiment = make_experiment(arguments, protocol, material_file.material)
     # The solver needs the compliance of the rig only; the sensor is applied below, once for each replicate.
@@ -96,7 +96,7 @@ def run(arguments) -> int:
     if arguments.figure is not None and recording.fields is None:
         raise InputError(f"requires fields, which the solver {arguments.solver!r} does not compute. Leave --figure out",
                          field="--figure")
-    recordings = read_replicates(rig, recording.with_metadata(**recording_provenance(arguments.scene, experiment)),
+    recordings = read_replicates(rig, recording.with_metadata(**describe_provenance(arguments.scene, experiment)),
                                  arguments.replicates)
     for path, written in zip(outputs, recordings, strict=bool(outputs)):
         ts.write_recording(written, path)
@@ -104,7 +104,7 @@ def run(arguments) -> int:
         from scenes.figures import draw_simulation
 
         draw_simulation(recording, model, arguments.figure, field=arguments.field or "von_mises")
-    warnings = [*range_warnings(material_file, recording, experiment.specimen.height),
+    warnings = [*list_range_warnings(material_file, recording, experiment.specimen.height),
                 *recording.metadata.get("solver", {}).get("warnings", [])]
     if arguments.json:
         print_json(as_json(recordings, arguments.resolution, failure, warnings,

@@ -51,7 +51,7 @@ def make_rig(arguments) -> Rig:
     return rig if arguments.seed is None else replace(rig, seed=arguments.seed)
 
 
-def output_files(curve: Path | None, replicates: int | None) -> list[Path]:
+def list_output_files(curve: Path | None, replicates: int | None) -> list[Path]:
     """Return the files of the recordings: CURVE.csv, or CURVE_1.csv, CURVE_2.csv, ... for replicates."""
     if curve is None:
         return []

@@ -35,7 +35,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "displacement_mm": (recording.displacement * 1e3).tolist(),
         "time_s": recording.time.tolist(),
         "force_N": recording.force.tolist(),
-        **_force_vectors(recording),
+        **_list_force_vectors(recording),
         **{name: labels.tolist() for name, labels in recording.labels.items()},
         "status": solver.get("status", "failed" if failure else "converged"),
         "message": str(failure) if failure else solver.get("message", ""),
@@ -52,7 +52,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
     return answer
 
 
-def _force_vectors(recording: Recording) -> dict[str, Any]:
+def _list_force_vectors(recording: Recording) -> dict[str, Any]:
     """Return force and torque vectors on the tool as JSON entries; empty for an axisymmetric simulation."""
     if "Fx" not in recording:
         return {}

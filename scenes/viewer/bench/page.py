@@ -14,7 +14,7 @@ import numpy as np
 from haptics.recorder.live import UPDATE_INTERVAL
 from scenes.stop_signals import stopped_by_signals
 from scenes.viewer.bench.sources import BenchSource, BenchView
-from scenes.viewer.plots import curve_options, settled_range
+from scenes.viewer.plots import curve_options, round_axis_range
 from scenes.viewer.web_server import ViewerServer, describe_exposure, open_server
 
 
@@ -51,8 +51,8 @@ class BenchPage:
     def _draw(self, name: str, label: str, x: np.ndarray, force: np.ndarray) -> None:
         if x.size < 2:
             return
-        ranges = (settled_range((float(x.min()), float(x.max())), self._ranges.get(name, (None, None))[0]),
-                  settled_range((float(force.min()), float(force.max())), self._ranges.get(name, (None, None))[1]))
+        ranges = (round_axis_range((float(x.min()), float(x.max())), self._ranges.get(name, (None, None))[0]),
+                  round_axis_range((float(force.min()), float(force.max())), self._ranges.get(name, (None, None))[1]))
         plot = self._plots[name]
         if ranges != self._ranges.get(name):
             self._ranges[name] = ranges

@@ -8,21 +8,21 @@ import numpy as np
 import viser
 
 from scenes.viewer.frame import Commands, Frame
-from scenes.viewer.live_gap import late_forces, live_gap
-from scenes.viewer.measurement import branches_on_grid
+from scenes.viewer.live_gap import live_gap, select_late_forces
+from scenes.viewer.measurement import interpolate_branches
 from scenes.viewer.page.notices import reply_to
 from scenes.viewer.page.readouts import agreement_html, live_gap_html
 from scenes.viewer.plots import (
     Pair,
-    depth_grid,
-    force_depth,
+    force_depth_data,
     force_depth_options,
-    force_time,
+    force_time_data,
     force_time_options,
     legend_html,
-    residual_depth,
+    make_depth_grid,
+    residual_depth_data,
     residual_depth_options,
-    settled_range,
+    round_axis_range,
 )
 from tissue_sim.recording.recording import Recording
 
@@ -44,7 +44,7 @@ class CurvePlots:
         self._written: dict[Any, tuple] = {}
         self._branch_cache: dict[str, tuple] = {}
         empty = np.zeros(2)
-        x = (0.0, frame.scene.deepest * 1e3)
+        x = (0.0, frame.scene.max_tool_displacement * 1e3)
         unit = (0.0, 1.0)
         self._legend = gui.add_html("")
 
@@ -76,27 +76,27 @@ class CurvePlots:
         if self._drawn and all(a is b or a == b for a, b in zip(drawn, self._drawn, strict=True)):
             return
         self._drawn, self._kept = drawn, curves.compared is not None
-        grid = depth_grid(frame.scene.deepest)
-        x = (0.0, frame.scene.deepest * 1e3)
+        grid = make_depth_grid(frame.scene.max_tool_displacement)
+        x = (0.0, frame.scene.max_tool_displacement * 1e3)
         measured, trace = curves.measurement, curves.trace
         model = self._cached_branches("model", curves.model, grid)
         compared = self._cached_branches("compared", None if curves.compared is None else curves.compared[1], grid)
         live = trace.newest_passes(grid) if trace is not None and len(trace) else None
-        late = None if trace is None else late_forces(trace, grid)
-        columns, extent = force_depth(grid, measured=measured, model=model, compared=compared, live=live, late=late,
-                                      now=current)
-        self._send_if_changed(self._force, columns, ("force", x, settled_range(extent, self._ranges.get("force"))),
+        late = None if trace is None else select_late_forces(trace, grid)
+        columns, extent = force_depth_data(grid, measured=measured, model=model, compared=compared, live=live,
+                                           late=late, now=current)
+        self._send_if_changed(self._force, columns, ("force", x, round_axis_range(extent, self._ranges.get("force"))),
                               lambda y: force_depth_options(x, y, dark=self._dark))
-        columns, extent = residual_depth(curves.residual, measured, grid)
+        columns, extent = residual_depth_data(curves.residual, measured, grid)
         self._residual.visible = measured is not None
         self._send_if_changed(self._residual, columns,
-                              ("residual", x, settled_range(extent, self._ranges.get("residual"), about_zero=True)),
+                              ("residual", x, round_axis_range(extent, self._ranges.get("residual"), about_zero=True)),
                               lambda y: residual_depth_options(x, y, dark=self._dark))
         time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
         hand = trace.rendered_force if trace is not None and curves.has_hand_force else None
-        columns, extent = force_time(time, force, now, measured=curves.replayed, hand=hand)
-        self._send_if_changed(self._time, columns, ("time", x, settled_range(extent, self._ranges.get("time"))),
+        columns, extent = force_time_data(time, force, now, measured=curves.replayed, hand=hand)
+        self._send_if_changed(self._time, columns, ("time", x, round_axis_range(extent, self._ranges.get("time"))),
                               lambda y: force_time_options(y, dark=self._dark))
         _set_if_changed(self._legend, "content", legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
@@ -109,12 +109,12 @@ class CurvePlots:
         _set_if_changed(self._live_gap, "content", live_gap_html(gap))
 
     def _cached_branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
-        """Return `branches_on_grid` of a curve, from the cache if neither the curve nor the grid has changed."""
+        """Return `interpolate_branches` of a curve, from the cache if neither the curve nor the grid has changed."""
         if recording is None:
             return None
         cached = self._branch_cache.get(name)
         if cached is None or cached[0] is not recording or not np.array_equal(cached[1], grid):
-            self._branch_cache[name] = cached = (recording, grid, branches_on_grid(recording, grid))
+            self._branch_cache[name] = cached = (recording, grid, interpolate_branches(recording, grid))
         return cached[2]
 
     def _send_if_changed(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple,

@@ -23,10 +23,11 @@ PROTOCOLS = {
 }
 
 
-def _example_protocol(name: str, scene: Scene) -> str:
+def _make_example_protocol(name: str, scene: Scene) -> str:
     """Return an example protocol for a scene, without the parts that lift the tool if the scene forbids lifting."""
-    parts = PROTOCOLS[name].format(depth=f"{scene.deepest * 1e3:g}").split("; ")
-    return "; ".join(part for part in parts if scene.highest < 0.0 or not part.startswith(("approach", "retract")))
+    parts = PROTOCOLS[name].format(depth=f"{scene.max_tool_displacement * 1e3:g}").split("; ")
+    may_lift = scene.min_tool_displacement < 0.0
+    return "; ".join(part for part in parts if may_lift or not part.startswith(("approach", "retract")))
 
 
 def _slider_range(limits: tuple[float, float]) -> tuple[float, float]:
@@ -88,15 +89,15 @@ class MotionControls:
     """
 
     def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
-        gui, deepest = server.gui, frame.scene.deepest
-        examples = {name: _example_protocol(name, frame.scene) for name in PROTOCOLS}
+        gui, deepest = server.gui, frame.scene.max_tool_displacement
+        examples = {name: _make_example_protocol(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
         #: Number of positions that users have entered, and number of them that the session has answered.
         self._entered = self._answered = 0
         #: Depth from which the keys step, mm.
         self._aimed = 0.0
         self._depth = PositionSlider(gui.add_slider(
-            "depth [mm]", min=frame.scene.highest * 1e3, max=deepest * 1e3, step=0.01, initial_value=0.0,
+            "depth [mm]", min=frame.scene.min_tool_displacement * 1e3, max=deepest * 1e3, step=0.01, initial_value=0.0,
             hint="depth of the tool. You can also drag the tool, or press PageDown and PageUp (0.1 mm; with Shift "
                  "1 mm)"))
         #: Sliders for x and y, visible for tissue in 3D only.

@@ -149,10 +149,10 @@ def live_gap_html(gap: LiveGap | None) -> str:
     if gap is None:
         return ""
     reasons = []
-    if gap.inertial > _NAMED_FRACTION:
+    if gap.inertia_fraction > _NAMED_FRACTION:
         reasons.append(f"at {gap.speed * 1e3:.2g} mm/s the inertia of the tissue contributes")
-    if gap.late > _NAMED_FRACTION:
-        reasons.append(f"{gap.late:.1%} of the points are extrapolated by late ticks (grey)")
+    if gap.late_fraction > _NAMED_FRACTION:
+        reasons.append(f"{gap.late_fraction:.1%} of the points are extrapolated by late ticks (grey)")
     words = f"live \u2212 model: up to {_format_number(gap.force, 3)} N at {gap.depth * 1e3:.3g} mm"
     return ('<div data-testid="live-gap" title="The live force is computed on a coarser mesh than the model curve." '
             f'style="padding:0 0.75em;font-size:0.75em">{escape("; ".join([words, *reasons]))}</div>')

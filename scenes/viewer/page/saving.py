@@ -12,16 +12,16 @@ import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.provenance import recording_provenance
+from scenes.provenance import describe_provenance
 from scenes.viewer.frame import Frame
-from scenes.viewer.measurement import branches_on_grid
+from scenes.viewer.measurement import interpolate_branches
 from scenes.viewer.page.notices import FAILED, notify, reply_to, send_file
 from scenes.viewer.page.solid import SolidPicture
 from scenes.viewer.page.view_controls import ViewControls
 from scenes.viewer.picture_file import Curve, compose_png
-from scenes.viewer.plots import LIGHT, depth_grid
+from scenes.viewer.plots import LIGHT, make_depth_grid
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import Trace, recording_files
+from scenes.viewer.trace import Trace, make_recording_files
 from tissue_sim.errors import InputError
 
 
@@ -105,7 +105,7 @@ class SaveControls:
             reply_to(event)("There is no curve yet. Move the tool first.")
             return
         try:
-            files = curve_files(frame.scene, trace)
+            files = make_curve_files(frame.scene, trace)
         except InputError as error:
             # This runs in the thread that shows the frames, which an exception would end.
             reply_to(event)(f"The curve {error.problem}")
@@ -129,7 +129,7 @@ class SaveControls:
             caption.append(f"{now.force:.3f} N at {now.depth * 1e3:.2f} mm")
         label, _ = LABELS[self._view.options.field]
         content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
-                              now=None if now is None else (now.depth, now.force), **_drawn_curves(frame))
+                              now=None if now is None else (now.depth, now.force), **_select_drawn_curves(frame))
         send_file(client, f"{scene.kind.name}.png", content)
 
     def _toggle_replay(self, event: viser.GuiEvent) -> None:
@@ -147,7 +147,7 @@ class SaveControls:
         self._finished, self._recorder = recorder.as_html(dark_mode=False).encode(), None
 
 
-def curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
+def make_curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
     """Return the files of a trace: the recording (CSV) and its sidecar (JSON), which has the keys of ``simulate -o``.
 
     Args:
@@ -161,8 +161,8 @@ def curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
         InputError: The trace has fewer than two equilibria.
     """
     name = scene.kind.name
-    about = {"name": name, **recording_provenance(name, scene.experiment), "material": scene.source, "simulated": True}
-    return recording_files(trace.recording(about), name)
+    about = {"name": name, **describe_provenance(name, scene.experiment), "material": scene.source, "simulated": True}
+    return make_recording_files(trace.recording(about), name)
 
 
 def _request_render(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
@@ -173,19 +173,19 @@ def _request_render(client: viser.ClientHandle, height: int, width: int) -> np.n
     return None
 
 
-def _drawn_curves(frame: Frame) -> dict[str, Any]:
+def _select_drawn_curves(frame: Frame) -> dict[str, Any]:
     """Return the arguments ``curves`` and ``band`` of `compose_png`: measurement, kept, model and live curve."""
     curves, measured, band = frame.curves, frame.curves.measurement, None
-    grid = depth_grid(frame.scene.deepest)
+    grid = make_depth_grid(frame.scene.max_tool_displacement)
     pairs = []
     if measured is not None:
         band = (measured.depth, measured.load.low, measured.load.high)
         pairs.append(("measured", "measured", measured.depth,
                       (measured.load.mean, None if measured.unload is None else measured.unload.mean)))
     if curves.compared is not None:
-        pairs.append(("compared", curves.compared[0], grid, branches_on_grid(curves.compared[1], grid)))
+        pairs.append(("compared", curves.compared[0], grid, interpolate_branches(curves.compared[1], grid)))
     if curves.model is not None:
-        pairs.append(("model", "model", grid, branches_on_grid(curves.model, grid)))
+        pairs.append(("model", "model", grid, interpolate_branches(curves.model, grid)))
     if curves.trace is not None and len(curves.trace):
         pairs.append(("live", "live", grid, curves.trace.newest_passes(grid)))
     shown = [Curve(depth, force, name if force is branches[0] else "", LIGHT[role], dashed=force is not branches[0])

@@ -11,21 +11,21 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.viewer.bodies import Body, is_drawable, make_body
-from scenes.viewer.colours import PALETTE, field_range, steady_levels
+from scenes.viewer.colours import PALETTE, field_range, keep_steady_levels
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.notices import Reply, reply_to
 from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, ViewOptions
 from scenes.viewer.page.scene_updates import send_arrays, send_position
 from scenes.viewer.revolution import Opening, Surface
 from scenes.viewer.scene import Scene
-from scenes.viewer.tone import seen_colour, surface_colour
+from scenes.viewer.tone import displayed_srgb, surface_srgb_for
 from scenes.viewer.tool_picture import (
     arrow_foot,
-    base_plate,
-    force_arrow,
-    rotated_arrow,
+    make_base_plate,
+    make_force_arrow,
+    make_tool_mesh,
+    rotate_arrow,
     scale_bar,
-    tool_mesh,
 )
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
@@ -67,8 +67,8 @@ class SolidPicture:
         specimen = scene.experiment.specimen
         self.scale = SIZE / max(2.0 * specimen.outer_radius, specimen.height)
         self._segments = RESOLUTION.low_graphics_segments if low_graphics else RESOLUTION.segments
-        surface_colours = [surface_colour(colour) for colour in PALETTE]
-        self.colours = [seen_colour(colour) for colour in surface_colours]
+        surface_colours = [surface_srgb_for(colour) for colour in PALETTE]
+        self.colours = [displayed_srgb(colour) for colour in surface_colours]
         self._bands = [self._add_mesh(f"/tissue/band_{k}", colour) for k, colour in enumerate(surface_colours)]
         self._surface = self._add_mesh("/tissue/surface", COLOURS.tissue)
         #: Frames of the tool, of the force arrow, and of the base, on which the specimen stands.
@@ -129,7 +129,7 @@ class SolidPicture:
                 end = np.array(event.end_position)
                 if self._in_space and DRAGS[self.drag_way] == "sideways":
                     end = _intersect_height(event.client.camera.position, end, height)
-                aim(*self._target_of_drag((end - offset) / self.scale), reply)
+                aim(*self._convert_drag_to_target((end - offset) / self.scale), reply)
 
         self._tool.on_drag("left")(drag)
 
@@ -137,7 +137,7 @@ class SolidPicture:
         """Choose the direction in which the mouse drags the tool, a key of `DRAGS`."""
         self.drag_way = mode
 
-    def _target_of_drag(self, tip: np.ndarray) -> tuple[float, tuple[float, float] | None]:
+    def _convert_drag_to_target(self, tip: np.ndarray) -> tuple[float, tuple[float, float] | None]:
         """Convert the dragged position of the tool's end to the arguments of `Session.aim`.
 
         Args:
@@ -179,7 +179,7 @@ class SolidPicture:
         if fields is not None and fields.mesh is not self._mesh_drawn:
             changed = True
         if changed:
-            body = self._get_body(_undeformed_mesh(frame.scene) if fields is None else fields.mesh)
+            body = self._get_body(_make_undeformed_mesh(frame.scene) if fields is None else fields.mesh)
             self._draw_static_parts(body, frame.scene, opening, options)
             self._drawn_static = static
         to_draw = snapshot.pose, None if fields is None else fields.material, options
@@ -205,7 +205,7 @@ class SolidPicture:
         _, factor = LABELS[options.field]
         values, at_points, sampled = body.values(fields, options.field, positions, wedge)
         before = self.levels if self._drawn is not None and options.field == self._drawn[2].field else None
-        self.levels = levels = before if before is not None and options.hold else steady_levels(
+        self.levels = levels = before if before is not None and options.hold else keep_steady_levels(
             before, *field_range(at_points * factor, sampled, options.field, factor))
         for handle, surface in zip(self._bands, body.bands(positions, values * factor, levels, wedge), strict=True):
             self._update_mesh(handle, surface)
@@ -242,7 +242,7 @@ class SolidPicture:
 
     def _draw_undeformed(self, scene: Scene, opening: Opening, options: ViewOptions) -> None:
         """Draw the undeformed specimen while the simulation starts."""
-        mesh = _undeformed_mesh(scene)
+        mesh = _make_undeformed_mesh(scene)
         body, positions = self._get_body(mesh), mesh.nodes
         wedge = Wedge(opening, Pose.at_depth(0.0))
         surfaces = body.bands(positions, np.zeros(len(positions)), np.arange(len(self._bands) + 1.0), wedge)
@@ -268,11 +268,12 @@ class SolidPicture:
         # A wedge that is moved away from the tool's axis does not cut the tool.
         cut = 0.0 if self._in_space and options.ahead else options.cut
         segments = RESOLUTION.static_segments
-        self._update_mesh(self._tool, tool_mesh(tool, specimen, _make_opening(cut, segments, options.turn)))
-        self._update_mesh(self._base, base_plate(specimen, _make_opening(0.0, segments)))
+        self._update_mesh(self._tool, make_tool_mesh(tool, specimen, _make_opening(cut, segments, options.turn)))
+        self._update_mesh(self._base, make_base_plate(specimen, _make_opening(0.0, segments)))
         covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
         wedge = Wedge(opening, Pose.at_depth(0.0))
-        self._update_lines(self._outline, body.outline(wedge, (covered, scene.deepest)) if options.outline else None)
+        outline = body.outline(wedge, (covered, scene.max_tool_displacement)) if options.outline else None
+        self._update_lines(self._outline, outline)
         bar, length = scale_bar(specimen)
         self._update_lines(self._scale_bar, bar)
         self._scale_length.text = f"{1e3 * length:g} mm"
@@ -295,10 +296,11 @@ class SolidPicture:
         self._force_label.text = text
         if to_draw != self._drawn_arrow:
             self._drawn_arrow = to_draw
-            arrow = force_arrow(to_draw[0] / lengths * full, full, scene.experiment.tool, scene.experiment.specimen)
+            arrow = make_force_arrow(to_draw[0] / lengths * full, full, scene.experiment.tool,
+                                     scene.experiment.specimen)
             _set_visible(self._force_label, arrow is not None)
             if arrow is not None and any(lateral):
-                arrow = rotated_arrow(arrow, lateral)
+                arrow = rotate_arrow(arrow, lateral)
             self._update_mesh(self._arrow, None if arrow is None else arrow.surface)
             if arrow is not None:
                 x, y, z = (max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale).tolist()
@@ -372,7 +374,7 @@ def _read_newest_force(frame: Frame) -> np.ndarray:
     return np.zeros(3) if now is None else np.array([*now.across, now.force])
 
 
-def _undeformed_mesh(scene: Scene) -> Mesh | SolidMesh:
+def _make_undeformed_mesh(scene: Scene) -> Mesh | SolidMesh:
     """Mesh of the undeformed specimen: a half section for a cylinder, otherwise a mesh in 3D."""
     if scene.reduced is not None:
         return scene.reduced.mesh

@@ -8,11 +8,11 @@ from dataclasses import replace
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, camera_pose
+from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_camera_pose
 from scenes.viewer.frame import Frame
 from scenes.viewer.page.notices import set_value
 from scenes.viewer.page.picture_settings import ViewOptions
-from scenes.viewer.tool_picture import picture_height
+from scenes.viewer.tool_picture import compute_picture_height
 
 
 class ViewControls:
@@ -107,7 +107,7 @@ class ViewControls:
     def _preset_camera_pose(self, preset: str, aspect: float):
         experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         tool_pose = experiment.tool_pose(0.0) if snapshot is None else snapshot.pose
-        above = picture_height(experiment.tool, experiment.specimen)
-        pose = camera_pose(preset, experiment.specimen, experiment.tool, tool_pose.depth, above, aspect,
-                           self.options.turn, tool_pose.position[:2])
+        above = compute_picture_height(experiment.tool, experiment.specimen)
+        pose = compute_camera_pose(preset, experiment.specimen, experiment.tool, tool_pose.depth, above, aspect,
+                                   self.options.turn, tool_pose.position[:2])
         return pose.position * self._scale, pose.look_at * self._scale

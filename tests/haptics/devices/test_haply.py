@@ -18,7 +18,7 @@ from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.haply import START, TIMES, HaplyEmulator, emulate_haply
-from haptics.protocols.haply import HapticState, read_force, state_message
+from haptics.protocols.haply import HapticState, encode_state, read_force
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 
@@ -171,7 +171,7 @@ def said_first(message):
     ('{"session_id": 1, "inverse3": []}', "has no Inverse3; connect the device"),
     ("garbage", r"unknown message \(not valid JSON\); install version 3.1"),
     ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"unknown message \(cursor_position is missing\)"),
-    (state_message(HapticState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
+    (encode_state(HapticState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
      "04BA has no power for its motors; plug")])
 def test_a_service_without_a_usable_device_raises(first, sentence):
     with Says(said_first(first)) as server, pytest.raises(DeviceError, match=sentence):
@@ -209,10 +209,10 @@ def test_invalid_answers_are_ignored_and_only_invalid_answers_give_no_pose():
 
     def talk(connection):
         state = HapticState("1", (0.0, 0.0, 0.1))
-        connection.send(state_message(state, (0.0, 0.0, 0.0)))
+        connection.send(encode_state(state, (0.0, 0.0, 0.0)))
         for _ in connection:
             good = place[0] is not None and next(answers) % 2 == 0
-            connection.send(state_message(HapticState("1", (0.0, 0.0, place[0])), (0.0, 0.0, 0.0)) if good else "{]")
+            connection.send(encode_state(HapticState("1", (0.0, 0.0, place[0])), (0.0, 0.0, 0.0)) if good else "{]")
 
     with Says(talk) as server:
         device = HaplyDevice(server.address, origin=(0.0, 0.0, 0.0))
@@ -245,7 +245,7 @@ def test_forces_do_not_accumulate_at_a_slow_service():
     seen = []
 
     def talk(connection):
-        state = state_message(HapticState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
+        state = encode_state(HapticState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
         connection.send(state)
         for message in connection:
             seen.append(read_force(message, "1"))
@@ -283,11 +283,11 @@ def test_a_stopped_loop_applies_no_force(started, service):
 def test_the_emulator_removes_the_force_after_a_silence(service):
     from websockets.sync.client import connect
 
-    from haptics.protocols.haply import force_message, read_state
+    from haptics.protocols.haply import encode_force, read_state
 
     with connect(service.address.removeprefix("haply:")) as client:
         first = read_state(client.recv())
-        client.send(force_message(first.device_id, (0.0, 0.0, 3.0)))
+        client.send(encode_force(first.device_id, (0.0, 0.0, 3.0)))
         assert read_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
         with pytest.raises(TimeoutError):
             client.recv(timeout=2 * TIMES.release_time)  # the service sends nothing unrequested

@@ -9,13 +9,13 @@ from hypothesis import strategies as st
 from haptics.protocols.ati_serial import (
     FORMAT,
     Record,
+    compute_transmission_time,
     decode_ascii,
     decode_binary,
     encode_ascii,
     encode_binary,
     is_at_end_of_range,
     is_padded,
-    transmission_time,
 )
 
 CASES = settings(max_examples=int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500")), deadline=None)
@@ -45,8 +45,8 @@ def test_records_are_encoded_in_the_public_form():
 
 
 def test_transmission_time_of_a_record():
-    assert transmission_time(len(OF_THE_MANUAL) + 2, 9600) == pytest.approx(35.4e-3, abs=0.1e-3)
-    assert transmission_time(FORMAT.padded_length, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
+    assert compute_transmission_time(len(OF_THE_MANUAL) + 2, 9600) == pytest.approx(35.4e-3, abs=0.1e-3)
+    assert compute_transmission_time(FORMAT.padded_length, 9600) == pytest.approx(46.9e-3, abs=0.1e-3)
 
 
 @pytest.mark.parametrize("line", [

@@ -63,7 +63,7 @@ def test_all_errors_and_alarms_have_a_text():
 @given(st.sampled_from("XYZ"), thousandths, st.integers(1, 10**6).map(lambda number: number / 100))
 @settings(max_examples=CASES, deadline=None)
 def test_a_jog_line_is_parsed_to_the_same_jog(axis, target, feed):
-    jog = grbl.parse_jog(grbl.jog_line(axis, target, feed).decode().strip())
+    jog = grbl.parse_jog(grbl.encode_jog(axis, target, feed).decode().strip())
     assert jog == Jog(pytest.approx(feed, abs=1e-3), {axis: pytest.approx(target, abs=1e-4)}, machine=True)
 
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from haptics.protocols.haply import HapticState, force_message, read_force, read_state, state_message
+from haptics.protocols.haply import HapticState, encode_force, encode_state, read_force, read_state
 
 CASES = int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500"))
 
@@ -70,8 +70,8 @@ def test_a_later_message_from_a_public_log_is_read():
 
 
 def test_force_messages_equal_those_of_other_clients():
-    assert json.loads(force_message("04BA", (0.5, 0.0, -2.0))) == ASKED
-    first = json.loads(force_message("04BA", (0.5, 0.0, -2.0), "a:b"))
+    assert json.loads(encode_force("04BA", (0.5, 0.0, -2.0))) == ASKED
+    first = json.loads(encode_force("04BA", (0.5, 0.0, -2.0), "a:b"))
     # docs.haply.co, "Sessions": on the first message.
     assert first.pop("session") == {"configure": {"profile": {"name": "a:b"}}} and first == ASKED
     assert read_force(json.dumps(ASKED), "04BA") == (0.5, 0.0, -2.0) and read_force(json.dumps(ASKED), "1") is None
@@ -81,8 +81,8 @@ def test_force_messages_equal_those_of_other_clients():
 
 
 def test_state_messages_are_read_back():
-    assert read_state(state_message(STATE, (0.0, 0.0, 1.0), session=3)) == STATE
-    message = json.loads(state_message(STATE, (0.0, 0.0, 1.0)))
+    assert read_state(encode_state(STATE, (0.0, 0.0, 1.0), session=3)) == STATE
+    message = json.loads(encode_state(STATE, (0.0, 0.0, 1.0)))
     assert message["inverse3"][0]["state"]["current_cursor_force"] == {"x": 0.0, "y": 0.0, "z": 1.0}
     assert "session_id" not in message
 
@@ -163,5 +163,5 @@ def test_any_json_is_a_state_or_is_refused(content):
 @given(st.tuples(*[st.floats(-1.1, 1.1, allow_subnormal=False)] * 3),
        st.tuples(*[st.floats(-1e3, 1e3, allow_subnormal=False)] * 3))
 def test_positions_and_forces_survive_encoding_and_decoding(position, force):
-    assert read_state(state_message(HapticState("1", position), force)).position == position
-    assert read_force(force_message("1", force), "1") == force
+    assert read_state(encode_state(HapticState("1", position), force)).position == position
+    assert read_force(encode_force("1", force), "1") == force

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from scenes.colour_scale import volume_range
-from scenes.viewer.colours import PALETTE, band_levels, colour_bar_html, field_range, steady_levels
+from scenes.viewer.colours import PALETTE, choose_band_levels, colour_bar_html, field_range, keep_steady_levels
 
 RANGES = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-9, 1e6)).map(lambda pair: (pair[0], pair[0] + pair[1]))
 
@@ -32,7 +32,7 @@ def test_palette_colours_differ_in_lightness_and_contrast_with_black_and_white()
 @given(RANGES, st.integers(2, 20))
 def test_levels_cover_the_range_in_round_steps(ends, bands):
     low, high = ends
-    levels = band_levels(low, high, bands)
+    levels = choose_band_levels(low, high, bands)
     assert levels.shape == (bands + 1,) and levels[0] <= low and levels[-1] >= high
     # The rounding of large levels is left out of the small step between them.
     step = float(f"{(levels[-1] - levels[0]) / bands:.3g}")
@@ -46,50 +46,50 @@ def test_levels_cover_the_range_in_round_steps(ends, bands):
 @given(st.floats(0.0, 1e3), st.floats(2e-3, 1e3))
 def test_levels_use_more_than_half_of_the_bands(low, width):
     """For ranges wider than rounding errors."""
-    levels = band_levels(low, low + width)
+    levels = choose_band_levels(low, low + width)
     used = np.searchsorted(levels, low + width, "left") - np.searchsorted(levels, low, "right") + 1
     assert used >= 5
 
 
 def test_levels_of_a_known_range():
-    assert band_levels(0.0, 5.3).tolist() == [0.0, 0.6, 1.2, 1.8, 2.4, 3.0, 3.6, 4.2, 4.8, 5.4, 6.0]
-    assert band_levels(-2.0, 9.7).tolist() == [-3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0, 10.5, 12.0]
+    assert choose_band_levels(0.0, 5.3).tolist() == [0.0, 0.6, 1.2, 1.8, 2.4, 3.0, 3.6, 4.2, 4.8, 5.4, 6.0]
+    assert choose_band_levels(-2.0, 9.7).tolist() == [-3.0, -1.5, 0.0, 1.5, 3.0, 4.5, 6.0, 7.5, 9.0, 10.5, 12.0]
 
 
 @pytest.mark.parametrize("value", [1.0, 3.217, -4.0, 1e-4, 0.25])
 def test_a_uniform_field_is_inside_one_band(value):
-    levels = band_levels(value * (1 - 1e-9) if value > 0 else value * (1 + 1e-9), value)
+    levels = choose_band_levels(value * (1 - 1e-9) if value > 0 else value * (1 + 1e-9), value)
     step = levels[1] - levels[0]
     assert np.abs(levels - value).min() > 0.15 * step
     assert levels[0] <= min(value, 0.0) and levels[-1] >= max(value, 0.0)
 
 
 def test_a_field_of_zeros_gets_levels_from_0_to_1():
-    assert band_levels(0.0, 0.0) == pytest.approx(np.linspace(0, 1, 11))
+    assert choose_band_levels(0.0, 0.0) == pytest.approx(np.linspace(0, 1, 11))
 
 
 @pytest.mark.parametrize("ends", [(np.nan, 1.0), (0.0, np.inf), (2.0, 1.0)])
 def test_an_invalid_range_is_refused(ends):
     with pytest.raises(ts.InputError, match="must have a finite range"):
-        band_levels(*ends)
+        choose_band_levels(*ends)
     with pytest.raises(ts.InputError, match="at least 2"):
-        band_levels(0.0, 1.0, 1)
+        choose_band_levels(0.0, 1.0, 1)
 
 
 def test_levels_are_kept_while_they_are_suitable():
-    levels = band_levels(0.0, 5.3)
-    assert steady_levels(levels, 0.0, 5.9) is levels
-    assert steady_levels(levels, 0.0, 3.1) is levels
-    assert steady_levels(levels, 0.0, 6.1)[-1] > 6.1
-    assert steady_levels(levels, 0.0, 2.0)[-1] < 3.1
-    assert steady_levels(None, 0.0, 5.3).tolist() == levels.tolist()
-    assert len(steady_levels(levels, 0.0, 5.3, 8)) == 9
+    levels = choose_band_levels(0.0, 5.3)
+    assert keep_steady_levels(levels, 0.0, 5.9) is levels
+    assert keep_steady_levels(levels, 0.0, 3.1) is levels
+    assert keep_steady_levels(levels, 0.0, 6.1)[-1] > 6.1
+    assert keep_steady_levels(levels, 0.0, 2.0)[-1] < 3.1
+    assert keep_steady_levels(None, 0.0, 5.3).tolist() == levels.tolist()
+    assert len(keep_steady_levels(levels, 0.0, 5.3, 8)) == 9
 
 
 def test_levels_change_rarely_for_an_oscillating_range():
     levels, changes = None, 0
     for k in range(600):
-        new = steady_levels(levels, 0.0, 4.0 + 0.4 * np.sin(0.3 * k))
+        new = keep_steady_levels(levels, 0.0, 4.0 + 0.4 * np.sin(0.3 * k))
         changes += new is not levels
         levels = new
     assert changes == 2  # the first ones, and those that cover the largest
@@ -124,7 +124,7 @@ def test_range_of_a_field_ignores_rounding_errors():
 
 
 def test_the_bar_shows_the_colours_of_the_bands_and_round_numbers():
-    html = colour_bar_html(band_levels(-2.0, 9.7), PALETTE, "stress <rr> [kPa]")
+    html = colour_bar_html(choose_band_levels(-2.0, 9.7), PALETTE, "stress <rr> [kPa]")
     bar = ElementTree.fromstring(html)
     assert bar.get("data-testid") == "colour-bar"
     blocks = [part for part in bar.iter() if part.get("data-colour")]
@@ -145,11 +145,11 @@ def test_the_bar_shows_the_colours_of_the_bands_and_round_numbers():
     ((0.0, 30.0), ["0", "6", "12", "18", "24", "30"], ""),
 ])
 def test_numbers_of_the_bar_are_short_and_exact(ends, numbers, power):
-    bar = ElementTree.fromstring(colour_bar_html(band_levels(*ends), PALETTE, "energy [J/m³]"))
+    bar = ElementTree.fromstring(colour_bar_html(choose_band_levels(*ends), PALETTE, "energy [J/m³]"))
     assert [part.text for part in bar.iter("span")] == numbers
     assert f"energy [J/m³]{power}" in list(bar.itertext())
 
 
 def test_the_bar_requires_one_colour_per_band():
     with pytest.raises(ts.InputError, match="must be one per band; got 9 for 10 bands"):
-        colour_bar_html(band_levels(0.0, 1.0), PALETTE[1:], "x")
+        colour_bar_html(choose_band_levels(0.0, 1.0), PALETTE[1:], "x")

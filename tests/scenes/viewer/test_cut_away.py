@@ -5,7 +5,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.cut_away import CutAway
-from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolved_surfaces
+from scenes.viewer.revolution import Opening, Surface, join_surfaces, revolve_polyline
 from tissue_sim.mesh import cylinder_mesh, needle_mesh
 from tissue_sim.mesh.elements import Q4P0, Q9P1
 
@@ -232,7 +232,7 @@ def test_revolved_line_on_both_ends_of_the_axis_closes():
     angle = np.linspace(0.5 * np.pi, -0.5 * np.pi, 61)
     line = np.stack([np.cos(angle), np.sin(angle)], axis=-1)
     line[[0, -1], 0] = 0.0
-    ball, = revolved_surfaces(line, np.zeros(60, dtype=int), 1, Opening(0.0, segments=120))
+    ball, = revolve_polyline(line, np.zeros(60, dtype=int), 1, Opening(0.0, segments=120))
     assert volume(ball) == pytest.approx(4.0 / 3.0 * np.pi, rel=2e-3)
     assert set(edge_uses(ball).values()) == {1}
 

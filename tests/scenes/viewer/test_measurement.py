@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from scenes.viewer.measurement import (
-    branches_on_grid,
     build_measurement,
+    interpolate_branches,
     make_motion_protocol,
     read_measurement,
     residual,
@@ -224,11 +224,11 @@ def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
 def test_monotone_depth_in_gives_the_same_force_out(steps, seed):
     depth = np.cumsum(steps)
     force = np.random.default_rng(seed).normal(size=depth.size)
-    load, unload = branches_on_grid(ts.Recording({"displacement": depth, "force": force}), depth)
+    load, unload = interpolate_branches(ts.Recording({"displacement": depth, "force": force}), depth)
     np.testing.assert_allclose(load, force, rtol=1e-9, atol=1e-12)
     assert np.isnan(unload).all()
     back = ts.Recording({"displacement": np.append(depth, depth[-2::-1]), "force": np.append(force, 2 * force[-2::-1])})
-    load, unload = branches_on_grid(back, depth)
+    load, unload = interpolate_branches(back, depth)
     np.testing.assert_allclose(load, force, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(unload[:-1], 2 * force[:-1], rtol=1e-9, atol=1e-12)
 

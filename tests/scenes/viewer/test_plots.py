@@ -9,16 +9,16 @@ import tissue_sim as ts
 from scenes.viewer.measurement import build_measurement, residual
 from scenes.viewer.plots import (
     PLOTS,
-    depth_grid,
-    force_depth,
+    force_depth_data,
     force_depth_options,
-    force_time,
+    force_time_data,
     force_time_options,
     legend_html,
-    plot_scales,
-    residual_depth,
+    make_depth_grid,
+    make_plot_scales,
+    residual_depth_data,
     residual_depth_options,
-    settled_range,
+    round_axis_range,
 )
 
 
@@ -49,10 +49,10 @@ def columns(data, options):
 
 
 def test_force_over_depth_has_measurement_model_and_live_curve(measured):
-    grid = depth_grid(10e-3)
+    grid = make_depth_grid(10e-3)
     load = np.where(grid <= 5e-3, 210 * grid, np.nan)
-    data, extent = force_depth(grid, measured=measured, model=(200 * grid, 150 * grid), live=(load, 140 * grid),
-                               now=(3.33e-3, 0.7))
+    data, extent = force_depth_data(grid, measured=measured, model=(200 * grid, 150 * grid), live=(load, 140 * grid),
+                                    now=(3.33e-3, 0.7))
     found = columns(data, force_depth_options((0, 10), extent))
     x = found["depth [mm]"]
     assert x.size == 202 and (x[0], x[-1]) == (0, 10)
@@ -74,8 +74,8 @@ def test_force_over_depth_has_measurement_model_and_live_curve(measured):
 
 def test_the_band_has_zero_width_without_replicates(measured):
     """uPlot fills bands across NaN, so the edges contain none."""
-    grid = depth_grid(10e-3)
-    data, extent = force_depth(grid, measured=measured)
+    grid = make_depth_grid(10e-3)
+    data, extent = force_depth_data(grid, measured=measured)
     found = columns(data, force_depth_options((0, 10), extent))
     for way in ("load", "unload"):
         low, high = found[f"measured {way}, lowest"], found[f"measured {way}, highest"]
@@ -85,15 +85,15 @@ def test_the_band_has_zero_width_without_replicates(measured):
 
 @pytest.mark.parametrize("depth", [-1e-3, 12e-3])
 def test_a_present_point_outside_the_grid_is_not_drawn(depth):
-    grid = depth_grid(10e-3)
-    data, _ = force_depth(grid, now=(depth, 0.3))
+    grid = make_depth_grid(10e-3)
+    data, _ = force_depth_data(grid, now=(depth, 0.3))
     assert data[0].size == grid.size and np.isnan(data[-1]).all()
 
 
 @given(st.floats(0, 10e-3), st.floats(-5, 5))
 def test_the_present_point_is_drawn_at_its_depth(depth, force):
-    grid = depth_grid(10e-3)
-    data, (low, high) = force_depth(grid, model=(100 * grid, 100 * grid), now=(depth, force))
+    grid = make_depth_grid(10e-3)
+    data, (low, high) = force_depth_data(grid, model=(100 * grid, 100 * grid), now=(depth, force))
     point = np.flatnonzero(np.isfinite(data[-1]))
     assert (data[0][point[0]], data[-1][point[0]]) == (depth * 1e3, force) and point.size == 1
     assert (np.diff(data[0]) >= 0).all() and low <= force <= high
@@ -101,8 +101,8 @@ def test_the_present_point_is_drawn_at_its_depth(depth, force):
 
 
 def test_residual_over_depth_has_band_and_branches(measured):
-    grid = depth_grid(10e-3)
-    data, extent = residual_depth(residual(there_and_back(1.05), measured), measured, grid)
+    grid = make_depth_grid(10e-3)
+    data, extent = residual_depth_data(residual(there_and_back(1.05), measured), measured, grid)
     found = columns(data, residual_depth_options((0, 10), extent))
     x = found["depth [mm]"]
     inside = x < 7.99
@@ -116,16 +116,17 @@ def test_residual_over_depth_has_band_and_branches(measured):
 
 
 def test_empty_plots_have_a_range():
-    grid = depth_grid(10e-3)
-    for data, extent in (force_depth(grid), residual_depth(None, None, grid), force_time(np.empty(0), np.empty(0), 3)):
+    grid = make_depth_grid(10e-3)
+    for data, extent in (force_depth_data(grid), residual_depth_data(None, None, grid),
+                         force_time_data(np.empty(0), np.empty(0), 3)):
         assert extent == (0, 0) and (np.diff(data[0]) > 0).all()
-    assert settled_range((0, 0)) == (0, 1) and settled_range((0, 0), about_zero=True) == (-1, 1)
+    assert round_axis_range((0, 0)) == (0, 1) and round_axis_range((0, 0), about_zero=True) == (-1, 1)
 
 
 def test_force_over_time_keeps_peaks():
     time = np.arange(0, 60, 5e-3) + 1.3e-3  # so that none falls on the edge of a part
     force, now = np.random.default_rng(0).normal(size=time.size), 60.0
-    data, extent = force_time(time, force, now)
+    data, extent = force_time_data(time, force, now)
     x, _, live, hand = columns(data, force_time_options(extent)).values()
     assert np.isnan(hand).all(), "no hand is there"
     assert (x[0], x[-1], x.size) == (-PLOTS.time_span, 0, 2 * PLOTS.intervals)
@@ -137,7 +138,7 @@ def test_force_over_time_keeps_peaks():
 
 def test_force_over_time_follows_a_slow_force():
     time = np.arange(0, 12, 0.1)
-    data, _ = force_time(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
+    data, _ = force_time_data(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
     x, measured, live, _ = data
     known = x + 12 > 0.1
     np.testing.assert_allclose(live[known & (x < -0.2)], 0.3 * (x + 12)[known & (x < -0.2)],
@@ -150,7 +151,7 @@ def test_force_on_the_hand_and_force_of_the_tissue_are_drawn():
     """The rendered force is limited to 1.5 N of 3 N."""
     time = np.arange(0, 12, 0.01)
     force = 0.3 * time
-    data, extent = force_time(time, force, 12.0, hand=np.minimum(force, 1.5))
+    data, extent = force_time_data(time, force, 12.0, hand=np.minimum(force, 1.5))
     found = columns(data, force_time_options(extent))
     known = found["time [s]"] > -11.8
     np.testing.assert_allclose(found["on the hand"][known], np.minimum(found["live"], 1.5)[known], atol=0.05)
@@ -164,7 +165,7 @@ extents = st.tuples(st.floats(-1e3, 0), st.floats(0, 1e3))
 @settings(max_examples=300)
 @given(extents, st.booleans())
 def test_a_range_contains_the_data_with_a_small_margin(extent, about_zero):
-    low, high = settled_range(extent, about_zero=about_zero)
+    low, high = round_axis_range(extent, about_zero=about_zero)
     largest = max(extent[1], -extent[0])
     assert low - 1e-9 <= extent[0] <= extent[1] <= high + 1e-9 and low < high
     assert (low == -high) if about_zero else low <= 0 <= high
@@ -175,35 +176,35 @@ def test_a_range_contains_the_data_with_a_small_margin(extent, about_zero):
 @settings(max_examples=200)
 @given(st.floats(1e-6, 1e3), st.floats(0.6, 1.0))
 def test_a_suitable_range_is_kept(force, share):
-    before = settled_range((0, force))
-    assert settled_range((0, share * force), before) == before
+    before = round_axis_range((0, force))
+    assert round_axis_range((0, share * force), before) == before
 
 
 def test_a_range_grows_immediately_and_shrinks_when_nearly_empty():
-    assert settled_range((0, 1.9)) == (0, 2)
-    assert settled_range((0, 1.0), (0, 2)) == (0, 2)
-    assert settled_range((0, 2.1), (0, 2)) == (0, 2.5)
-    assert settled_range((0, 0.7), (0, 2)) == (0, 0.8)
-    assert settled_range((-0.3, 0.7), about_zero=True) == (-0.8, 0.8)
+    assert round_axis_range((0, 1.9)) == (0, 2)
+    assert round_axis_range((0, 1.0), (0, 2)) == (0, 2)
+    assert round_axis_range((0, 2.1), (0, 2)) == (0, 2.5)
+    assert round_axis_range((0, 0.7), (0, 2)) == (0, 0.8)
+    assert round_axis_range((-0.3, 0.7), about_zero=True) == (-0.8, 0.8)
 
 
 def test_viser_accepts_the_options(measured):
     """viser checks lengths and types when it creates the plots."""
     import viser
 
-    grid = depth_grid(10e-3)
+    grid = make_depth_grid(10e-3)
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         for (data, extent), make, x in (
-                (force_depth(grid, measured=measured), force_depth_options, [(0, 10)]),
-                (residual_depth(None, measured, grid), residual_depth_options, [(0, 10)]),
-                (force_time(np.arange(9.0), np.arange(9.0), 9.0), force_time_options, [])):
-            options = make(*x, settled_range(extent), dark=True)
+                (force_depth_data(grid, measured=measured), force_depth_options, [(0, 10)]),
+                (residual_depth_data(None, measured, grid), residual_depth_options, [(0, 10)]),
+                (force_time_data(np.arange(9.0), np.arange(9.0), 9.0), force_time_options, [])):
+            options = make(*x, round_axis_range(extent), dark=True)
             handle = server.gui.add_uplot(data, **options)
             assert len(handle.data) == len(handle.series)
             for low, high in [each["series"] for each in options["bands"] or ()]:
                 assert "highest" in options["series"][low]["label"] and "lowest" in options["series"][high]["label"]
-            handle.scales = plot_scales((0, 12), (0, 3))
+            handle.scales = make_plot_scales((0, 12), (0, 3))
     finally:
         server.stop()
 
@@ -216,9 +217,9 @@ def test_the_legend_names_the_drawn_curves():
 
 
 def test_forces_of_late_ticks_are_a_separate_series():
-    grid = depth_grid(10e-3, 11)
+    grid = make_depth_grid(10e-3, 11)
     late = np.where(np.arange(11) == 4, 0.7, np.nan)
-    data, extent = force_depth(grid, late=late)
+    data, extent = force_depth_data(grid, late=late)
     labels = [each["label"] for each in force_depth_options((0, 10), (0, 1))["series"]]
     assert data[labels.index("late")][4] == 0.7 and np.isfinite(data[labels.index("late")]).sum() == 1
-    assert extent == (0.7, 0.7) and np.isnan(force_depth(grid)[0][labels.index("late")]).all()
+    assert extent == (0.7, 0.7) and np.isnan(force_depth_data(grid)[0][labels.index("late")]).all()

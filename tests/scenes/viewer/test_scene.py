@@ -33,7 +33,7 @@ def test_a_scene_has_default_tool_and_interfaces(needle, name):
     assert {name: getattr(experiment, name) for name in usual} == usual
     assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
     assert (there.material, there.source) == (needle.material, needle.source)
-    assert there.model.experiment is experiment and there.deepest == 4e-3
+    assert there.model.experiment is experiment and there.max_tool_displacement == 4e-3
     back = there.with_scene("needle_indentation")
     assert back.experiment.tool == needle.experiment.tool and back.experiment.friction == "bonded"
 
@@ -106,13 +106,13 @@ def test_a_recording_of_an_unknown_kind_is_refused(tmp_path):
 
 def test_reach_of_the_tool(needle):
     """The reach is the whole top surface; for a reduced solid, the box around the first contact."""
-    assert needle.reach == ((-0.04, 0.04),) * 2 and needle.highest == -5e-3
+    assert needle.reach == ((-0.04, 0.04),) * 2 and needle.min_tool_displacement == -5e-3
     block = replace(needle, experiment=replace(needle.experiment, specimen=ts.Block(0.06, 0.05, 0.03)))
     np.testing.assert_allclose(block.reach, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-8)
     experiment = replace(needle.experiment, approach=ts.Approach(6e-3))
     of_box = replace(needle, experiment=experiment, reduced=SimpleNamespace(box=ts.PoseBox(2e-3, 4e-3), lifting=12))
     np.testing.assert_allclose(of_box.reach, [(4e-3, 8e-3), (-2e-3, 2e-3)])
-    assert of_box.highest == 0.0
+    assert of_box.min_tool_displacement == 0.0
     snapshot = Snapshot(ts.Pose.at_depth(0.0), 0.0, None)
     assert limit_to_reach(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
     assert limit_to_reach(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
@@ -124,4 +124,4 @@ def test_reach_of_the_tool(needle):
     steep = replace(leaning, reduced=SimpleNamespace(box=ts.PoseBox(1e-4, 4e-3), lifting=12))
     assert steep.reach[0] == pytest.approx((5.75e-3, 5.75e-3))
     lifted = replace(of_box, reduced=SimpleNamespace(box=of_box.reduced.box, lifting=0))
-    assert lifted.highest == -5e-3
+    assert lifted.min_tool_displacement == -5e-3

@@ -129,7 +129,7 @@ def test_a_played_protocol_gives_the_curve_of_the_test(session, needle, until):
     way_in, top = slice(0, 41), expected.force.max()
     for branch in (load, unload):
         there = np.interp(branch.depth, expected.displacement[way_in], expected.force[way_in])
-        assert np.abs(branch.force - there)[~branch.late].max() <= 0.01 * top
+        assert np.abs(branch.force - there)[~branch.is_late].max() <= 0.01 * top
     assert top > 0.3
 
 
@@ -227,7 +227,7 @@ def test_replay_repeats_the_measured_motion(session, measured, until):
     expected = curve_of(measured.material, measured)
     there = np.interp(load.depth, *(each[: np.argmax(expected.displacement) + 1]
                                     for each in (expected.displacement, expected.force)))
-    assert np.abs(load.force - there)[~load.late].max() <= 0.01 * expected.force.max()
+    assert np.abs(load.force - there)[~load.is_late].max() <= 0.01 * expected.force.max()
 
 
 def test_a_parameter_changes_force_curve_and_residual(session, measured, until):

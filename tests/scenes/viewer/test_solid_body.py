@@ -78,7 +78,7 @@ def check_remaining_body(mesh, body, wedge, left):
             high = LEVELS[k + 1] if k < len(surfaces) - 1 else np.inf
             values = linear(surface.vertices.astype(float))
             assert low - 1e-5 <= values.min() and values.max() <= high + 1e-5
-            middles = wedge.to_tool_frame(surface.vertices.astype(float)[surface.faces].mean(axis=1))
+            middles = wedge.points_from_scene_to_tool(surface.vertices.astype(float)[surface.faces].mean(axis=1))
             heights = [each for each, _ in wedge.heights_over_faces(middles)]
             assert wedge.opening.is_closed or (np.min(heights, axis=0) < 1e-8).all()
 

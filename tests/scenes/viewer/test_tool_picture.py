@@ -8,11 +8,11 @@ from scenes.viewer.cut_away import CutAway, SurfaceLine
 from scenes.viewer.revolution import Opening
 from scenes.viewer.tool_picture import (
     SETTINGS,
-    base_plate,
+    compute_picture_height,
     find_contact,
-    force_arrow,
-    picture_height,
-    tool_mesh,
+    make_base_plate,
+    make_force_arrow,
+    make_tool_mesh,
     tool_outline,
 )
 from tissue_sim.mesh import cylinder_mesh
@@ -47,14 +47,16 @@ def test_a_tool_is_a_closed_surface_with_the_volume_of_its_profile(name, cut):
     tool, opening = TOOLS[name], Opening(np.radians(cut))
     outline = tool_outline(tool, SPECIMEN)
     # The recess of the section faces is all that is missing.
-    assert volume(tool_mesh(tool, SPECIMEN, opening)) == pytest.approx(revolved_volume(outline, opening), rel=0.012)
+    mesh = make_tool_mesh(tool, SPECIMEN, opening)
+    assert volume(mesh) == pytest.approx(revolved_volume(outline, opening), rel=0.012)
 
 
 def test_volumes_of_simple_tools_match_formulas():
     opening = Opening(0.0, segments=720)
-    assert volume(tool_mesh(TOOLS["sphere"], SPECIMEN, opening)) == pytest.approx(4 / 3 * np.pi * 0.012**3, rel=5e-3)
+    sphere, flat = (make_tool_mesh(TOOLS[name], SPECIMEN, opening) for name in ("sphere", "flat"))
+    assert volume(sphere) == pytest.approx(4 / 3 * np.pi * 0.012**3, rel=5e-3)
     height = tool_outline(TOOLS["flat"], SPECIMEN)[:, 1].max()
-    assert volume(tool_mesh(TOOLS["flat"], SPECIMEN, opening)) == pytest.approx(np.pi * 0.008**2 * height, rel=5e-3)
+    assert volume(flat) == pytest.approx(np.pi * 0.008**2 * height, rel=5e-3)
 
 
 @pytest.mark.parametrize("name", NEEDLES)
@@ -75,14 +77,14 @@ def test_the_shaft_ends_above_the_specimen_and_the_tip_is_complete(name):
     assert outline[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
     top = outline[:, 1].max()
     assert top == pytest.approx(2 * tool.radius if name == "sphere" else 0.035, rel=1e-2)
-    assert picture_height(tool, SPECIMEN) == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
+    assert compute_picture_height(tool, SPECIMEN) == pytest.approx(top + SETTINGS.arrow_length * SPECIMEN.height)
     # On a flat specimen the whole tip is there, too.
     flat = tool_outline(tool, ts.Specimen(0.04, 0.002))
     assert flat[:, 0].max() == pytest.approx(tool.radius, rel=2e-3)
 
 
 def test_plate_and_base_are_wider_than_the_specimen():
-    plate, base = tool_mesh(TOOLS["plate"], SPECIMEN, Opening()), base_plate(SPECIMEN, Opening())
+    plate, base = make_tool_mesh(TOOLS["plate"], SPECIMEN, Opening()), make_base_plate(SPECIMEN, Opening())
     for surface in (plate, base):
         assert 1.1 * 0.04 < np.linalg.norm(surface.vertices[:, :2], axis=1).max() < 1.3 * 0.04
     assert 0.0 <= plate.vertices[:, 2].min() < 1e-4
@@ -96,7 +98,7 @@ def test_plate_and_base_are_wider_than_the_specimen():
 def test_the_arrow_has_the_length_and_direction_of_the_force():
     tool = TOOLS["flat"]
     top = tool_outline(tool, SPECIMEN)[:, 1].max()
-    half, full, pull = (force_arrow(force, 4.0, tool, SPECIMEN) for force in (2.0, 4.0, -2.0))
+    half, full, pull = (make_force_arrow(force, 4.0, tool, SPECIMEN) for force in (2.0, 4.0, -2.0))
     assert half.tip[2] - half.start[2] == pytest.approx(0.5 * SETTINGS.arrow_length * 0.07)
     assert full.tip[2] - full.start[2] == pytest.approx(SETTINGS.arrow_length * 0.07)
     assert pull.tip[2] - pull.start[2] == pytest.approx(-0.5 * SETTINGS.arrow_length * 0.07)
@@ -110,12 +112,12 @@ def test_the_arrow_has_the_length_and_direction_of_the_force():
         length = abs(arrow.tip[2] - arrow.start[2])
         head = min(SETTINGS.head_length * 0.07, SETTINGS.largest_head * length)
         assert abs(widest - arrow.tip[2]) == pytest.approx(head, rel=1e-4)
-    assert force_arrow(40.0, 4.0, tool, SPECIMEN).tip == pytest.approx(full.tip)
+    assert make_force_arrow(40.0, 4.0, tool, SPECIMEN).tip == pytest.approx(full.tip)
 
 
 @pytest.mark.parametrize("force", [0.0, 1e-3, -1e-3])
 def test_a_zero_force_has_no_arrow(force):
-    assert force_arrow(force, 4.0, TOOLS["flat"], SPECIMEN) is None
+    assert make_force_arrow(force, 4.0, TOOLS["flat"], SPECIMEN) is None
 
 
 def surface_line(points):

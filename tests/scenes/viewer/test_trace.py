@@ -13,10 +13,10 @@ from calibration.campaign.campaign import load_campaign
 from haptics.loop.ring import PAUSED, TICK
 from scenes.catalogue import SCENES
 from scenes.cli import main
-from scenes.provenance import recording_provenance
-from scenes.viewer.page.saving import curve_files
+from scenes.provenance import describe_provenance
+from scenes.viewer.page.saving import make_curve_files
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, recording_files
+from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, make_recording_files
 from tissue_sim.recording.segmentation import MOTION_SETTINGS, select_monotone_samples
 from tissue_sim.tool_force import ForceStatus
 
@@ -101,9 +101,9 @@ def test_fading_forces_are_not_drawn_and_late_forces_not_recorded():
     trace = fed(records)
     drawn = {int(time) for time in trace.time if time < len(ForceStatus) and time % 1 < 0.5 - 1e-9}
     assert drawn == {ForceStatus.CONVERGED, ForceStatus.LATE}
-    assert trace.late.any() and (np.floor(trace.time[trace.late]) == ForceStatus.LATE).all()
+    assert trace.is_late.any() and (np.floor(trace.time[trace.is_late]) == ForceStatus.LATE).all()
     recorded = trace.recording({}).time + trace.time[0]
-    assert np.isin(recorded, trace.time[~trace.late]).all() and len(recorded) == (~trace.late).sum()
+    assert np.isin(recorded, trace.time[~trace.is_late]).all() and len(recorded) == (~trace.is_late).sum()
     records["status"] = ForceStatus.LATE
     with pytest.raises(ts.InputError, match="two equilibrium points"):
         fed(records).recording({})
@@ -184,7 +184,7 @@ def test_recording_has_segments_and_cycles():
 
 def test_recording_reads_back_equal(tmp_path):
     record = fed(played(CYCLE, 14, noise=0.01e-3)).recording({"name": "felt", "kind": "needle_indentation"})
-    for name, content in recording_files(record, "felt").items():
+    for name, content in make_recording_files(record, "felt").items():
         (tmp_path / name).write_bytes(content)
     again = ts.read_recording(tmp_path / "felt.csv", kind="needle_indentation")
     assert set(again.channels) == set(record.channels) == {"time", "displacement", "force"}
@@ -204,10 +204,10 @@ def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, speci
     tests = {} if tool is None else {"tool": tool}
     experiment = ts.KINDS[kind].experiment(specimen=specimen, protocol=ts.Protocol.ramp(4e-3, 5), **tests)
     scene = Scene(SCENES[kind], experiment, ts.Material("neo_hooke", {"C10": 1000.0}))
-    for name, content in curve_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
+    for name, content in make_curve_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
         (tmp_path / name).write_bytes(content)
     felt = ts.read_recording(tmp_path / f"{kind}.csv")
-    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == recording_provenance(kind, experiment)
+    assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == describe_provenance(kind, experiment)
     assert felt.metadata["simulated"] is True
     assert main(["import", str(tmp_path / f"{kind}.csv"), "-o", str(tmp_path / "campaign.toml")]) == 0
     text = (tmp_path / "campaign.toml").read_text(encoding="utf-8")
