@@ -20,8 +20,8 @@ from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.solid import SolidMesh, needle_solid
 
-#: Version of the cached reduced models; raise it when their scenes change.
-REDUCED_VERSION = 2
+#: Version of the cached reduced models; raise it when their scenes or their training change.
+REDUCED_VERSION = 3
 #: Radius and height of the specimen of spatial scenes, m.
 SPATIAL_SPECIMEN = (0.030, 0.020)
 #: Radius of the tool of spatial scenes, m.

@@ -10,12 +10,13 @@ import numpy as np
 from tissue_sim.fem.reduced.compliance import MissingForce, contact_compliance
 from tissue_sim.fem.reduced.compliance_table import with_accepted_missing_forces
 from tissue_sim.fem.reduced.model import ReducedModel
+from tissue_sim.fem.reduced.path_steps import iterate_steps
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.training import VERIFICATION, Snapshots
+from tissue_sim.fem.reduced.training import Snapshots
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
-from tissue_sim.pose import Pose, between
+from tissue_sim.pose import Pose
 
 
 def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
@@ -43,14 +44,9 @@ def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[
     for path, full_order, material in zip(poses, snapshots, materials, strict=True):
         if material is not small.material:
             small.set_material(material)
-        small.forget()
-        last_pose = path[0]
-        substeps = VERIFICATION.substeps
-        for pose, wrench in zip(path, full_order.wrenches, strict=True):
-            steps = [small.step(between(last_pose, pose, (k + 1) / substeps)) for k in range(substeps)]
-            last_pose = pose
-            if steps[-1].status is StepStatus.CONVERGED and small.contact.touches:
-                force = np.array(steps[-1].wrench[:3])
+        for step, wrench in zip(iterate_steps(small, path), full_order.wrenches, strict=True):
+            if step.status is StepStatus.CONVERGED and small.contact.touches:
+                force = np.array(step.wrench[:3])
                 forces.append(float(np.linalg.norm(force)))
                 missing.append(missing_force.value())
                 errors.append(float(np.linalg.norm(force - wrench[:3])))

@@ -13,6 +13,7 @@ import numpy as np
 
 from tissue_sim.fem.contact_settings import STICK
 from tissue_sim.fem.reduced.contact_kernel import LayerResult, LayerSetting, NodeState, contact_kernel
+from tissue_sim.fem.reduced.linear import norm
 from tissue_sim.fem.solid.bodies import Body
 from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -42,6 +43,7 @@ class LayerContact:
         nodes: numbers of the contact nodes, shape (n,).
         forces: contact forces on the tissue, valid for touching nodes, N, shape (n, 3).
         touched: which nodes touched the tool in the last committed step, shape (n,).
+        largest_lateral: largest lateral force, N, see `largest_lateral_force`, of the committed steps, shape (1,).
     """
 
     def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
@@ -67,6 +69,7 @@ class LayerContact:
         self._springs, self.touched = np.zeros(n), np.zeros(n, dtype=np.int32)
         self._states = np.zeros(n, dtype=np.int32)
         self.anchors, self._new_anchors, self.forces = np.zeros((3, n, 3))
+        self.largest_lateral = np.zeros(1)
         self._moved = np.zeros((n, 3))
         self._modes = modes = self._rows.shape[1]
         # Arrays of the kernel. `_products` is the stiffness between modes and tool, shape (modes + 6, modes + 6).
@@ -155,6 +158,15 @@ class LayerContact:
         return stiffness
 
     @property
+    def largest_lateral_force(self) -> float:
+        """Largest force on the tool perpendicular to its axis since the first touch, N, with the last evaluation."""
+        if not self.touches:
+            return 0.0
+        axis = self._settings[LayerSetting.ROTATION + 2 : LayerSetting.ROTATION + 9 : 3]
+        force = self.wrench[:3]
+        return max(float(self.largest_lateral[0]), norm(force - (force @ axis) * axis))
+
+    @property
     def touches(self) -> bool:
         """Whether any node touched the tool in the last evaluation."""
         return bool(self._report[LayerResult.TOUCHING])
@@ -175,15 +187,16 @@ class LayerContact:
         return float(self._report[LayerResult.DEPTH])
 
     def commit(self) -> None:
-        """Store stick anchors and touching nodes after a converged step."""
+        """Store stick anchors, touching nodes and the largest lateral force after a converged step."""
         self.anchors[:] = self._new_anchors
         self.touched[:] = self._states != NodeState.FREE
+        self.largest_lateral[0] = self.largest_lateral_force
 
     def forget(self) -> None:
         """Mark all nodes as not touching."""
-        self.touched[:] = 0
+        self.touched[:], self.largest_lateral[:] = 0, 0.0
 
     @property
     def kept(self) -> tuple[np.ndarray, ...]:
         """Arrays that belong to the state of the solver; they are saved and restored."""
-        return self.anchors, self.touched
+        return self.anchors, self.touched, self.largest_lateral

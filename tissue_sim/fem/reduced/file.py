@@ -25,6 +25,7 @@ from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, require_reducible
+from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.solid.tissue import element_groups, require_regions
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
@@ -155,8 +156,9 @@ def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -
         lifting, report = description["lifting"], description["report"]
         softness, bulk_ratio = float(description["softness"]), float(description["bulk_ratio"])
         # Files of older versions have no error estimate.
-        watched, (changed, own) = description.get("watched", 0), description.get("error_factors", (1.0, 0.0))
-        error_factors = float(changed), float(own)
+        watched, (changed, own, *lateral) = description.get("watched", 0), description.get("error_factors", (1.0, 0.0))
+        # Files of older versions have no lateral factor. A tool without friction ignores the factor.
+        error_factors = float(changed), float(own), float(lateral[0] if lateral else VERIFICATION.absent_lateral_factor)
         box = PoseBox(**description["box"])
         material = decode_material_file(description["material"]).material
         experiment = _make_experiment(description["experiment"], box, of_file)

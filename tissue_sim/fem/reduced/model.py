@@ -19,6 +19,9 @@ from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, motion
 
+#: Factors of the error estimate, see `ReducedModel.error_factors`.
+ErrorFactors = tuple[float, float, float]
+
 
 @dataclass(frozen=True)
 class PoseBox:
@@ -159,8 +162,9 @@ class ReducedModel:
             limit makes this change too stiff, a smaller limit makes the tissue too soft.
         softness: thickness of the contact layer over the contact radius.
         watched: number of error modes, the last ones. They are no unknowns; their residual estimates the error.
-        error_factors: factors of the force change by the error modes and of the force itself; the sum of both products
-            is the estimated error of the force, calibrated on test paths.
+        error_factors: factors of the force change by the error modes, of the force itself, and of the largest lateral
+            force of a tool with friction since its first touch. The sum of the three products is the estimated error of
+            the force, calibrated on test paths.
         rest: equilibrium under self-weight; None: undeformed.
         compliance: compliance table of the contact nodes for the error estimate; None for a bonded tool and in files of
             older versions.
@@ -179,7 +183,7 @@ class ReducedModel:
     bulk_ratio: float
     report: dict[str, Any] = field(default_factory=dict)
     watched: int = 0
-    error_factors: tuple[float, float] = (1.0, 0.0)
+    error_factors: ErrorFactors = (1.0, 0.0, 0.0)
     rest: Rest | None = None
     compliance: ContactCompliance | None = None
 

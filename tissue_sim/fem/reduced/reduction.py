@@ -17,9 +17,10 @@ from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError, located
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.acceptance import with_compliance
+from tissue_sim.fem.reduced.lateral import lateral_factor
 from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_parts
 from tissue_sim.fem.reduced.symmetry import find_symmetries
-from tissue_sim.fem.reduced.training_paths import boundary_training_paths, training_path
+from tissue_sim.fem.reduced.training_paths import boundary_training_paths, reversing_paths, training_path
 from tissue_sim.files import read_text
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
@@ -144,8 +145,11 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
     report, factors = training.verify_and_calibrate(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
                                                     materials=materials, memory=memory)
-    return training.with_report_and_error_factors(reduced, factors, strokes=strokes, boundary_strokes=count - strokes,
-                                                  materials=len(materials), tried=tried, **report)
+    back = reversing_paths(box, start, reach=reach, images=images, fraction=training.VERIFICATION.boundary_fraction)
+    lateral = lateral_factor(reduced, solver, back[:: max(1, len(back) // 2)], materials, memory=memory)
+    return training.with_report_and_error_factors(reduced, (*factors, lateral), strokes=strokes,
+                                                  boundary_strokes=count - strokes, materials=len(materials),
+                                                  tried=tried, **report)
 
 
 class _Store:

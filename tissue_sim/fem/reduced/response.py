@@ -7,7 +7,7 @@ import numpy as np
 from tissue_sim.fem.reduced.compliance import MissingForce
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.linear import norm, solve
-from tissue_sim.fem.reduced.model import PoseBox
+from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox
 
 
 class Response:
@@ -46,16 +46,17 @@ class Response:
         self.sensitivity, self.correction = changes[:, :6], changes[:, 6]
         self._static_modes = found[:, 7:]
 
-    def force_error(self, factors: tuple[float, float], force: np.ndarray, missing: MissingForce | None = None
+    def force_error(self, factors: ErrorFactors, force: np.ndarray, missing: MissingForce | None = None
                     ) -> float | None:
-        """Estimate the error of a force on the tool, N: missing modes plus missing compliance of the contact nodes.
+        """Estimate the error of a force on the tool, N: missing modes, missing compliance, and lateral error.
 
         The error by missing modes is c_1 |dF| + c_2 |F|. dF is the change of the force F if the error modes were
         unknowns, too (hierarchical error estimate: Bank and Weiser, Math. Comp. 44 (1985) 283).
-        `training.verify_and_calibrate` calibrates the factors.
+        `training.verify_and_calibrate` calibrates the factors. The lateral error is c_3 times the largest lateral
+        force, see `lateral_factor`.
 
         Args:
-            factors: c_1 and c_2, see `ReducedModel.error_factors`.
+            factors: c_1, c_2 and c_3, see `ReducedModel.error_factors`.
             force: force on the tool, N, shape (3,).
             missing: missing force of the contact at this equilibrium; None: unknown.
 
@@ -63,9 +64,13 @@ class Response:
             Estimated error, N; None without error modes and without `missing`.
         """
         known = self._estimate_missing_mode_error(factors, force) if self._free.stop < len(self._residual) else None
-        return known if missing is None else (known or 0.0) + missing.error(norm(force))
+        if missing is not None:
+            known = (known or 0.0) + missing.error(norm(force))
+        if known is not None and self._contact.has_friction:
+            known += factors[2] * self._contact.largest_lateral_force
+        return known
 
-    def _estimate_missing_mode_error(self, factors: tuple[float, float], force: np.ndarray) -> float:
+    def _estimate_missing_mode_error(self, factors: ErrorFactors, force: np.ndarray) -> float:
         """Return the estimated error by missing modes, N."""
         free, held = self._free, self._free.start
         tangent = self._tangent
@@ -78,7 +83,7 @@ class Response:
         added = self._contact.compute_linear_force_change(change)
         if held:
             added = added - (self._prescribed_rates.T @ (tangent[:held] @ change))[:3]
-        changed, own = factors
+        changed, own, _ = factors
         return changed * norm(added) + own * norm(force)
 
     def stiffness(self, box: PoseBox) -> np.ndarray:

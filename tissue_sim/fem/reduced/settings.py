@@ -117,6 +117,8 @@ class VerificationSettings:
             coarser solid supplies larger errors for the calibration of the error estimate.
         coverage: fraction of the test states whose error must be within the estimate.
         negligible_error: error of the force over the rms force that the estimate need not cover.
+        absent_lateral_factor: lateral factor, see `lateral_factor`, of files of older versions. A ball of friction 0.3
+            has the factor 0.34 with 12 modes and 0.15 with 24 modes.
     """
 
     test_paths: int = 3
@@ -126,6 +128,7 @@ class VerificationSettings:
     modes_per_omitted_mode: int = 4
     coverage: float = 0.95
     negligible_error: float = 0.01
+    absent_lateral_factor: float = 0.4
 
 
 #: Relative residual of the modal forces at which a step has converged. The error of the reduction is far larger.

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, Snapshots
+from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox, ReducedModel, Rest, Snapshots
 from tissue_sim.fem.reduced.sampling import sparse_weights
 from tissue_sim.fem.reduced.settings import TRAINING, VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
@@ -248,7 +248,7 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
         memory: material history at rest, see `settled_memory`.
 
     Returns:
-        The report and the error factors of `ReducedModel`. The report contains ``force_rms_error`` and
+        The report and the first two error factors of `ReducedModel`. The report contains ``force_rms_error`` and
         ``force_largest_error`` over the rms force with the same material, ``force_rms_N``, the rms force over all
         paths, ``not_converged``, the fraction of failed steps, and ``warnings`` of the full-order solver if any.
     """
@@ -257,7 +257,7 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
     # A second solid with fewer modes adds states whose error is caused by modes rather than by sampled elements.
     more = (reduced.basis.shape[1] - reduced.lifting - reduced.watched) // VERIFICATION.modes_per_omitted_mode
     table = reduced.compliance
-    plain = replace(reduced, error_factors=(1.0, 0.0),
+    plain = replace(reduced, error_factors=(1.0, 0.0, 0.0),
                     compliance=None if table is None else table.with_unlimited_acceptance)
     small, fewer = (ReducedSolver(replace(plain, watched=reduced.watched + each), reduced.model.material)
                     for each in (0, more if reduced.watched else 0))
@@ -371,7 +371,7 @@ def _rest(solver: SolidSolver) -> Rest | None:
     return Rest(standing.displacement.ravel(), standing.pressures)
 
 
-def with_report_and_error_factors(reduced: ReducedModel, factors: tuple[float, float], **more: Any) -> ReducedModel:
+def with_report_and_error_factors(reduced: ReducedModel, factors: ErrorFactors, **more: Any) -> ReducedModel:
     """Return a copy with additional entries of the report and with the factors of the error estimate."""
     return replace(reduced, report={**reduced.report, **more}, error_factors=factors)
 

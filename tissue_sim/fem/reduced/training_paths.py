@@ -77,6 +77,19 @@ def boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reach: fl
     return paths
 
 
+def reversing_paths(box: PoseBox, start: Pose, *, reach: float, images: Sequence[np.ndarray] = (),
+                    fraction: float = 1.0) -> list[list[Pose]]:
+    """Return paths on which the tool moves obliquely to the boundary of a box and back along the same line.
+
+    The lateral motion reverses in contact, which reverses the friction. The paths lead from above the start to the full
+    depth at each corner and at the midpoint of each edge; the arguments are those of `boundary_training_paths`.
+    """
+    small = PoseBox(fraction * box.sideways, fraction * box.depth)
+    return [_sample_path([_move_to_depth(start, start, -0.1 * box.depth), start,
+                          _make_deepest_pose(small, start, point), start], reach)
+            for point, _ in _iterate_boundary_points(box.sideways > 0.0, images)]
+
+
 def _iterate_boundary_points(is_wide: bool, images: Sequence[np.ndarray]
                              ) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
     """Yield corners and edge midpoints of a square, each with the point to which the tool is dragged.

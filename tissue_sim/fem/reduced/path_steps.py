@@ -1,0 +1,19 @@
+"""Simulation of a reduced solid along the poses of a training or test path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+from tissue_sim.fem.reduced.settings import VERIFICATION
+from tissue_sim.fem.reduced.solver import ReducedSolver
+from tissue_sim.fem.solver import Step
+from tissue_sim.pose import Pose, between
+
+
+def iterate_steps(small: ReducedSolver, poses: Sequence[Pose]) -> Iterator[Step]:
+    """Simulate a reduced solid along poses from rest, and yield the step that ends at each pose."""
+    small.forget()
+    for last_pose, pose in zip([poses[0], *poses], poses, strict=False):
+        for k in range(VERIFICATION.substeps):
+            step = small.step(between(last_pose, pose, (k + 1) / VERIFICATION.substeps))
+        yield step
