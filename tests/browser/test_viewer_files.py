@@ -106,7 +106,7 @@ def test_the_live_curve_is_downloaded_as_a_recording(shown, reader, tmp_path):
     sidecar.save_as(tmp_path / "curve.json")
     felt = ts.read_recording(tmp_path / "curve.csv")
     assert felt.metadata["specimen"]["shape"] == "cylinder" and felt.metadata["tool"]["shape"] == "flat"
-    found = ~trace.late
+    found = ~trace.is_late
     # Equal up to the conversion from m to mm and back.
     for read, expected in ((felt.displacement, trace.depth[found]), (felt.force, trace.force[found]),
                            (felt.time, trace.time[found] - trace.time[found][0])):
