@@ -4,7 +4,6 @@ import contextlib
 import csv
 import io
 import json
-import os
 import re
 import signal
 import subprocess
@@ -12,6 +11,7 @@ import sys
 
 import numpy as np
 import pytest
+from child_environment import child_environment
 from rich.console import Console
 from scipy.interpolate import PchipInterpolator
 
@@ -185,7 +185,7 @@ def test_unidentifiable_parameters_are_reported(write, tmp_path, capsys):
 def terminal(monkeypatch, height=24):
     """Stream that receives the stderr of a terminal of 80 columns."""
     stream = io.StringIO()
-    monkeypatch.setattr("scenes.commands.calibrate.progress_console",
+    monkeypatch.setattr("scenes.commands.shared.campaigns.progress_console",
                         lambda quiet: Console(file=stream, force_terminal=True, width=80, height=height, quiet=quiet,
                                               legacy_windows=False, _environ={"TERM": "xterm"}))
     return stream
@@ -322,7 +322,7 @@ main(sys.argv[1:])
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="Windows has no such signal")
 def test_a_killed_run_resumes(joint, tmp_path, capsys):
     out = tmp_path / "out"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    environment = child_environment()
     done = subprocess.run([sys.executable, "-c", KILLED.format(count=12), "calibrate", joint, "-o", out],
                           env=environment, capture_output=True, check=False)
     assert done.returncode == -signal.SIGKILL

@@ -4,16 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.commands.shared.campaigns import (
-    add_figures_format,
-    add_workers,
-    describe_resumption,
-    read_folder_stamp,
-)
-from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.campaigns import add_run_flags, show_campaign_progress
+from scenes.commands.shared.console import print_json, results_console
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.log_lines import LogLines
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite
+from scenes.commands.shared.parsing import Parser
 
 SUMMARY = "fit strain-energy laws to the recordings of one or more campaigns"
 EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
@@ -26,31 +20,19 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",
                         help="folder for material files, tables and the report; a folder of the same calibration is "
                              "resumed")
-    add_workers(parser, "the starts, profiles, laws and left-out tests of inverse fits")
-    add_figures_format(parser)
-    add_overwrite(parser)
-    add_json(parser)
-    parser.set_defaults(run=run, resume_hint="no campaign was finished. Run the same command to start again")
+    add_run_flags(parser, "the starts, profiles, laws and left-out tests of inverse fits")
+    parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
     """Calibrate and print the results; `ExitCode.GOAL_MISSED` if a campaign has no usable fit."""
     from calibration import Workers, calibrate
-    from scenes.commands.shared.progress import CampaignProgress
 
-    stamp = read_folder_stamp(arguments.output)
-    try:
-        with CampaignProgress(progress_console(quiet=arguments.json), len(arguments.campaigns),
-                              LogLines(quiet=arguments.json)) as progress:
-            results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
-                                progress=progress.show_task, listen=progress.add_iteration,
-                                figures_format=arguments.figures_format,
-                                workers=Workers(arguments.workers, arguments.dask))
-    except KeyboardInterrupt:
-        # Until the calibration writes its stamp, --overwrite leaves the results of another calibration in the folder.
-        if not arguments.overwrite or read_folder_stamp(arguments.output) != stamp:
-            arguments.resume_hint = describe_resumption(arguments, "fit.json")
-        raise
+    with show_campaign_progress(arguments, "fit.json") as progress:
+        results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
+                            progress=progress.show_task, listen=progress.add_iteration,
+                            figures_format=arguments.figures_format,
+                            workers=Workers(arguments.workers, arguments.dask))
     if arguments.json:
         from calibration import to_json
 

@@ -3,9 +3,53 @@
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-from scenes.commands.shared.parsing import Parser, make_integer_type
+from scenes.commands.shared.console import progress_console
+from scenes.commands.shared.log_lines import LogLines
+from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, make_integer_type
+
+if TYPE_CHECKING:
+    from scenes.commands.shared.progress import CampaignProgress
+
+
+def add_run_flags(parser: Parser, tasks: str) -> None:
+    """Add the flags of a command that runs campaigns, and its default ``resume_hint``.
+
+    Args:
+        parser: parser of the command.
+        tasks: tasks that the processes share, in words for the help.
+    """
+    add_workers(parser, tasks)
+    add_figures_format(parser)
+    add_overwrite(parser)
+    add_json(parser)
+    parser.set_defaults(resume_hint="no campaign was finished. Run the same command to start again")
+
+
+@contextmanager
+def show_campaign_progress(arguments: Namespace, last_file: str) -> Iterator[CampaignProgress]:
+    """Show the progress of campaigns, and on Ctrl-C set ``arguments.resume_hint`` to the results that are kept.
+
+    Args:
+        arguments: parsed arguments with ``campaigns``, ``output``, ``overwrite``, ``json`` and ``resume_hint``.
+        last_file: name of the file that a finished campaign has in its folder.
+    """
+    from scenes.commands.shared.progress import CampaignProgress
+
+    stamp = read_folder_stamp(arguments.output)
+    try:
+        with CampaignProgress(progress_console(quiet=arguments.json), len(arguments.campaigns),
+                              LogLines(quiet=arguments.json)) as progress:
+            yield progress
+    except KeyboardInterrupt:
+        # Until the run writes its stamp, --overwrite leaves the results of another run in the folder.
+        if not arguments.overwrite or read_folder_stamp(arguments.output) != stamp:
+            arguments.resume_hint = describe_resumption(arguments, last_file)
+        raise
 
 
 def add_workers(parser: Parser, tasks: str) -> None:
