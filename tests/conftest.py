@@ -1,5 +1,6 @@
 """Shared fixtures, markers, and the order in which processes run the tests."""
 
+import contextlib
 import gc
 import importlib
 import io
@@ -8,7 +9,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-import time
 from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
@@ -143,10 +143,12 @@ class Compilation:
     def pytest_runtest_setup(self, item: pytest.Item) -> None:
         # Taichi reads its cache of kernels once, at its start in this process.
         if self._mark is not None and may_use_kernels(item):
-            deadline = time.monotonic() + COMPILING
-            while self._mark.exists() and time.monotonic() < deadline:
-                time.sleep(0.1)
-            self._mark = None
+            from waiting import wait_until
+
+            mark, self._mark = self._mark, None
+            # After this time, the tests compile their kernels themselves.
+            with contextlib.suppress(AssertionError):
+                wait_until(lambda: not mark.exists(), "compiled kernels", COMPILING)
 
     def pytest_unconfigure(self) -> None:
         if self._process is not None:

@@ -2,8 +2,9 @@
 
 import os
 import signal
-import time
 from pathlib import Path
+
+from waiting import wait_until
 
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -14,14 +15,6 @@ def add(left, right):
 
 def environment(*names):
     return {name: os.environ.get(name) for name in names}
-
-
-def wait_until(condition, seconds=600.0):
-    """Looks again and again until it holds; an error where it never does, so that no process stays behind."""
-    deadline = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < deadline, f"not within {seconds} s"
-        time.sleep(0.01)
 
 
 def meet(folder, *names):

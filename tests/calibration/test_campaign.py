@@ -1,12 +1,12 @@
 """Campaign files: what is read, and one sentence with the field for everything that is wrong."""
 
-import os
 import re
 import subprocess
 import sys
 
 import numpy as np
 import pytest
+from child_environment import child_environment
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -283,7 +283,7 @@ def test_campaigns_load_without_scipy_taichi_or_matplotlib(folder):
     code = ("import sys, calibration; calibration.load_campaign('study.toml');"
             "print([m for m in ('scipy', 'taichi', 'matplotlib', 'viser') if m in sys.modules])")
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True,
-                          env={**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)})
+                          env=child_environment())
     assert done.stdout.strip() == "[]"
 
 

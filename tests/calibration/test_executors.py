@@ -12,6 +12,7 @@ from pathlib import Path
 
 import distributed
 import pytest
+from child_environment import child_environment
 
 from calibration.tasks import dask_cluster, executors
 from calibration.tasks.errors import WorkerError
@@ -76,7 +77,7 @@ def test_one_worker_starts_no_process():
                "    assert tasks.run(os.getpid, [(), ()]) == [os.getpid()] * 2\n"
                "heavy = {'multiprocessing', 'distributed', 'numpy', 'taichi'} & set(sys.modules)\n"
                "assert not heavy, heavy")
-    subprocess.run([sys.executable, "-c", program], check=True, env=_environment())
+    subprocess.run([sys.executable, "-c", program], check=True, env=child_environment())
 
 
 def test_results_are_told_in_the_order_of_completion_in_the_callers_thread(task, tmp_path):
@@ -177,7 +178,7 @@ def test_a_script_without_main_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text("import math\nfrom calibration.tasks.executors import Workers, open_tasks\n"
                       "with open_tasks(Workers(2)) as tasks:\n    tasks.run(math.sqrt, [(1.0,), (2.0,)])\n")
-    ended = subprocess.run([sys.executable, script], env=_environment(), capture_output=True, text=True)
+    ended = subprocess.run([sys.executable, script], env=child_environment(), capture_output=True, text=True)
     assert ended.returncode == 1
     # Python's own warning of workers that died may come after it.
     assert any("if __name__ == '__main__':" in line for line in ended.stderr.splitlines()[-8:])
@@ -187,7 +188,7 @@ def test_a_script_without_main_guard_is_told_so(tmp_path):
 @pytest.mark.parametrize(("name", "status"), [("SIGINT", 42), ("SIGKILL", -9)])
 def test_no_worker_outlives_its_parent(name, status, task, tmp_path):
     script = Path(__file__).with_name("executor_tasks.py")
-    parent = subprocess.Popen([sys.executable, script, tmp_path], env=_environment(), start_new_session=True,
+    parent = subprocess.Popen([sys.executable, script, tmp_path], env=child_environment(), start_new_session=True,
                               stderr=subprocess.PIPE, text=True)
     task.wait_until(lambda: len(list(tmp_path.iterdir())) == 2)
     if name == "SIGINT":
@@ -254,10 +255,6 @@ def test_workers_that_make_no_sense_are_refused():
         Workers(4, "tcp://127.0.0.1:8786")
     assert caught.value.field == "dask"
 
-
-def _environment():
-    root = Path(__file__).resolve().parents[2]
-    return os.environ | {"PYTHONPATH": os.pathsep.join([str(root), os.environ.get("PYTHONPATH", "")])}
 
 
 def _alive(pid):

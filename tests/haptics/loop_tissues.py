@@ -7,6 +7,7 @@ import time
 from functools import partial
 
 import numpy as np
+from waiting import wait_until
 
 from haptics.devices.motions import SineMotion
 from haptics.loop.loop import LoopSettings
@@ -141,13 +142,15 @@ def write_fast(ring_path, board_path, stop_path):
 def read_forces(path, count):
     """The first forces of a ring, as an unrelated process sees them."""
     with RingReader(path) as reader:
-        number, deadline = 0, time.monotonic() + 300.0
-        while number < count:
-            assert time.monotonic() < deadline, f"{number} of {count} ticks within 300 s"
-            ticks = reader.since(number)
-            number = ticks.number
-            time.sleep(0.01)
-        print(number, ticks.lost, reader.latest()["force"])
+        ticks = reader.since(0)
+
+        def read_on():
+            nonlocal ticks
+            ticks = reader.since(ticks.number)
+            return ticks.number >= count
+
+        wait_until(read_on, lambda: f"{count} ticks; got {ticks.number}")
+        print(ticks.number, ticks.lost, reader.latest()["force"])
 
 
 def main():

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from child_environment import child_environment
 from waiting import wait_until
 
 from haptics.devices.contracts import AxialMotion, DeviceError, HapticDevice
@@ -262,7 +263,7 @@ def test_a_hand_takes_the_tool_over_where_it_is(run, tissues):
     assert (way >= 0).all() and ticks["tool_depth"][-1] == pytest.approx(5e-3, abs=1e-7)
 
 
-def test_another_source_can_begin_anew(run, tissues):
+def test_another_device_can_restart_the_motion(run, tissues):
     def listen(loop):
         if len(tissue.steps) == 100 and not done:
             done.append(True)
@@ -362,15 +363,12 @@ def test_peak_memory_is_that_of_this_program(tissues):
     """A process that a large one starts does not begin with the memory of its parent."""
     ballast = bytearray(os.urandom(1)) * 400_000_000
     code = "from haptics.loop.loop import peak_memory; print(peak_memory())"
-    done = subprocess.run([sys.executable, "-c", code], env=environment(), capture_output=True, text=True, check=True)
+    done = subprocess.run([sys.executable, "-c", code], env=child_environment(HERE), capture_output=True, text=True,
+                          check=True)
     assert peak_memory() > len(ballast) > int(done.stdout) > 5e6
 
 
 # ---- the process ----
-
-def environment():
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), str(HERE)]))}
-
 
 def is_running(pid):
     """Return whether a process runs; a process that ended and was not waited for does not."""
@@ -402,7 +400,7 @@ def test_an_unrelated_process_reads_the_ring(tissues):
         assert loop.alive and loop.exit_code is None and loop.report is None
         with loop.ring() as ring:
             command = [sys.executable, HERE / "loop_tissues.py", "read", loop.ring_path, "100"]
-            read, lost, _ = subprocess.run(command, env=environment(), capture_output=True, text=True,
+            read, lost, _ = subprocess.run(command, env=child_environment(HERE), capture_output=True, text=True,
                                            check=True).stdout.split()
             report = loop.stop()
             ticks = ring.since().records
@@ -512,7 +510,7 @@ def test_a_build_that_takes_long_can_be_stopped(tissues):
 @pytest.mark.parametrize("what", ["parent", "building"])
 def test_no_loop_outlives_its_parent(what, tmp_path):
     ring = tmp_path / "ring"
-    with subprocess.Popen([sys.executable, HERE / "loop_tissues.py", what, ring], env=environment(),
+    with subprocess.Popen([sys.executable, HERE / "loop_tissues.py", what, ring], env=child_environment(HERE),
                           stdout=subprocess.PIPE, text=True) as parent:
         child = int(parent.stdout.readline())
         wait_until(ring.exists)
@@ -526,7 +524,7 @@ def test_a_loop_without_main_guard_is_told_so(tmp_path):
     script = tmp_path / "unguarded.py"
     script.write_text("from loop_tissues import loop_process\n"
                       "with loop_process() as loop:\n    loop.wait_until_ready()\n", encoding="utf-8")
-    ended = subprocess.run([sys.executable, script], env=environment(), capture_output=True, text=True)
+    ended = subprocess.run([sys.executable, script], env=child_environment(HERE), capture_output=True, text=True)
     assert ended.returncode == 1
     assert "if __name__ == '__main__':" in ended.stderr.splitlines()[-1]
 

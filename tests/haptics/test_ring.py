@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from child_environment import child_environment
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -159,8 +160,8 @@ def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
 def test_no_torn_record_is_seen_from_a_writer_at_full_speed(tmp_path, tissues):
     """Another process writes a ring of 8 ticks, and a board, as fast as it can."""
     ring, board, stop = tmp_path / "ring", tmp_path / "board", tmp_path / "stop"
-    with subprocess.Popen([sys.executable, HERE / "loop_tissues.py", "write", ring, board, stop], env=environment(),
-                          stdout=subprocess.PIPE) as writer:
+    with subprocess.Popen([sys.executable, HERE / "loop_tissues.py", "write", ring, board, stop],
+                          env=child_environment(HERE), stdout=subprocess.PIPE) as writer:
         assert writer.stdout.readline() == b"writing" + os.linesep.encode()
         pattern = Snapshot(Pose.at_depth(0.0), 0.0, tissues.gel_fields(1.0, np.zeros((1, 500))))
         with RingReader(ring) as ticks, SnapshotReader(board, pattern) as snapshots:
@@ -187,10 +188,6 @@ def test_no_torn_record_is_seen_from_a_writer_at_full_speed(tmp_path, tissues):
             assert writer.wait(300) == 0
             assert ticks.ended and snapshots.ended and not ring.exists() and not board.exists()
             assert seen > 0 and lost > 0 and published > 0, "the reader must be lapped for this to mean anything"
-
-
-def environment():
-    return {**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, [str(HERE.parents[1]), str(HERE)]))}
 
 
 def test_a_snapshot_comes_back_with_its_stresses(path, tissues):

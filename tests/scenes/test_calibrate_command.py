@@ -7,6 +7,7 @@ import sys
 
 import numpy as np
 import pytest
+from child_environment import child_environment
 
 import tissue_sim as ts
 from calibration.fit import ordinary
@@ -145,7 +146,7 @@ def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
 def test_a_closed_pipe_is_no_error(campaign, tmp_path):
     """``calibrate ... | head -1``: rich alone would end with exit code 1."""
     words = [sys.executable, "-m", "scenes.cli", "calibrate", str(campaign), "-o", str(tmp_path / "out")]
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    environment = child_environment()
     read, write = os.pipe()
     os.close(read)
     done = subprocess.run(words, stdout=write, stderr=subprocess.PIPE, env=environment, text=True, check=False)

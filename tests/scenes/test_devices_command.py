@@ -1,11 +1,11 @@
 """`tissue-sim devices` lists devices, and `tissue-sim emulate` emulates them."""
 
 import json
-import os
 import subprocess
 import sys
 
 import pytest
+from child_environment import child_environment
 
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators.rdt import RdtEmulator
@@ -49,7 +49,7 @@ def test_emulators_can_be_opened(capsys):
     """Sensor and stage of one virtual rig, emulated by a separate process."""
     program = subprocess.Popen([sys.executable, "-c", "import sys; from scenes.cli import main; sys.exit(main())",
                                 "emulate", "rdt", "tic", "--rate-hz", "200", "--json"],
-                               env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, stdout=subprocess.PIPE,
+                               env=child_environment(), stdout=subprocess.PIPE,
                                text=True)
     try:
         lines = []

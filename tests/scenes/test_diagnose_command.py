@@ -3,7 +3,6 @@
 import contextlib
 import io
 import json
-import os
 import signal
 import subprocess
 import sys
@@ -11,6 +10,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from child_environment import child_environment
 
 import tissue_sim as ts
 from calibration.effects.machine_compliance import MachineCompliance
@@ -197,7 +197,7 @@ main(sys.argv[1:])
 def test_a_killed_run_resumes(answer, study, tmp_path, capsys):
     fresh, _ = answer
     out = tmp_path / "out"
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(p for p in sys.path if p)}
+    environment = child_environment()
     done = subprocess.run([sys.executable, "-c", KILLED, "diagnose", study, "-o", out], env=environment,
                           capture_output=True, check=False)
     assert done.returncode == -signal.SIGKILL

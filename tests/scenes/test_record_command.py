@@ -1,12 +1,12 @@
 """`tissue-sim record`: recordings on the virtual rig, their calibration, interruptions and errors."""
 
 import json
-import os
 import signal
 import subprocess
 import sys
 
 import pytest
+from child_environment import child_environment
 from waiting import wait_until
 
 import tissue_sim as ts
@@ -73,7 +73,7 @@ def protocol(tmp_path):
 def started(*words, **options):
     """Start the command in a separate process."""
     return subprocess.Popen([sys.executable, "-c", "import sys; from scenes.cli import main; sys.exit(main())", *words],
-                            env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}, text=True,
+                            env=child_environment(), text=True,
                             stdin=subprocess.DEVNULL, **options)
 
 

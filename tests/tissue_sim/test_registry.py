@@ -5,6 +5,7 @@ import sys
 import textwrap
 
 import pytest
+from child_environment import child_environment
 
 from tissue_sim.errors import InputError
 from tissue_sim.registry import Registry, register_all, registered
@@ -65,5 +66,5 @@ def test_installed_packages_add_theirs(tmp_path):
             print(error)
     """)
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, encoding="utf-8", check=True,
-                          env={**__import__("os").environ, "PYTHONPATH": f"{tmp_path}:{':'.join(sys.path)}"})
+                          env=child_environment(tmp_path))
     assert "'second' of their_module:thing has the name of a built-in one" in done.stdout

@@ -18,6 +18,7 @@ from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.haply import START, TIMES, HaplyEmulator, emulate_haply
+from haptics.loop.ticker import Ticker
 from haptics.protocols.haply import HapticState, encode_state, read_force
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
@@ -43,11 +44,12 @@ def started(service):
 
 class TestContract(HapticDeviceContract):
     def ticks(self, device, wrench=NO_WRENCH, start=0.0, count=50):
-        poses = []
+        poses, ticker = [], Ticker(1e-3)
+        ticker.start()
         for _ in range(count):
             poses.append(device.pose(start))
             device.render(wrench)
-            time.sleep(1e-3)
+            ticker.wait()
         return [pose for pose in poses if pose is not None] if wrench != NO_WRENCH else poses
 
     @pytest.fixture
@@ -229,11 +231,12 @@ def test_a_slow_service_does_not_delay_the_loop():
     with emulate_haply(None, "port=0", Faults(delay=0.2)) as service:
         device = open_haptic(service.address)
         device.start()
-        began, none = time.monotonic(), 0
+        began, none, ticker = time.monotonic(), 0, Ticker(1e-3)
+        ticker.start()
         for _ in range(100):
             none += device.pose(0.0) is None
             device.render(NO_WRENCH)
-            time.sleep(1e-3)
+            ticker.wait()
         passed = time.monotonic() - began
         device.stop()
     # Waiting for an answer in each tick would take 20 s.
