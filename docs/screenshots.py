@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 PICTURES = Path(__file__).parent / "pictures"
 #: Material of the virtual measurement; the viewer starts with the softer material of the reference study.
 MEASURED = ts.Material("reduced_polynomial_2", {"C10": 1550.0, "C20": 650.0}, ts.Bulk("bulk_ratio", 1e4))
-REPLICATES, NOISE = 3, 0.02
+#: Number of replicates of the virtual measurement.
+REPLICATES = 3
+#: Standard deviation of the noise of the virtual load cell, N.
+NOISE = 0.02
 DEPTH = 0.010
 _PHASE = "[data-testid=phase][data-phase={}]"
 

@@ -190,6 +190,7 @@ class LoopProcess:
 
     def follow(self, device: HapticDevice, anew: bool = False) -> None:
         """Replace the device: deprecated name of `switch_device`."""
+        # The second argument keeps its released keyword until the alias is removed.
         warnings.warn("LoopProcess.follow is renamed to switch_device(device, restart)", DeprecationWarning,
                       stacklevel=2)
         self.switch_device(device, restart=anew)

@@ -29,7 +29,9 @@ from haptics.server.wire import (
 )
 from tissue_sim.tool_force import ForceStatus
 
-U16, U32, U64 = (st.integers(0, 2**bits - 1) for bits in (16, 32, 64))
+U16 = st.integers(0, 2**16 - 1)
+U32 = st.integers(0, 2**32 - 1)
+U64 = st.integers(0, 2**64 - 1)
 REAL = st.floats(allow_nan=False)
 VECTOR = st.tuples(REAL, REAL, REAL)
 REQUESTS = st.builds(Request, U64, REAL, VECTOR, st.tuples(REAL, REAL, REAL, REAL), U64, st.sampled_from([1, 2]),

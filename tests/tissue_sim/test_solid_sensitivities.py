@@ -17,12 +17,16 @@ from tissue_sim.mesh.solid import needle_solid
 from tissue_sim.parameters import parameter, parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
-FLAT, BALL, ROUND = (ts.Tool(shape, radius=8e-3) for shape in ("flat", "sphere", "round"))
+FLAT = ts.Tool("flat", radius=8e-3)
+BALL = ts.Tool("sphere", radius=8e-3)
+ROUND = ts.Tool("round", radius=8e-3)
 OBLIQUE = ts.Approach(5e-3, math.radians(20.0))
 PRONY = ts.Prony((ts.PronyTerm(0.3, 2.0),), "long_term")
 SOFTENING = ts.Softening(0.3, 50.0, 0.5)
-HEAVY, PLACED = (ts.Specimen(0.04, 0.05, density=1040.0, gravity=9.81, height_is=height)
-                 for height in ("moulded", "placed"))
+#: Specimen under self-weight whose stated height is that of the mould.
+HEAVY = ts.Specimen(0.04, 0.05, density=1040.0, gravity=9.81, height_is="moulded")
+#: The same with the height after it was placed on the base.
+PLACED = replace(HEAVY, height_is="placed")
 LUMP = {"lump": ts.Material("neo_hooke", {"C10": 2500.0}, ts.Bulk("bulk_ratio", 10.0), viscoelastic=ts.Prony((
     ts.PronyTerm(0.2, 1.0),)))}
 OUT = (0.0, 1.0, 2.0, 1.0, 0.3)

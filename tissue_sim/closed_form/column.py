@@ -43,9 +43,12 @@ class ColumnSettings:
 
 
 _SETTINGS = ColumnSettings()
-_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(_SETTINGS.slices)
-_NODES = 0.5 * (1.0 + _NODES)
-_WEIGHTS = 0.5 * _WEIGHTS
+#: Gauss-Legendre nodes (row 0) and weights (row 1) on the interval -1 to 1.
+_LEGENDRE = np.array(np.polynomial.legendre.leggauss(_SETTINGS.slices))
+#: Gauss-Legendre nodes on the interval 0 to 1.
+_NODES = 0.5 * (1.0 + _LEGENDRE[0])
+#: Gauss-Legendre weights on the interval 0 to 1.
+_WEIGHTS = 0.5 * _LEGENDRE[1]
 
 
 @dataclass(frozen=True)
