@@ -1,7 +1,7 @@
 """Bonded flat punch on a cylinder, solved by FElupe for a sequence of moduli.
 
-The peer of benchmarks/inverse_fem.py, checked by tests/interop. FElupe has no contact that keeps the free surface off
-the punch's side wall, so it folds into the punch: a smaller problem than ours.
+This problem is the peer of benchmarks/peers/inverse_fem.py; tests/interop checks it. FElupe has no contact between the
+free surface and the side wall of the punch, so the surface may penetrate the wall: the problem is smaller than ours.
 """
 
 from __future__ import annotations

@@ -80,8 +80,11 @@ def test_scatter_of_two_parameters_and_its_correlation():
 
 @pytest.mark.slow
 def test_intervals_hold_the_truth():
-    """60 populations of five specimens, whose own errors are as large as the scatter; benchmarks/population.py has
-    thousands. Fewer than 51 of 60 have a probability of 0.1 % for an interval of 95 %."""
+    """At least 51 of 60 intervals of 95 % contain the truth; fewer have a probability of 0.1 %.
+
+    Each population has five specimens, whose errors are as large as the scatter between specimens;
+    benchmarks/inverse/population.py runs thousands of populations.
+    """
     rng, held = np.random.default_rng(8), np.zeros(3)
     for _ in range(60):
         variances = rng.uniform(50.0, 200.0, 5)**2

@@ -1,4 +1,4 @@
-"""Hands that shake at a tissue and hands that do not: what theory says, and points of benchmarks/stability.py."""
+"""Stable and oscillating hands at a tissue: theory, and points of benchmarks/realtime/stability.py."""
 
 import numpy as np
 import pytest

@@ -1,5 +1,6 @@
-"""The peer of benchmarks/inverse_fem.py solves our problem: a punch bonded to a cylinder on a bonded base, without the
-side wall, which FElupe has not, on the same mesh with the same element.
+"""The peer of benchmarks/peers/inverse_fem.py agrees with this program: bonded punch on a cylinder with a bonded base.
+
+Mesh and element are equal. The side wall of the punch is left out, because FElupe has no contact there.
 """
 
 

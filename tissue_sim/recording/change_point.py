@@ -15,7 +15,7 @@ class ChangePointSettings:
     Attributes:
         coarse_samples: samples of the coarse search.
         limit_factor: factor of the likelihood ratio at the ends of the interval. It corrects for the choice of the part
-            from the same data; benchmarks/contact.py determines its value.
+            from the same data; benchmarks/inverse/contact.py determines its value.
         leading_fraction: least fraction of the force at the end of the part that the leading power contributes. It
             excludes a line with a large second term as an approximation of a cone.
         difference_step: step of finite differences: change of the power, and of contact over the length of the part.

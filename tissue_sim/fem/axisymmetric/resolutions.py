@@ -32,8 +32,8 @@ class Resolution(NamedTuple):
         needle: grading under a flat tool.
         tip: grading under a tool without a flat face.
         force_errors: largest relative error of the force under a plate, a flat tool and a tip for the specimen of the
-            study from 2 to 10 mm (`benchmarks/realtime_ladder.py`), and under a frictionless flat tool, over the
-            largest force, for edge radii down to a sixteenth of the radius (with C20 down to none). NaN: the
+            study from 2 to 10 mm (`benchmarks/realtime/resolution_levels.py`), and under a frictionless flat tool, over
+            the largest force, for edge radii down to a sixteenth of the radius (with C20 down to none). NaN: the
             resolution is not valid for such a tool. Empty: the resolution is not for real time.
         layer_elements: smallest number of elements across a layer of the material.
         rubbed_edge: grading under a flat tool with friction or stick whose edge radius is smaller than the elements:
