@@ -73,7 +73,7 @@ class ToolPathMixin:
     _begins: bool
     _has_warned: bool
     _extrapolates: bool
-    _may_press_again: bool
+    _can_restart: bool
 
     @property
     def max_solves(self) -> int | None:
@@ -264,7 +264,7 @@ class ToolPathMixin:
                     # The tissue was brought to rest without its mass: its waves are lost.
                     pending.lost = PATH.inertial_time
                 if not pending.ticks:
-                    self._leaps, self._may_press_again, status = False, not self._bonded, ForceStatus.CONVERGED
+                    self._leaps, self._can_restart, status = False, not self._bonded, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
                 # The next step continues this iteration, and then the rest of the path.
                 self._attempt, status = attempt, ForceStatus.LATE
@@ -286,17 +286,16 @@ class ToolPathMixin:
                                                  allowed=self._creep.solves_until_yield)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
-                if self._share < PATH.smallest_cut and self._may_press_again:
+                if self._share < PATH.smallest_cut and self._can_restart:
                     # Press on again from above this pose; stick anchors are new there.
                     solver.lift_off()
                     solver.move_in_air(raised(pose, -solver.height_above(pose)))
                     # In the first step the motion to the pose is unknown, and the tool comes from above.
                     pending.restart(pose, rubs=self._keeps_path and not self._begins,
                                     ages=self.model.material.remembers and not self._begins)
-                    self._share, self._leaps, self._may_press_again = 1.0, True, False
+                    self._share, self._leaps, self._can_restart = 1.0, True, False
                 elif self._share < PATH.smallest_cut:
-                    self._share, self._may_press_again = PATH.smallest_cut, not self._bonded
-                    status = ForceStatus.STOPPED
+                    self._share, self._can_restart, status = PATH.smallest_cut, not self._bonded, ForceStatus.STOPPED
         if status is ForceStatus.LATE and not solver.accepts_pose(pose):
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True

@@ -149,7 +149,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         # Unfinished iteration; whether an iteration may begin with an extrapolation; whether the tool may be pressed on
         # again if no equilibrium is found.
         self._attempt: Attempt | None = None
-        self._extrapolates, self._may_press_again = True, not self._bonded
+        self._extrapolates, self._can_restart = True, not self._bonded
         self._creep: Creep | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
         self._origin = StateOrigin.of(solver, self._solver.identity(), model)
@@ -334,7 +334,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._pending, self._lingers, self._share = state.pending.copy(), state.lingers, state.share
         self._begins, self._largest_force = state.begins, state.largest_force
         self._motion_check, self._reduced.history = state.motion_check.copy(), state.history
-        self._attempt, self._extrapolates, self._may_press_again, self._has_waves = None, True, not self._bonded, False
+        self._attempt, self._extrapolates, self._can_restart, self._has_waves = None, True, not self._bonded, False
 
     @exclusive
     def clone(self) -> Simulator:
