@@ -11,6 +11,9 @@ import numpy as np
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from haptics.recorder.clock import SampleClock
 from haptics.recorder.plan import Plan
+from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance
+from haptics.recorder.stopped import StoppedError
+from haptics.safety.motion_guard import StopReason
 from tissue_sim import Recording
 from tissue_sim.recording.contact import find_contact
 
@@ -46,7 +49,7 @@ class MotionRecord:
         received: arrival time of each force sample, s.
         wrenches: all channels of each force sample, N and N m.
         statuses: `SampleStatus` of each force sample.
-        positions: arrival time, s, and position, m, of each stage sample.
+        polls: answer of the stage to each poll.
         legs: start time, s, segment name and cycle number of each leg of the motion.
     """
 
@@ -54,7 +57,7 @@ class MotionRecord:
     received: list[float] = field(default_factory=list)
     wrenches: list[tuple[float, ...]] = field(default_factory=list)
     statuses: list[int] = field(default_factory=list)
-    positions: list[tuple[float, float]] = field(default_factory=list)
+    polls: list[StagePoll] = field(default_factory=list)
     legs: list[tuple[float, str, int]] = field(default_factory=list)
 
     def add(self, samples: Sequence[ForceSample], stage: StageSample) -> list[float]:
@@ -67,14 +70,14 @@ class MotionRecord:
         Returns:
             Position of the stage at the arrival of each force sample, m, interpolated between the last two polls.
         """
-        self.positions.append((stage.received, stage.position))
-        before, now = self.positions[-2:] if len(self.positions) > 1 else (self.positions[-1], self.positions[-1])
+        self.polls.append(StagePoll(stage.earliest, stage.received, stage.position))
+        before, now = self.polls[-2:] if len(self.polls) > 1 else (self.polls[-1], self.polls[-1])
         for sample in samples:
             self.numbers.append(sample.sequence)
             self.received.append(sample.received)
             self.wrenches.append(sample.values)
             self.statuses.append(sample.status)
-        return [float(np.interp(sample.received, (before[0], now[0] + 1e-9), (before[1], now[1])))
+        return [float(np.interp(sample.received, (before.middle, now.middle + 1e-9), (before.position, now.position)))
                 for sample in samples]
 
     @property
@@ -104,30 +107,59 @@ def build_recording(record: MotionRecord, plan: Plan, contact_point: float, zero
         period: sampling period that the sensor states, s.
 
     Returns:
-        Recording from the start of the first leg to the last stage sample. ``metadata["clock"]`` describes the
+        Recording from the start of the first leg to the last stage sample, without the samples whose stage position is
+        uncertain; ``metadata["left_out"]`` states their number and the reason. ``metadata["clock"]`` describes the
         reconstruction of the times. All channels except the force are the unchanged readings of the sensor.
+
+    Raises:
+        StoppedError: the stage position is uncertain in most samples.
     """
     clock = record.fit_clock(period)
     sampled_at = clock.compute_times(record.numbers)
-    stage_times, stage_positions = np.array(record.positions).T
-    inside = (sampled_at >= max(record.legs[0][0], stage_times[0])) & (sampled_at <= stage_times[-1])
+    path = StagePath(record.polls, [leg[0] for leg in record.legs],
+                     [plan.approach_speed, *(leg.speed for leg in plan.legs[:len(record.legs)])])
+    recorded = ((sampled_at >= max(record.legs[0][0], record.polls[0].middle))
+                & (sampled_at <= record.polls[-1].middle))
+    inside = recorded & path.is_known(sampled_at, plan.depth)
+    left_out = _describe_left_out(int(recorded.sum()), int(inside.sum()), plan.depth)
     time, wrench = sampled_at[inside], np.array(record.wrenches)[inside]
     leg = np.clip(np.searchsorted([leg[0] for leg in record.legs], time, side="right") - 1, 0, None)
-    values = {"time": time - time[0], "displacement": np.interp(time, stage_times, stage_positions) - contact_point,
+    values = {"time": time - time[0], "displacement": path.interpolate(time) - contact_point,
               "force": plan.sign * wrench[:, list(channels).index(plan.axis)] - zero}
     if len(channels) > 1:
         values |= {name: wrench[:, number] for number, name in enumerate(channels)
                    if name in ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")}
     labels = {"segment": np.array([each[1] for each in record.legs])[leg],
               "cycle": np.array([each[2] for each in record.legs])[leg]}
-    return Recording(values, labels, {"gaps": record.gap_count, "clock": {
+    return Recording(values, labels, {"gaps": record.gap_count, **left_out, "clock": {
         "from": "line through the sequence numbers of the samples", "period_s": clock.period, "jitter_s": clock.jitter,
         "rate": "stated by the sensor" if clock.fits else "measured: the rate stated by the sensor does not fit",
         "stage": "interpolated", "lag": plan.lag or "unknown"}})
 
 
-def estimate_contact_point(record: MotionRecord, plan: Plan, halted: float, channels: Sequence[str],
-                   period: float) -> tuple[float, dict[str, Any]]:
+def _describe_left_out(recorded: int, kept: int, depth: float) -> dict[str, Any]:
+    """Return the metadata on samples that are left out because the stage position is uncertain; empty without them.
+
+    Args:
+        recorded: number of samples of the motion.
+        kept: number of samples in the recording.
+        depth: largest depth of the motion, m.
+
+    Raises:
+        StoppedError: fewer than half of the samples are kept.
+    """
+    if kept == recorded:
+        return {}
+    reason = ("answers of the stage were late, and its position was not known to within "
+              f"{compute_position_tolerance(depth) * 1e3:.3g} mm")
+    if 2 * kept < recorded:
+        raise StoppedError(StopReason("program late", f"in {recorded - kept} of {recorded} samples {reason}; close "
+                                      "other programs on this computer, or move more slowly"))
+    return {"left_out": {"samples": recorded - kept, "reason": reason}}
+
+
+def estimate_contact_point(record: MotionRecord, plan: Plan, halted: float, channels: Sequence[str], speed: float,
+                           period: float) -> tuple[float, dict[str, Any]]:
     """Estimate the contact point from the slow approach, which passes the contact point before the contact force.
 
     Three methods are tried in this order: the change point of `tissue_sim.recording.contact.find_contact`, also if its
@@ -138,6 +170,7 @@ def estimate_contact_point(record: MotionRecord, plan: Plan, halted: float, chan
         plan: plan of the test.
         halted: position of the stage at which the contact force was reached, m.
         channels: names of the channels of the sensor.
+        speed: speed of the approach, m/s.
         period: sampling period that the sensor states, s.
 
     Returns:
@@ -145,13 +178,13 @@ def estimate_contact_point(record: MotionRecord, plan: Plan, halted: float, chan
     """
     metadata: dict[str, Any] = {"contact_force_N": plan.contact_force, "touch_by": "force"}
     sampled_at = record.fit_clock(period).compute_times(record.numbers)
-    stage_times, stage_positions = np.array(record.positions).T
-    inside = np.flatnonzero((sampled_at >= stage_times[0]) & (sampled_at <= stage_times[-1]))
+    path = StagePath(record.polls, [], [speed])
+    inside = np.flatnonzero(path.is_known(sampled_at, plan.depth))
     thinned = inside[:: max(1, inside.size // _SETTINGS.most_samples)]
     if thinned.size < _SETTINGS.fewest_samples:
         return halted, metadata
     force = plan.sign * np.array(record.wrenches)[thinned, list(channels).index(plan.axis)]
-    position = np.interp(sampled_at[thinned], stage_times, stage_positions)
+    position = path.interpolate(sampled_at[thinned])
     found = find_contact(position, force, sampled_at[thinned])
     if found.status not in ("found", "unclear") or not position[0] < found.displacement < halted:
         # Without noise the change point has no likelihood to compare; a straight line needs none.

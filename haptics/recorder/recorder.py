@@ -154,7 +154,7 @@ class Recorder:
         if self._record is not None:
             positions = self._record.add(samples, stage)
             if self._partial is not None:
-                started, contact_point = self._record.positions[0][0], self._contact_point or 0.0
+                started, contact_point = self._record.polls[0].middle, self._contact_point or 0.0
                 self._partial.add([(sample.received - started, 1e3 * (position - contact_point), force, self._phase)
                                    for sample, position, force in zip(samples, positions, forces, strict=True)])
                 if self._partial.failure is not None:
@@ -213,12 +213,14 @@ class Recorder:
         plan, motion = self._plan, self._motion
         self._move_above_contact(2.0)
         record = self._record = MotionRecord()
+        speed = _CONTACT_SEARCH.slow_fraction * plan.approach_speed
         try:
-            halted = self._lower_until_contact(_CONTACT_SEARCH.slow_fraction * plan.approach_speed)
+            halted = self._lower_until_contact(speed)
         finally:
             self._record = None
         self._contact_point, self._contact_metadata = motion.run_while_polling(
-            lambda: estimate_contact_point(record, plan, halted, motion.sensor.channels, 1.0 / motion.sensor.rate))
+            lambda: estimate_contact_point(record, plan, halted, motion.sensor.channels, speed,
+                                           1.0 / motion.sensor.rate))
         if self._first_contact_point is None:
             self._first_contact_point = self._contact_point
         if abs(self._contact_point - self._first_contact_point) > 0.5 * plan.retract:

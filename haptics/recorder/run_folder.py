@@ -51,7 +51,7 @@ class RunFolder:
         self._lock: int | None = None
         self._copies: dict[Path, str] = {}
         self.state: dict[str, Any] = {"schema": "tissue_sim.run/1", "protocol_sha256": digest, "state": "new",
-                                      "done": [], "history": [], "stops": []}
+                                      "done": [], "history": [], "stops": [], "left_out": {}}
         self._load_state()
 
     def _load_state(self) -> None:
@@ -207,7 +207,8 @@ class RunFolder:
         path = self.folder / f"{name}.csv"
         write_recording(recording, path)
         (self.folder / f"{name}{PARTIAL_SUFFIX}").unlink(missing_ok=True)
-        self.update(done=[*self.state["done"], path.name])
+        left_out = {name: recording.metadata["left_out"]} if "left_out" in recording.metadata else {}
+        self.update(done=[*self.state["done"], path.name], left_out={**self.state.get("left_out", {}), **left_out})
         return path
 
 

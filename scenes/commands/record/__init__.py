@@ -164,6 +164,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
         print_json({"state": "stopped" if stopped else folder.state["state"], "message": stopped,
                     "folder": arguments.output,
                     "recordings": folder.state["done"], "stops": folder.state["stops"],
+                    "left_out": folder.state.get("left_out", {}),
                     "campaign": arguments.output / CAMPAIGN if folder.state["done"] else None})
     else:
         show(folder, console)

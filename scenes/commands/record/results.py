@@ -62,6 +62,8 @@ def print_run(folder: RunFolder, console: Console) -> None:
     """Print the recordings of a run, its stops and the next command."""
     state = folder.state
     print_sentence(console, f"{len(state['done'])} recordings in {folder.folder}: {', '.join(state['done']) or 'none'}")
+    for name, left_out in state.get("left_out", {}).items():
+        print_sentence(console, f"{name}: {left_out['samples']} samples are left out: {left_out['reason']}")
     for stop in state["stops"]:
         print_sentence(console, f"stopped ({stop['cause']}) in {stop['test']}, {stop['phase']}: {stop['message']}")
     if state["done"]:
