@@ -7,6 +7,7 @@ from calibration.campaign.campaign import Test as Test
 from calibration.campaign.campaign import load_campaign as load_campaign
 from calibration.campaign.measured import MeasuredCurve as MeasuredCurve
 from calibration.campaign.measured import read_measured as read_measured
+from calibration.diagnosis.decision_limits import DecisionLimits as DecisionLimits
 from calibration.diagnosis.design import Design as Design
 from calibration.diagnosis.diagnosis import Diagnosis as Diagnosis
 from calibration.diagnosis.result import DiagnosisResult as DiagnosisResult

@@ -23,6 +23,7 @@ from calibration.diagnosis.confirmation import (
     predict_left_out_recordings,
     smooth_misfit,
 )
+from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.diagnosis import Diagnosis, Stage
 from calibration.diagnosis.duration import describe_duration, estimate_simulation_seconds
 from calibration.diagnosis.evidence import Evidence, Measured, gather_evidence, make_whole_recording_campaign
@@ -43,6 +44,7 @@ from calibration.forward.simulation_cache import SimulationCache, hash_content
 from calibration.output_folder import SOLVES
 from calibration.report.diagnosis_outputs import write_diagnosis
 from calibration.tasks.executors import Workers, open_tasks
+from tissue_sim.settings import list_changed_settings
 
 if TYPE_CHECKING:
     from calibration.fit.run_context import Progress
@@ -93,7 +95,7 @@ class _StageClock:
 
 
 def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
-                      solves: SimulationCache | None = None) -> Diagnosed:
+                      solves: SimulationCache | None = None, limits: DecisionLimits = LIMITS) -> Diagnosed:
     """Diagnose a campaign without writing files.
 
     Args:
@@ -101,6 +103,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         measured: all recordings of each test, see `read_measured`.
         steps: task executor and progress reports.
         solves: store of finished simulations; None: an empty store.
+        limits: decision limits.
 
     Raises:
         ConvergenceError: no start converges.
@@ -109,7 +112,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     campaign = scale_offsets(campaign, measured)
     clock = _StageClock(solves)
     with clock.measure_stage("fit without any effect"):
-        before, offsets = refit_from_contacts(gather_evidence(campaign, measured, solves, steps), steps)
+        before, offsets = refit_from_contacts(gather_evidence(campaign, measured, solves, steps, limits), steps)
     with clock.measure_stage("scores of the catalogue"):
         proposals = score_effects(before, steps)
     with clock.measure_stage("fits with the likeliest"):
@@ -140,13 +143,14 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
             (*gaps, noise), sum(not row.testable for row in candidates), held_out,
             next((row for row in candidates if row.explained_percent is not None), None),
             before.common_signals_in_words, offsets, list(proposals.significant_in_words),
-            stressed=all(curve.stressed for curve in before.problem.measured)),
+            stressed=all(curve.stressed for curve in before.problem.measured), limits=limits),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
         noise_correlation_s=float(np.mean([one.correlation_time for one in noises])),
         contact_jitter_mm=1e3 * jitter.contact, zero_jitter_N=jitter.zero,
         mesh_percent=100.0 * max(before.problem.mesh_error, default=0.0), held_out=held_out,
-        next_experiment=further, fit_before=fit_before, fit_after=fit_after, stages=clock.stages)
+        next_experiment=further, fit_before=fit_before, fit_after=fit_after, stages=clock.stages,
+        decision_limits=list_changed_settings(limits))
     return Diagnosed(diagnosis, before, after, proposals)
 
 
@@ -203,6 +207,7 @@ class CampaignDiagnosis:
         measured: recordings of each test, see `read_for_diagnosis`.
         folder: folder of the results.
         steps: task executor and progress reports.
+        limits: decision limits.
 
     Attributes:
         recordings: all recordings.
@@ -210,10 +215,13 @@ class CampaignDiagnosis:
             and calibration.
     """
 
-    def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext):
+    def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext,
+                 limits: DecisionLimits = LIMITS):
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
+        self.limits = limits
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = hash_content("diagnosis", compute_digest(campaign, self.recordings), campaign.fit.laws[0],
+        self.digest = hash_content("diagnosis", compute_digest(
+            campaign, self.recordings, list_changed_settings(limits)), campaign.fit.laws[0],
                                    sorted(CATALOGUE), _hash_source())
         self.solves = SimulationCache()
         self._clock = _StageClock(self.solves)
@@ -245,7 +253,7 @@ class CampaignDiagnosis:
             ConvergenceError: no start converges.
         """
         self.solves.move_to(self.folder / SOLVES)
-        found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves)
+        found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves, self.limits)
         self.steps.report_progress("writing the report")
         diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
         return write_diagnosis(DiagnosisResult(self.campaign, diagnosis, self.folder, self.digest), found.before,

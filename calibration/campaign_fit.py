@@ -39,6 +39,7 @@ from calibration.output_folder import SOLVES
 from calibration.report.outputs import write_campaign, write_failure
 from calibration.statistics.uncertainty import Uncertainty
 from tissue_sim.errors import ConvergenceError
+from tissue_sim.settings import list_changed_settings
 
 #: Method of a campaign -> estimator.
 ESTIMATORS: dict[str, type[Estimator]] = {"analytical": Ordinary, "inverse_fem": Generalised}
@@ -66,7 +67,7 @@ class CampaignFit:
         self.measured, self.folder, self.steps = measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.limits = limits
-        self.digest = compute_digest(campaign, self.recordings, limits.changed)
+        self.digest = compute_digest(campaign, self.recordings, list_changed_settings(limits))
         self.solves = SimulationCache()
         self.estimator: Estimator = ESTIMATORS[campaign.fit.method](campaign, self.measured, self.solves)
         #: Law -> number of simulations in the check of its start values.
@@ -131,7 +132,7 @@ class CampaignFit:
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
             self.estimator.pooled_noise, sources.pop() if len(sources) == 1 else "mixed",
             noise if self.estimator.explores else (), failures=failures,
-            usability_settings=self.limits.changed)
+            usability_settings=list_changed_settings(self.limits))
         if self.estimator.explores:
             self.steps.report_progress("writing the report")
         write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,

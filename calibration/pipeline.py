@@ -15,6 +15,7 @@ from tissue_sim.errors import ConvergenceError, InputError
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Campaign
+    from calibration.diagnosis.decision_limits import DecisionLimits
     from calibration.diagnosis.design import Design
     from calibration.diagnosis.result import DiagnosisResult
     from calibration.fit.result import CalibrationResult
@@ -105,7 +106,8 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
 def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool = False,
              progress: Progress | None = None, figures: bool = True, figures_format: str | None = None,
              workers: Workers | None = None, law: str | None = None,
-             announce: Callable[[str], None] | None = None) -> list[DiagnosisResult]:
+             announce: Callable[[str], None] | None = None,
+             limits: DecisionLimits | None = None) -> list[DiagnosisResult]:
     """Find and name the effects that a plain model misses in each campaign, and write the results.
 
     ``diagnosis.json``, ``report.html``, ``residuals.csv`` and the files that include the effects found are written to
@@ -122,6 +124,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
         workers: worker processes; None: this process only.
         law: one law of each campaign; None: its first.
         announce: called with the expected duration if it is a minute or more because of three-dimensional tests.
+        limits: decision limits; None: the defaults. ``diagnosis.json`` states those that differ.
 
     Returns:
         The result of each campaign.
@@ -138,13 +141,14 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     campaigns = _require_distinct_names([make_whole_recording_campaign(load_campaign(path), law) for path in paths])
     measured = [read_measured(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
+    from calibration.diagnosis.decision_limits import LIMITS
     from calibration.diagnosis.result import read_diagnosis
     from calibration.fit.run_context import RunContext
     from calibration.report.diagnosis_outputs import list_diagnosis_files
 
     with open_tasks(workers or Workers()) as tasks:
         parts = [CampaignDiagnosis(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
-                                   RunContext(campaign.name, tasks, progress, announce=announce))
+                                   RunContext(campaign.name, tasks, progress, announce=announce), limits or LIMITS)
                  for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run_campaigns(parts, output, read_diagnosis, overwrite, figures, figures_format,
                                            list_diagnosis_files)

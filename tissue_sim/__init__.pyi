@@ -57,6 +57,7 @@ from tissue_sim.model import Model as Model
 from tissue_sim.motion_limits import MotionLimits as MotionLimits
 from tissue_sim.parameters import parameter as parameter
 from tissue_sim.parameters import with_values as with_values
+from tissue_sim.path_settings import PathSettings as PathSettings
 from tissue_sim.pose import Pose as Pose
 from tissue_sim.recording.contact import Contact as Contact
 from tissue_sim.recording.contact import find_contact as find_contact

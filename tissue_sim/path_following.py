@@ -10,7 +10,7 @@ from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_l
 from tissue_sim.fem.solver import OwnStiffness, Solver, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
-from tissue_sim.path_settings import PATH
+from tissue_sim.path_settings import PathSettings
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose, Screw, between, motion, raised
 from tissue_sim.simulator_state import AT_REST, Attempt, Creep, Equilibrium
@@ -40,6 +40,7 @@ class ToolPathMixin:
     inertia: str
     tolerance: float
     looks_ahead: bool
+    _settings: PathSettings
     force_error: float | None
     error: float | None
     _solver: Solver
@@ -86,11 +87,11 @@ class ToolPathMixin:
             return
         x, y, z, a, b, c = way = motion(self._pose, target)
         if self._pending.is_direct:
-            self._pending.note_motion(way, PATH.rounding * self._radius)
+            self._pending.note_motion(way, self._settings.rounding * self._radius)
         length = math.hypot(x, y, z)
         if a or b or c:
             length += self._radius * math.hypot(a, b, c)
-        is_fast = length >= PATH.inertial_speed * dt > 0.0
+        is_fast = length >= self._settings.inertial_speed * dt > 0.0
         self._lingers = 0.0 if is_fast else self._lingers + dt
         self._motion_check.advance(x, y, z, dt, is_fast)
         if self._motion_check.quiet == 0.0 and self._equilibrium.inertial and not self._has_warned:
@@ -106,7 +107,7 @@ class ToolPathMixin:
     def _is_unloaded(self) -> bool:
         """Whether the tool may have lifted off at the last equilibrium."""
         x, y, z, *_ = self._equilibrium.wrench
-        return not self._pulls and abs(x) + abs(y) + abs(z) <= PATH.free_force * self._largest_force
+        return not self._pulls and abs(x) + abs(y) + abs(z) <= self._settings.free_force * self._largest_force
 
     @property
     def _is_above(self) -> bool:
@@ -182,6 +183,16 @@ class ToolPathMixin:
             solver.move_in_air(between(here, end, fraction_in_air(solver, here, end)))
         return solver.pose
 
+    def _press_from_above(self, pose: Pose) -> None:
+        """Lift the tool above a pose that was not reached, and press it down; the stick anchors there are new."""
+        solver = self._solver
+        solver.lift_off()
+        solver.move_in_air(raised(pose, -solver.height_above(pose)))
+        # In the first step the motion to the pose is unknown, and the tool comes from above.
+        self._pending.restart(pose, rubs=self._keeps_path and not self._begins,
+                              ages=self.model.material.remembers and not self._begins)
+        self._share, self._leaps, self._can_restart = 1.0, True, False
+
     def _step_in_parts(self, pose: Pose, tick: float, began: float, is_behind: bool) -> ToolForce:
         """Step to a pose in as many parts as needed.
 
@@ -198,8 +209,8 @@ class ToolPathMixin:
             started, creep, here, inertial = time.perf_counter(), self._creep, solver.pose, self._counts_mass
             if creep is None and self._attempt is None:
                 if len(pending.ticks) > 1 and allowance.count_fitting_solves() < LEAST_SOLVES * len(pending.ticks):
-                    pending.merge(here, self._radius, self._get_straightness_tolerance(inertial), PATH.inertial_time,
-                                  timed=inertial or solver.relaxes)
+                    pending.merge(here, self._radius, self._get_straightness_tolerance(inertial),
+                                  self._settings.inertial_time, timed=inertial or solver.relaxes)
                 if is_behind and not pending.meets:
                     self._split_tick_at_touch(inertial)
                 if pending.meets:
@@ -207,7 +218,7 @@ class ToolPathMixin:
             first = pending.ticks[0]
             way, part = self._bound_displacement(here, first.pose), self._share * self._largest_part
             # Parts of equal length, because the mass of the tissue resists a short part like an impact.
-            share = 1.0 / max(1, math.ceil(way / part - PATH.rounding)) if way else 1.0
+            share = 1.0 / max(1, math.ceil(way / part - self._settings.rounding)) if way else 1.0
             # Without rounding the last part ends where the tool is.
             target, dt = between(here, first.pose, share), 0.0 if self._leaps else share * first.dt
             if (attempt := self._attempt) is not None:
@@ -222,7 +233,7 @@ class ToolPathMixin:
             if attempt is None:
                 # Extrapolation is inaccurate across a change of contact, but less with mass.
                 order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
-                limit = PATH.most_extrapolated_solves if order > 0 else PATH.most_solves
+                limit = self._settings.most_extrapolated_solves if order > 0 else self._settings.most_solves
                 attempt = Attempt(target, dt, order, limit)
             most = attempt.limit - attempt.spent
             fitting = allowance.count_fitting_solves()
@@ -253,7 +264,7 @@ class ToolPathMixin:
                 self._estimate_waves(motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
                 is_timed = inertial or solver.relaxes
-                is_over = self._leaps or not is_timed or first.dt - dt <= PATH.rounding * first.dt
+                is_over = self._leaps or not is_timed or first.dt - dt <= self._settings.rounding * first.dt
                 arrives = is_over and target == first.pose
                 pending.advance(dt, arrives=arrives, timed=is_timed)
                 if arrives and self._begins:
@@ -262,7 +273,7 @@ class ToolPathMixin:
                     self._begins = False
                 elif inertial and (creep is not None or self._leaps):
                     # The tissue was brought to rest without its mass: its waves are lost.
-                    pending.lost = PATH.inertial_time
+                    pending.lost = self._settings.inertial_time
                 if not pending.ticks:
                     self._leaps, self._can_restart, status = False, not self._bonded, ForceStatus.CONVERGED
             elif creep is None and step.status is StepStatus.SLOW and allowed < most:
@@ -272,30 +283,25 @@ class ToolPathMixin:
                 # No shorter part reaches this pose; the tissue keeps its state.
                 status, outside = ForceStatus.STOPPED, True
             elif creep is None and attempt.order:
-                is_near = step.status is StepStatus.SLOW and step.residual <= PATH.near_residual
-                if is_near and attempt.limit < PATH.most_near_solves:
-                    self._attempt = replace(attempt, limit=PATH.most_near_solves)
+                is_near = step.status is StepStatus.SLOW and step.residual <= self._settings.near_residual
+                if is_near and attempt.limit < self._settings.most_near_solves:
+                    self._attempt = replace(attempt, limit=self._settings.most_near_solves)
                 else:
                     self._extrapolates = False
-            elif creep is None and min(self._share, way / self._largest_part) < PATH.damped_fraction:
+            elif creep is None and min(self._share, way / self._largest_part) < self._settings.damped_fraction:
                 # After a hold parts are as short as they may be, and no shorter.
-                self._share = max(PATH.smallest_cut, min(self._share, way / self._largest_part))
+                self._share = max(self._settings.smallest_cut, min(self._share, way / self._largest_part))
                 self._creep = Creep(target, dt, step)
                 self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance,
-                                                 max_iterations=PATH.most_damped_solves,
+                                                 max_iterations=self._settings.most_damped_solves,
                                                  allowed=self._creep.solves_until_yield)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
-                if self._share < PATH.smallest_cut and self._can_restart:
-                    # Press on again from above this pose; stick anchors are new there.
-                    solver.lift_off()
-                    solver.move_in_air(raised(pose, -solver.height_above(pose)))
-                    # In the first step the motion to the pose is unknown, and the tool comes from above.
-                    pending.restart(pose, rubs=self._keeps_path and not self._begins,
-                                    ages=self.model.material.remembers and not self._begins)
-                    self._share, self._leaps, self._can_restart = 1.0, True, False
-                elif self._share < PATH.smallest_cut:
-                    self._share, self._can_restart, status = PATH.smallest_cut, not self._bonded, ForceStatus.STOPPED
+                if self._share < self._settings.smallest_cut and self._can_restart:
+                    self._press_from_above(pose)
+                elif self._share < self._settings.smallest_cut:
+                    self._share, self._can_restart = self._settings.smallest_cut, not self._bonded
+                    status = ForceStatus.STOPPED
         if status is ForceStatus.LATE and not solver.accepts_pose(pose):
             # Extrapolate to the last pose that the tool may have; no force is estimated beyond it.
             status, outside = ForceStatus.STOPPED, True
@@ -324,7 +330,7 @@ class ToolPathMixin:
     def _get_straightness_tolerance(self, inertial: bool) -> float:
         """Largest distance of late poses from a straight line that replaces them, m."""
         if inertial or self._solver.relaxes or self._keeps_path:
-            return PATH.straightness * self._largest_part
+            return self._settings.straightness * self._largest_part
         return math.inf
 
     def _choose_stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
@@ -332,7 +338,7 @@ class ToolPathMixin:
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
             return OwnStiffness.OMITTED
-        if age >= PATH.reserved_after * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
+        if age >= self._settings.reserved_after * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
             return OwnStiffness.RESERVED
         return OwnStiffness.IF_LEFT if allowance.count_fitting_solves(answers=2) > 0 else OwnStiffness.OMITTED
 
@@ -341,7 +347,7 @@ class ToolPathMixin:
         """Whether the mass of the tissue acts in this step."""
         if not self._weighs or self._begins:
             return False
-        least = PATH.inertial_time
+        least = self._settings.inertial_time
         return self.inertia == "on" or (self._lingers < least and self._motion_check.quiet >= least)
 
     def _make_step_result(self, pose: Pose, tick: float, status: ForceStatus, outside: bool, solves: int,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tissue_sim.settings import require_positive_settings
+
 
 @dataclass(frozen=True)
 class PathSettings:
@@ -33,6 +35,9 @@ class PathSettings:
             slower motions and costs more.
         inertial_time: time after the last fast motion for which the mass of the tissue acts, s. A longer time computes
             waves for longer and costs more.
+
+    Raises:
+        InputError: a number is not positive.
     """
 
     largest_part: float = 0.0625
@@ -49,6 +54,9 @@ class PathSettings:
     reserved_after: int = 2
     inertial_speed: float = 0.005
     inertial_time: float = 0.1
+
+    def __post_init__(self) -> None:
+        require_positive_settings(self)
 
 
 #: Settings of every simulator.

@@ -22,7 +22,7 @@ from tissue_sim.model import Model
 from tissue_sim.motion_limits import LimitError, MotionLimits, checked_pose
 from tissue_sim.parameters import with_values
 from tissue_sim.path_following import ToolPathMixin
-from tissue_sim.path_settings import PATH
+from tissue_sim.path_settings import PATH, PathSettings
 from tissue_sim.pending_path import PendingPath
 from tissue_sim.pose import Pose
 from tissue_sim.realtime_ladder import choose_level, measure_tick
@@ -73,6 +73,7 @@ class Simulator(ToolPathMixin, KernelOwner):
             instead of marking the result (`ToolForce.is_on_axis`). The tolerances are
             `tissue_sim.tool_track.AxisTolerances`.
         limits: of poses and time steps; see `MotionLimits`.
+        path_settings: division of the path of the tool into parts, and repetition of failed parts.
 
     One thread at a time may call a simulator; simultaneous calls raise `BusyError`. It cannot be copied or pickled:
     `clone` makes an independent simulator at the same state, `save` and `restore` keep a state.
@@ -95,7 +96,7 @@ class Simulator(ToolPathMixin, KernelOwner):
     def __init__(self, model: Model, *, resolution: str = "realtime", mesh: Any = None,
                  budget: float | None = None, inertia: str = "auto", tolerance: float = TOLERANCE,
                  solver: str = "axisymmetric", looks_ahead: bool = False, max_solves: int | None = None,
-                 strict_axis: bool = False, limits: MotionLimits | None = None):
+                 strict_axis: bool = False, limits: MotionLimits | None = None, path_settings: PathSettings = PATH):
         if inertia not in ("auto", "on", "off"):
             raise InputError(f"must be 'auto', 'on' or 'off'; got {inertia!r}.", field="inertia")
         if budget is not None and not budget > 0:
@@ -105,6 +106,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         require_tissue(model.material)
         self.model, self.budget, self.inertia, self.tolerance = model, budget, inertia, tolerance
         self.looks_ahead, self.strict_axis, self.limits = looks_ahead, strict_axis, limits or MotionLimits()
+        self._settings = path_settings
         self._made_of, self._guard = (model, mesh), threading.RLock()
         self._solver = SOLVERS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
         self._solver_name, levels = solver, () if mesh is not None else self._solver.realtime_levels(model)
@@ -126,7 +128,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._keeps_path = model.experiment.is_path_dependent or model.material.remembers
         # A rotation counts as the displacement of a point at the edge of the contact.
         self._radius = model.experiment.contact_radius
-        self._largest_part = PATH.largest_part * self._radius
+        self._largest_part = path_settings.largest_part * self._radius
         self._wave_scale = WaveScale.of(model, self.density)
         self._error_floor = error_floor(model.material.mu0, self._radius)
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
@@ -189,7 +191,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         def measure_level_tick(level: ResolutionLevel) -> float:
             try:
                 one = Simulator(self.model, resolution=level.resolution, inertia=self.inertia, tolerance=self.tolerance,
-                                solver=self._solver_name, looks_ahead=self.looks_ahead)
+                                solver=self._solver_name, looks_ahead=self.looks_ahead, path_settings=self._settings)
             except ConvergenceError:  # the specimen has an equilibrium under its weight on finer meshes only
                 return math.inf
             made[level.resolution] = one
@@ -347,7 +349,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         chosen = self.resolution if mesh is None else "realtime"
         other = type(self)(model, resolution=chosen, mesh=mesh, inertia=self.inertia, tolerance=self.tolerance,
                            solver=self._solver_name, looks_ahead=self.looks_ahead, max_solves=self._most,
-                           strict_axis=self.strict_axis, limits=self.limits)
+                           strict_axis=self.strict_axis, limits=self.limits, path_settings=self._settings)
         other.resolution, other.force_error, other.budget = self.resolution, self.force_error, self.budget
         other._levels, other._solve, other._clock = self._levels, self._solve, copy(self._clock)
         other._start, other._left, other._stiffness_lasts = self._start, self._left, self._stiffness_lasts

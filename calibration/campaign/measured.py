@@ -195,7 +195,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
     material, closed = campaign.fit.material, campaign.fit.method == "analytical" or test.experiment is None
     check_size(recording, test, campaign, path)
     displacement, force, stressed = _read_force_and_displacement(recording, test, path)
-    _check_parts(test, material, stressed or closed, path)
+    _check_parts(test, material, stressed, closed, path)
     time = np.array(recording.time) if "time" in recording else None
     if time is None and test.rig.needs_time:
         raise InputError(f"{path.name} has no time, and the rig of the test requires time (latency, damping or drift); "
@@ -321,13 +321,23 @@ def _interpolate_evenly(displacement: np.ndarray, curve: MeasuredCurve, campaign
     return grid, csr_array((weights, indices), shape=(points, displacement.size))
 
 
-def _check_parts(test: Test, material: Material, closed: bool, path: Path) -> None:
-    """Reject parts of the model that the closed form of a homogeneous test does not support."""
-    if not closed:
+def _check_parts(test: Test, material: Material, stressed: bool, closed: bool, path: Path) -> None:
+    """Reject parts of the model that the closed form of a homogeneous test does not support.
+
+    Args:
+        test: test of the campaign.
+        material: material of the fit.
+        stressed: whether stress was recorded, which only the closed form describes.
+        closed: whether method or kind of the test require the closed form.
+        path: file of the recording.
+    """
+    if not (stressed or closed):
         return
     if material.layers:
+        remedy = ("use displacement and force of a compression or a needle test" if stressed or test.experiment is None
+                  else "set fit.method = 'inverse_fem'")
         raise InputError(f"{path.name} is computed by a closed form, which requires a homogeneous specimen; for a "
-                         "layered specimen use displacement and force of a compression or a needle test", field="kind")
+                         f"layered specimen {remedy}", field="kind")
     if test.specimen is None and material.poroelasticity is not None:
         raise InputError("a poroelastic material requires the size of the specimen; add a [[specimen]]",
                          field="specimen")

@@ -9,7 +9,6 @@ import numpy as np
 from scipy import linalg, special
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import HeldOutPrediction, SegmentMisfit
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.refits import copy_problem
@@ -38,7 +37,7 @@ def update_corrections(evidence: Evidence) -> Evidence:
     problem = evidence.problem
     stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated_jitter(problem)
     estimate = iterate_mesh_and_jitter(copy_problem(problem), evidence.estimate.theta, stated)
-    return Evidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
+    return replace(evidence, estimate=estimate) if np.isfinite(estimate.error) else evidence
 
 
 def p_value_in_deviations(region: Region) -> float:
@@ -241,7 +240,7 @@ def _describe_misfit(region: Region, curves: Sequence[tuple[MeasuredCurve, slice
     if region.segment.startswith("hold"):
         measured, error = _measure_force_change_over_hold(region, curves, evidence, "data")
         modelled, _ = _measure_force_change_over_hold(region, curves, evidence, "model")
-        if abs(measured - modelled) > LIMITS.hold_change * error:
+        if abs(measured - modelled) > evidence.limits.hold_change * error:
             goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
             predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
             return (f"{place}: the {what} {goes} by {factor * abs(measured):.2g} {unit}, the model's by {predicted} "

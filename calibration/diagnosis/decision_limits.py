@@ -6,6 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tissue_sim.settings import require_positive_settings
+
 
 @dataclass(frozen=True)
 class DecisionLimits:
@@ -49,6 +51,9 @@ class DecisionLimits:
             which the effect is called unreliable.
         min_mentioned_percent: smallest explained percentage of the misfit from which an effect that was not added is
             mentioned.
+
+    Raises:
+        InputError: a limit is not positive.
     """
 
     region_level: float = 0.005
@@ -70,6 +75,9 @@ class DecisionLimits:
     hold_change: float = 4.0
     error_growth: float = 1.1
     min_mentioned_percent: float = 30.0
+
+    def __post_init__(self) -> None:
+        require_positive_settings(self)
 
     @property
     def min_gain(self) -> float:

@@ -227,6 +227,7 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
         fit_after: fit with effects; None if none was added.
         stages: duration of each stage.
         files: kind of file -> name of the written file.
+        decision_limits: name -> value of the decision limits that differ from the defaults.
     """
 
     campaign: str
@@ -250,3 +251,4 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     fit_after: Fit | None = None
     stages: list[Stage] = []
     files: dict[str, str] = {}
+    decision_limits: dict[str, float] = {}

@@ -12,7 +12,7 @@ from scipy import special
 
 from calibration.campaign.campaign import Campaign, Noise
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.decision_limits import LIMITS
+from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.effects.effect import Situation
 from calibration.fit.estimate import Estimate
 from calibration.fit.fit import Region
@@ -64,11 +64,13 @@ class Evidence:
         campaign: campaign with one law and whole recordings.
         measured: test -> its recordings.
         estimate: minimum of the fit.
+        limits: decision limits of the diagnosis.
     """
 
     campaign: Campaign
     measured: Measured
     estimate: Estimate
+    limits: DecisionLimits = LIMITS
 
     @property
     def problem(self) -> Problem:
@@ -108,7 +110,7 @@ class Evidence:
     @cached_property
     def regions(self) -> list[Region]:
         """Residual tests of all regions; a region is adequate if its p value exceeds `DecisionLimits.region_level`."""
-        return [msgspec.structs.replace(region, adequate=region.p > LIMITS.region_level)
+        return [msgspec.structs.replace(region, adequate=region.p > self.limits.region_level)
                 for region in judge_regions(self.problem, self.evaluation)]
 
     @property
@@ -148,7 +150,7 @@ class Evidence:
         for name, (curve, residuals) in self._replicate_residuals.items():
             segments = _find_runs(curve.segment, residuals.shape[1])
             signal = find_common_signal(residuals, segments)
-            if len(self._replicate_residuals) * signal.p < LIMITS.common_signal_level:
+            if len(self._replicate_residuals) * signal.p < self.limits.common_signal_level:
                 found[name] = signal
         return found
 
@@ -199,7 +201,8 @@ def _find_runs(labels: np.ndarray | None, size: int) -> list[slice]:
     return list(map(slice, ends[:-1], ends[1:]))
 
 
-def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext) -> Evidence:
+def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext,
+                    limits: DecisionLimits = LIMITS) -> Evidence:
     """Fit a campaign without effects.
 
     Args:
@@ -207,6 +210,7 @@ def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCa
         measured: test -> its recordings.
         solves: cache of simulations.
         context: workers and listeners.
+        limits: decision limits of the diagnosis.
 
     Raises:
         ConvergenceError: the simulation fails for all starts.
@@ -218,14 +222,16 @@ def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCa
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = jitter_upper_limit(problem, estimate.theta, estimator.stated_jitter(problem))
+    problem.jitter = jitter_upper_limit(problem, estimate.theta, estimator.stated_jitter(problem),
+                                        limits.jitter_exceedance)
     problem.reset_nuisances()
     descent = descend(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
-    return Evidence(campaign, measured, estimate)
+    return Evidence(campaign, measured, estimate, limits)
 
 
-def jitter_upper_limit(problem: Problem, theta: np.ndarray, stated: Noise) -> Jitter:
+def jitter_upper_limit(problem: Problem, theta: np.ndarray, stated: Noise,
+                       exceedance: float = LIMITS.jitter_exceedance) -> Jitter:
     """Return an upper confidence limit of an estimated jitter; stated or assumed jitter is returned unchanged.
 
     Few recordings may agree by chance; with too small a jitter, effects that resemble a contact offset or a zero would
@@ -236,11 +242,12 @@ def jitter_upper_limit(problem: Problem, theta: np.ndarray, stated: Noise) -> Ji
         problem: problem of the fit.
         theta: free parameters, SI, shape (p,).
         stated: jitter that the campaign states; None values were estimated.
+        exceedance: probability that the true jitter exceeds the limit.
     """
     jitter = problem.jitter
     if not jitter.freedom:
         return jitter
-    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - LIMITS.jitter_exceedance))
+    factor = jitter.freedom / float(special.chdtri(jitter.freedom, 1.0 - exceedance))
     resolved: dict[str, list[float]] = {"contact": [], "zero": []}
     for test in problem.linearise_replicates(theta):
         for one in test:

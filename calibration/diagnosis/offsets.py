@@ -55,7 +55,7 @@ def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Eviden
         measured = {test: tuple(replace(curve, displacement=curve.displacement - shifts.get(curve.name, 0.0))
                                 for curve in curves) for test, curves in evidence.measured.items()}
         try:
-            found = gather_evidence(evidence.campaign, measured, evidence.problem.solves, context)
+            found = gather_evidence(evidence.campaign, measured, evidence.problem.solves, context, evidence.limits)
         except ConvergenceError:
             return evidence, []
     if not found.explained:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate, rescore, rescore_all
 from calibration.diagnosis.refits import Refit, fit_effects, odds
@@ -63,24 +62,25 @@ def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: CatalogueSc
         proposals: scores of all effects.
         context: workers and listeners.
     """
+    limits = evidence.limits
     found: list[EffectPair] = []
     firsts = [first for number, first in enumerate(good[:_SETTINGS.max_first_effects])
-              if number < _SETTINGS.first_effects or odds(good[0], first) < LIMITS.odds]
+              if number < _SETTINGS.first_effects or odds(good[0], first) < limits.odds]
     for first in firsts:
         with_first = first.evidence(evidence)
         others = rescore_all(proposals, with_first, [first.name])
         # Two effects with a common parameter cannot be combined.
-        likely = [name for name, each in others.significant.items() if each.p <= LIMITS.pair_level
+        likely = [name for name, each in others.significant.items() if each.p <= limits.pair_level
                   and not each.candidate.paths & first.proposal.candidate.paths][:_SETTINGS.second_effects]
         fits = fit_effects(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
                            likely) if likely else []
-        found += [EffectPair(first, second, with_first) for second in fits if second.gain >= LIMITS.min_pair_gain
+        found += [EffectPair(first, second, with_first) for second in fits if second.gain >= limits.min_pair_gain
                   and not second.is_absent and not second.is_at_bound
                   and _are_both_required(first, second, good, evidence)]
     found.sort(key=lambda pair: -pair.gain)
     kept: dict[frozenset[str], EffectPair] = {}
     for pair in found:
-        if 0.5 * (found[0].gain - pair.gain) < np.log(LIMITS.odds):
+        if 0.5 * (found[0].gain - pair.gain) < np.log(limits.odds):
             kept.setdefault(frozenset((pair.first.name, pair.second.name)), pair)
     return list(kept.values())
 
@@ -98,14 +98,14 @@ def _are_both_required(first: Refit, second: Refit, good: Sequence[Refit], evide
         evidence: fit without effects.
     """
     alone = next((each for each in good if each.name == second.name), None)
-    if alone is not None and alone.gain > first.gain + second.gain - LIMITS.min_pair_gain:
+    if alone is not None and alone.gain > first.gain + second.gain - evidence.limits.min_pair_gain:
         return False
     single, score_with_first = rescore(second.proposal, evidence), second.proposal.strength
     if not single.direction.freedom:
         return False
-    if single.strength * score_with_first < LIMITS.min_score_ratio * score_with_first**2:
+    if single.strength * score_with_first < evidence.limits.min_score_ratio * score_with_first**2:
         return False
-    return largest_cosine(first.proposal.direction, single.direction) < LIMITS.max_pair_cosine
+    return largest_cosine(first.proposal.direction, single.direction) < evidence.limits.max_pair_cosine
 
 
 def find_most_changed_regions(proposal: ScoredCandidate, evidence: Evidence, most: int = 2) -> list[str]:

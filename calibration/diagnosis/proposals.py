@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.decision_limits import LIMITS
+from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import simulate_effect_change
 from calibration.effects.catalogue import CATALOGUE
@@ -89,11 +89,13 @@ class CatalogueScores:
         all: scored candidates that the tests can show.
         untestable: name -> reason why the tests cannot show an effect.
         effects: name -> effect, for the whole catalogue.
+        limits: decision limits of the diagnosis.
     """
 
     all: tuple[ScoredCandidate, ...]
     untestable: dict[str, str]
     effects: dict[str, Effect]
+    limits: DecisionLimits = LIMITS
 
     @cached_property
     def best(self) -> dict[str, ScoredCandidate]:
@@ -106,7 +108,7 @@ class CatalogueScores:
     @property
     def significant(self) -> dict[str, ScoredCandidate]:
         """Name -> significant candidates (`DecisionLimits.effect_level`), strongest first."""
-        return {name: each for name, each in self.best.items() if each.p <= LIMITS.effect_level}
+        return {name: each for name, each in self.best.items() if each.p <= self.limits.effect_level}
 
     @property
     def significant_in_words(self) -> list[str]:
@@ -123,7 +125,7 @@ class CatalogueScores:
                 likeness = max(largest_cosine(one.direction, other.direction) for one in mine)
                 found[other.candidate.name] = max(found.get(other.candidate.name, 0.0), likeness)
         return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1])
-                if likeness > LIMITS.twin_cosine]
+                if likeness > self.limits.twin_cosine]
 
 
 def score_effects(evidence: Evidence, context: RunContext, words: str = "effects, one at a time",
@@ -172,7 +174,7 @@ def score_effects(evidence: Evidence, context: RunContext, words: str = "effects
                                    for number, direction in directions.items()], evidence)
     shown = {each.candidate.name for each in proposals}
     untestable |= {name: reason for name, reason in failures.items() if name not in shown}
-    return CatalogueScores(proposals, untestable, effects)
+    return CatalogueScores(proposals, untestable, effects, evidence.limits)
 
 
 def rescore_all(proposals: CatalogueScores, evidence: Evidence, known: Sequence[str]) -> CatalogueScores:

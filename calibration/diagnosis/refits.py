@@ -9,7 +9,6 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.extended import add_effect, select_free_values
 from calibration.diagnosis.proposals import (
@@ -136,7 +135,7 @@ class Refit:
         """Return the evidence with the effect; jitter and mesh corrections are those of `before`."""
         estimate = Estimate(1, self.theta, self.error, True, "", (), {}, 0.0, problem=self.problem,
                             differences=before.estimate.differences, refreshes=before.estimate.refreshes)
-        return Evidence(self.campaign, before.measured, estimate)
+        return Evidence(self.campaign, before.measured, estimate, before.limits)
 
 
 def find_bound(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
@@ -172,7 +171,7 @@ def fit_effects(evidence: Evidence, proposals: CatalogueScores, context: RunCont
     """
     ranked = [(name, -2.0 * each.improbability) for name, each in proposals.best.items()]
     # Rivals of the best effect are fitted even if all scores are small.
-    promising = min(_SETTINGS.promising * (LIMITS.min_gain + float(np.log(evidence.samples))), max(
+    promising = min(_SETTINGS.promising * (evidence.limits.min_gain + float(np.log(evidence.samples))), max(
         (squares for _, squares in ranked), default=0.0) - _SETTINGS.rival_margin)
     chosen = [name for number, (name, squares) in enumerate(ranked[:_SETTINGS.max_similar]) if squares > promising
               and (number < _SETTINGS.max_effects or squares > _SETTINGS.similar**2 * ranked[0][1])] \

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, FoundEffect
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.pairs import find_most_changed_regions
@@ -78,7 +77,7 @@ def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: Ca
     # The detectable size refers to the shape parameters with the highest expected score.
     mine = [each for each in proposals.all if each.candidate.name == name]
     clearest = max(mine, key=lambda each: each.direction.reach)
-    smallest = clearest.sizes(LIMITS.detectable_score / clearest.direction.reach)
+    smallest = clearest.sizes(before.limits.detectable_score / clearest.direction.reach)
     after = fitted.evidence(before) if fitted is not None and finite else None
     prepared = clearest.candidate.with_prepared_tests(before.campaign)
     symbols = clearest.candidate.symbols(before.campaign)

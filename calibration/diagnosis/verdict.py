@@ -8,7 +8,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.diagnosis.confirmation import update_corrections
-from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.pairs import find_pairs
@@ -48,21 +47,22 @@ def decide_verdict(evidence: Evidence, proposals: CatalogueScores, context: RunC
     """
     if not proposals.significant and evidence.adequate:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", [], (), [], evidence)
+    limits = evidence.limits
     refits = fit_effects(evidence, proposals, context)
     sound = [each for each in refits if not each.is_absent and not each.is_at_bound]
-    good = [each for each in sound if each.gain >= LIMITS.min_gain
-            and (each.proposal.p <= LIMITS.effect_level or not evidence.adequate)]
+    good = [each for each in sound if each.gain >= limits.min_gain
+            and (each.proposal.p <= limits.effect_level or not evidence.adequate)]
     if not good:
         return Judgement("NONE" if evidence.explained else "UNKNOWN", refits, (), [], evidence)
     best = good[0]
     rivals = (each.gain for each in good if each.proposal.candidate.effect.name != best.proposal.candidate.effect.name)
-    has_rival = next(rivals, 0.0) >= LIMITS.rival_gain_ratio * best.gain
-    needed = LIMITS.explained_fraction if has_rival else LIMITS.explained_without_rival
+    has_rival = next(rivals, 0.0) >= limits.rival_gain_ratio * best.gain
+    needed = limits.explained_fraction if has_rival else limits.explained_without_rival
     added, after = _add_instances(best, evidence, context)
     rest = rescore_all(proposals, after, [best.name]).significant
     if rest or not after.adequate:
         pairs = find_pairs(evidence, good, proposals, context)
-        if pairs and pairs[0].gain > sum(each.gain for each in added) + LIMITS.min_pair_gain:
+        if pairs and pairs[0].gain > sum(each.gain for each in added) + limits.min_pair_gain:
             together = update_corrections(pairs[0].second.evidence(pairs[0].with_first))
             # A pair is accepted only if it explains the whole misfit.
             if together.explained:
@@ -70,23 +70,23 @@ def decide_verdict(evidence: Evidence, proposals: CatalogueScores, context: RunC
                 return Judgement("SET" if len(names) > 2 else "NAMED", refits, (pairs[0].first, pairs[0].second),
                                  names, together)
         # The explained fraction is meaningful only if the remaining misfit is significant.
-        far = min(region.p for region in after.regions) < LIMITS.clear_misfit_level or after.tests_with_common_signal
+        far = min(region.p for region in after.regions) < limits.clear_misfit_level or after.tests_with_common_signal
         if far and explained_misfit_fraction(evidence.regions, after.regions) < needed:
             return Judgement("UNKNOWN", refits, (), [], evidence)
     # Decrease of BIC that the remaining scores predict.
     gained = sum(each.gain for each in added)
     left = max((-2.0 * each.improbability - float(np.log(evidence.samples)) for each in rest.values()), default=0.0)
     left = max(left, 0.0)
-    if left > (1.0 - LIMITS.scored_fraction) * (gained + left):
+    if left > (1.0 - limits.scored_fraction) * (gained + left):
         return Judgement("UNKNOWN", refits, (), [], evidence)
     if after.tests_with_common_signal and explained_common_signal(evidence, after) < needed:
         return Judgement("UNKNOWN", refits, (), [], evidence)
     # Candidates as likely as the best one belong to the set even if their own decrease of BIC is insignificant.
-    possible = [each for each in sound if odds(best, each) < LIMITS.odds]
+    possible = [each for each in sound if odds(best, each) < limits.odds]
     names = list(dict.fromkeys([*(each.name for each in possible), *_list_known_twins(best, proposals)]))
     if len(names) > 1:
         return Judgement("SET", refits, added, names, after)
-    alone = after.explained and left <= (1.0 - LIMITS.explained_fraction) * (gained + left)
+    alone = after.explained and left <= (1.0 - limits.explained_fraction) * (gained + left)
     return Judgement("NAMED" if alone else "LOOKS_LIKE", refits, added, names, after)
 
 
@@ -101,7 +101,7 @@ def _add_instances(best: Refit, evidence: Evidence, context: RunContext) -> tupl
     while not after.adequate and len(added) < effect.max_instances:
         more = score_effects(after, context, f"more of {effect.title}", only=effect.name)
         fits = fit_effects(after, more, context, f"fits with more of {effect.title}", list(more.significant)[:1])
-        if not fits or fits[0].gain < LIMITS.min_gain or fits[0].is_absent:
+        if not fits or fits[0].gain < evidence.limits.min_gain or fits[0].is_absent:
             break
         added.append(fits[0])
         after = update_corrections(fits[0].evidence(after))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from msgspec.structs import replace
 
-from calibration.diagnosis.decision_limits import LIMITS
+from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.diagnosis.diagnosis import (
     CandidateStatement,
     EffectParameter,
@@ -62,7 +62,7 @@ def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], t
                              regions: Sequence[SegmentMisfit], gaps: tuple[float, float | None, float], untestable: int,
                              unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
                              repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
-                             stressed: bool = False) -> str:
+                             stressed: bool = False, limits: DecisionLimits = LIMITS) -> str:
     """Summarise a diagnosis in a few sentences.
 
     Args:
@@ -78,6 +78,7 @@ def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], t
         offsets: descriptions of contact offsets beyond their assumed scatter.
         scored: descriptions of effects with significant scores, strongest first.
         stressed: whether stress was recorded, Pa.
+        limits: decision limits of the diagnosis.
     """
     before, after, noise = gaps
     where = [region.sentence for region in regions if not region.adequate_before]
@@ -86,7 +87,7 @@ def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], t
     closed = "" if after is None else (f" The misfit falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
                                        f"({before / noise:.2g} to {after / noise:.2g} of the noise).")
     pairs = [(each.before_N, each.after_N) for each in unseen if each.before_N is not None and each.after_N is not None]
-    if pairs and sum(two**2 for _, two in pairs) > LIMITS.error_growth * sum(one**2 for one, _ in pairs):
+    if pairs and sum(two**2 for _, two in pairs) > limits.error_growth * sum(one**2 for one, _ in pairs):
         closed += " Data that were not fitted are predicted worse with the added effect. Do not rely on this effect."
     silent = f" These tests cannot detect {untestable} effects of the catalogue." if untestable else ""
     match verdict:
@@ -97,7 +98,7 @@ def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], t
                         f"{silent}")
             return f"Nothing is missing that these tests could show.{silent}"
         case "UNKNOWN":
-            worth = nearest is not None and (nearest.explained_percent or 0.0) >= LIMITS.min_mentioned_percent
+            worth = nearest is not None and (nearest.explained_percent or 0.0) >= limits.min_mentioned_percent
             near = f" {_describe_nearest_effect(nearest)}" if nearest is not None and worth else ""
             if not where:
                 several = f" ({join_words(scored[:3])})" if scored else ""

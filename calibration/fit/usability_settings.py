@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 from calibration.statistics.statistics import NOISE_RATIOS
 from tissue_sim.errors import InputError
+from tissue_sim.settings import require_positive_settings
 
 
 @dataclass(frozen=True)
@@ -36,18 +37,9 @@ class UsabilitySettings:
     start_noise: float = 5.0
 
     def __post_init__(self) -> None:
-        for entry in fields(self):
-            value = getattr(self, entry.name)
-            if not value > 0:
-                raise InputError(f"{entry.name} must be positive; got {value:g}", field=entry.name)
+        require_positive_settings(self)
         if not self.smallest_R2 < 1:
             raise InputError(f"smallest_R2 must be below 1; got {self.smallest_R2:g}", field="smallest_R2")
-
-    @property
-    def changed(self) -> dict[str, float]:
-        """Name -> value of the limits that differ from the defaults."""
-        return {entry.name: getattr(self, entry.name) for entry in fields(self)
-                if getattr(self, entry.name) != entry.default}
 
 
 #: Default limits of the usability rule.

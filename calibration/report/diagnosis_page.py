@@ -7,7 +7,7 @@ from functools import partial
 from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.decision_limits import LIMITS
+from calibration.diagnosis.decision_limits import DecisionLimits
 from calibration.diagnosis.diagnosis import VERDICTS, CandidateStatement, Diagnosis, Verdict
 from calibration.diagnosis.evidence import Evidence
 from calibration.diagnosis.words import join_words
@@ -195,8 +195,9 @@ def _make_misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence
 def _make_catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>Effects of the catalogue in these tests</h2>"
+    limits = DecisionLimits(**diagnosis.decision_limits)
     drawn = [each for each in seen
-             if each.refitted or (each.p is not None and each.p <= LIMITS.effect_level)][:LAYOUT.drawn_effects]
+             if each.refitted or (each.p is not None and each.p <= limits.effect_level)][:LAYOUT.drawn_effects]
     if drawn and pictures is not None:
         draw = partial(draw_candidates, drawn, [candidate_label(each) for each in drawn],
                        _list_added_candidates(diagnosis, drawn))

@@ -189,6 +189,23 @@ def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
     assert not (tmp_path / "twice").exists() and not (tmp_path / "gif").exists()
 
 
+@pytest.mark.slow
+def test_other_decision_limits_are_used_and_stated(campaign, diagnosed, tmp_path):
+    limits = calibration.DecisionLimits(region_level=0.9999)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("calibration.diagnosis.proposals.CATALOGUE", {"machine_compliance": MachineCompliance})
+        results = calibration.diagnose([campaign], tmp_path, figures=False, limits=limits)
+    assert calibration.diagnosis_to_json(results)["decision_limits"] == {"region_level": 0.9999}
+    assert not all(region.adequate_before for region in results[0].diagnosis.regions)
+    plain = diagnosed[0].diagnosis
+    assert plain.decision_limits == {} and all(region.adequate_before for region in plain.regions)
+
+
+def test_decision_limits_must_be_positive():
+    with pytest.raises(ts.InputError, match=r"odds must be positive; got -1"):
+        calibration.DecisionLimits(odds=-1.0)
+
+
 def summary(page):
     """Term -> text of the summary."""
     terms = re.findall(r"<dt>(.*?)</dt><dd>(.*?)</dd>", page)

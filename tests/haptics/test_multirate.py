@@ -33,9 +33,9 @@ MESH = needle_solid(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, large
 DT = 1e-3
 
 
-def model(tool="round", friction=0.3, **changes):
+def model(tool="round", friction=0.3, material=PHANTOM, **changes):
     return ts.Model(ts.Experiment(ts.Specimen(0.04, 0.07), ts.Protocol.ramp(3e-3, 3), friction=friction,
-                                  tool=ts.Tool(tool, radius=8e-3), **changes), PHANTOM)
+                                  tool=ts.Tool(tool, radius=8e-3), **changes), material)
 
 
 def delayed(delay=0.016, tangent=None, **settings):
@@ -146,6 +146,10 @@ def test_a_bulk_that_the_elements_do_not_take_is_refused_before_it_is_sent():
     tissue = delayed()
     with pytest.raises(ts.InputError, match="K/mu0"):
         tissue.set_parameters(**{"bulk.bulk_ratio": 1.5})
+    # With K in Pa the ratio has no declared bounds.
+    stiff = delayed(material=ts.Material(PHANTOM.law, PHANTOM.parameters, ts.Bulk("K_Pa", 1e8)))
+    with pytest.raises(ts.InputError, match=r"K/mu0 must be 2 to 1e\+06.*got 5e\+06"):
+        stiff.set_parameters(C10=100.0, C20=50.0, **{"bulk.K_Pa": 1e9})
     assert tissue.step(Pose((0.0, 0.0, -1e-4)), DT).status is ForceStatus.CONVERGED
 
 

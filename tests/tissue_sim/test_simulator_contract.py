@@ -55,6 +55,16 @@ class TestInput:
         assert sim.step(3e-3, 1e-3).status is ts.ForceStatus.REFUSED and not sim.has_touched
         assert sim.step(1e-3, 1e-3).status is ts.ForceStatus.CONVERGED
 
+    def test_other_settings_of_the_path_are_used_and_cloned(self):
+        usual, fine = needle(), needle(path_settings=ts.PathSettings(largest_part=0.0625 / 4))
+        cloned = fine.clone()
+        forces = [sim.step(2e-3, 1e-3) for sim in (usual, fine, cloned)]
+        assert forces[1].force == pytest.approx(forces[0].force, rel=1e-6)
+        # Four times as many parts, each with at least one linear solve.
+        assert forces[1].iterations > 2 * forces[0].iterations and forces[2].iterations == forces[1].iterations
+        with pytest.raises(ts.InputError, match=r"most_solves must be positive; got 0"):
+            ts.PathSettings(most_solves=0)
+
     @pytest.mark.parametrize("values", [(1.0, 2.0), "abc", None, 3.0])
     def test_a_position_is_three_numbers(self, values):
         with pytest.raises(ts.InputError, match="position: must be 3 numbers"):

@@ -1,0 +1,44 @@
+"""Settings that users can change: check of their values, and list of those that differ from the defaults."""
+
+from __future__ import annotations
+
+from dataclasses import Field, fields
+from typing import Any, ClassVar, Protocol
+
+from tissue_sim.errors import InputError
+
+
+class Settings(Protocol):
+    """A dataclass of numbers in which every field has a default."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+
+def require_positive_settings(settings: Settings) -> None:
+    """Check that every number of a settings object is positive.
+
+    Args:
+        settings: settings of one algorithm.
+
+    Raises:
+        InputError: a number is zero, negative or NaN; the error names the field.
+    """
+    for entry in fields(settings):
+        value = getattr(settings, entry.name)
+        if not value > 0:
+            raise InputError(f"{entry.name} must be positive; got {value:g}", field=entry.name)
+
+
+def list_changed_settings(settings: Settings) -> dict[str, float]:
+    """Return name -> value of the settings that differ from the defaults.
+
+    Args:
+        settings: settings of one algorithm.
+
+    Examples:
+        >>> from tissue_sim import PathSettings
+        >>> list_changed_settings(PathSettings(largest_part=0.1))
+        {'largest_part': 0.1}
+    """
+    return {entry.name: getattr(settings, entry.name) for entry in fields(settings)
+            if getattr(settings, entry.name) != entry.default}
