@@ -17,7 +17,7 @@ from tissue_sim.experiment.tools.tool import TOOLS, read_shape
 from tissue_sim.files import exists, find_files
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.material.material import BULK_RATIOS
-from tissue_sim.recording.formats.columns import check_columns
+from tissue_sim.recording.formats.column_options import normalize_column_mapping
 
 
 def require_positive(value: float | None, field: str, unit: str = "") -> None:
@@ -64,7 +64,7 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
     if entry.columns is None:
         return None
     try:
-        columns = check_columns(entry.columns)
+        columns = normalize_column_mapping(entry.columns)
     except InputError as error:
         raise error.located(field=field) from None
     present = {*columns, "displacement"} if entry.speed_mm_s is not None and {"time", "force"} <= columns.keys() \

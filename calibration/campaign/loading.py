@@ -38,8 +38,8 @@ def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screen
         InputError: fewer than five samples, or an oscillation with a phase lag.
     """
     control = screening.control
-    samples = samples[samples < screening.kept_before_saturation]
-    if control is not None and control.dissipates:
+    samples = samples[samples < screening.kept_count_before_saturation]
+    if control is not None and control.has_dissipative_oscillation:
         raise InputError(f"{path.name}: {control.sentence}", field="recordings")
     if control is not None and control.pattern == "oscillation":
         return samples
@@ -70,7 +70,8 @@ def require_loading(displacement: np.ndarray, force: np.ndarray, screening: Scre
     Raises:
         InputError: sample 1 is left out and the next sample is far from rest.
     """
-    if 1 in screening.samples and displacement[0] > _FAR * np.ptp(displacement) and force[0] > _FAR * np.ptp(force):
+    starts_loaded = displacement[0] > _FAR * np.ptp(displacement) and force[0] > _FAR * np.ptp(force)
+    if 1 in screening.left_out_sample_numbers and starts_loaded:
         lost = next((each.sentence for each in screening.left_out if 1 in each.samples), "sample 1 left out")
         raise InputError(f"{path.name}: the loading from rest must be recorded for a material with a memory. {lost}, "
                          "and the next sample is under load. Correct that sample in the file", field="recordings")

@@ -28,7 +28,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.screening import Screening
-from tissue_sim.recording.segmentation import label_motion, number_runs
+from tissue_sim.recording.segmentation import label_motion, number_repeated_runs
 from tissue_sim.specimen.specimen import add_article
 
 if TYPE_CHECKING:
@@ -257,7 +257,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
         if campaign.fit.method != "analytical":
             # Distinct times, if the clock is coarser than the sampling interval.
             time = spread_time_stamps(time, time.size)
-        labels = number_runs(label_motion(time, displacement[samples]) if labels is None else labels[samples])
+        labels = number_repeated_runs(label_motion(time, displacement[samples]) if labels is None else labels[samples])
     used = np.isin(np.arange(displacement.size), samples)
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,
                           path, str(recording.metadata.get("sha256", "")), stressed, later,

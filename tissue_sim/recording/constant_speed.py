@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.recording import Recording
 
 
-def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recording:
+def complete_motion_from_speed(recording: Recording, speed: float, path: Path) -> Recording:
     """Add the time from the path length, or the displacement since the first sample, to a recording.
 
     Args:

@@ -64,11 +64,11 @@ def run(arguments) -> int:
     check_solver(arguments.solver)
 
     import tissue_sim as ts
-    from tissue_sim.recording.file import require_sidecar_place
+    from tissue_sim.recording.file import require_overwritable_sidecar
     from tissue_sim.recording.recording import MIN_POINTS
 
     for path in outputs:
-        require_sidecar_place(path)
+        require_overwritable_sidecar(path)
     protocol, rig = make_protocol(arguments), make_rig(arguments)
     points = rig.readings(protocol.time)
     if outputs and points < MIN_POINTS:

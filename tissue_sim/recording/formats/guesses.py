@@ -74,7 +74,7 @@ class ColumnGuess:
     other_unit: str | None = None
     strain_unit: str | None = None
 
-    def entry(self) -> dict[str, Any]:
+    def to_campaign_entry(self) -> dict[str, Any]:
         """Return the entry of the column in ``columns`` of a campaign."""
         entry: dict[str, Any] = {"name": self.header} if self.by_name else {"column": self.place}
         stated = {"unit": self.unit, "sign": self.sign if self.sign != 1 else None, "scale": self.scale,
@@ -82,7 +82,7 @@ class ColumnGuess:
         return entry | {key: value for key, value in stated.items() if value is not None}
 
     @property
-    def missing(self) -> str | None:
+    def missing_information(self) -> str | None:
         """Missing information that only the user knows, in words; None: complete."""
         name = repr(self.header) if self.header else str(self.place)
         if self.unit is None and self.scale is None and CHANNELS[self.channel] != "ratio":
@@ -95,7 +95,7 @@ class ColumnGuess:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
+class TableGroup:
     """Tables of a file that are read with the same options.
 
     Attributes:
@@ -130,13 +130,13 @@ class Reading:
     speed: tuple[float, str] | None = None
 
     @property
-    def missing(self) -> tuple[str, ...]:
+    def missing_information(self) -> tuple[str, ...]:
         """Missing information about the columns that only the user knows."""
-        return tuple(column.missing for column in self.columns if column.missing)
+        return tuple(column.missing_information for column in self.columns if column.missing_information)
 
 
 @dataclass(frozen=True, eq=False)
-class Understanding:
+class FileInterpretation:
     """Interpretation of a file.
 
     Attributes:
@@ -155,7 +155,7 @@ class Understanding:
     delimiter: str | None
     decimal_mark: str | None
     encoding: str | None
-    readings: tuple[Reading, ...]
+    readings: tuple[TableGroup, ...]
     warnings: tuple[str, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
 
