@@ -105,13 +105,13 @@ def check_motion(displacement: np.ndarray, height: float, test: Test, path: Path
         raise InputError(f"{path.name} has a constant displacement in all {displacement.size} samples of loading; "
                          "check which column is read as displacement", field="recordings")
     largest = float(displacement.max())
-    if not test.kind.gripped and largest >= height:
+    if not test.kind.has_gripped_ends and largest >= height:
         raise InputError(f"{path.name}: the stretch must be above zero; got {1 - largest:g}"
                          if test.specimen is None else
                          f"{path.name}: the displacement must be smaller than the height {height * 1e3:g} mm of the "
                          f"specimen {test.specimen.name!r}; got {largest * 1e3:g} mm", field="recordings")
     # A gripped specimen in tension has the length height + displacement, which must be positive.
-    if test.kind.gripped and not test.kind.both_ways and float(displacement.min()) <= -height:
+    if test.kind.has_gripped_ends and not test.kind.loads_in_both_directions and float(displacement.min()) <= -height:
         number = int(np.argmin(displacement)) + 1
         shortest = 1.0 + float(displacement.min()) / height
         raise InputError(f"{path.name}: the stretch must be above zero; got {shortest:g} in sample {number} of the "

@@ -39,13 +39,13 @@ from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located, shortened
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.experiment.tools.tool import shapes_without_file
+from tissue_sim.experiment.tools.tool import list_shapes_without_file
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 from tissue_sim.recording.formats.sizes import SizeOrSpeed, find_sizes
 from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.specimen import SPECIMENS, specimen_sizes
-from tissue_sim.specimen.specimen import sizes_of
+from tissue_sim.specimen.specimen import get_shape_sizes
 
 _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
@@ -241,7 +241,7 @@ def _make_specimen_lines(reading: TableGroup, wishes: ImportOptions, kind: TestK
     if shape is not None:
         return _make_shape_lines(str(shape), sizes, reason)
     lines, missing = [], []
-    flat = "area_mm2" in sizes or (kind is not None and kind.gripped and "radius_mm" not in sizes)
+    flat = "area_mm2" in sizes or (kind is not None and kind.has_gripped_ends and "radius_mm" not in sizes)
     lines.append(Line("shape", "prism" if flat else "cylinder"))
     for key, what in (("area_mm2", "cross-section") if flat else ("radius_mm", "radius"),
                       ("height_mm", "gauge length" if kind is not None and kind.name == "uniaxial_tension" else
@@ -260,7 +260,7 @@ def _make_specimen_lines(reading: TableGroup, wishes: ImportOptions, kind: TestK
 def _make_shape_lines(shape: str, sizes: Mapping[str, SizeOrSpeed], reason: str) -> tuple[tuple[Line, ...], list[str]]:
     """Return the lines of a specimen with a stated shape, and the missing sizes."""
     lines, missing = [Line("shape", shape, reason)], []
-    for key, declared in sizes_of(shape).items():
+    for key, declared in get_shape_sizes(shape).items():
         flag = f"--{key.replace('_', '-')}"
         if key in sizes:
             lines.append(Line(key, sizes[key].value, sizes[key].reason))
@@ -317,7 +317,7 @@ def _make_tool_lines(test: Mapping[str, Any], reading: TableGroup) -> tuple[list
     lines: list[Line] = []
     missing: list[str] = []
     said = reading.recordings[0].metadata
-    shapes = ", ".join(shape for shape in shapes_without_file() if shape != "plate")
+    shapes = ", ".join(shape for shape in list_shapes_without_file() if shape != "plate")
     for key, what, flag in (("tool", "the shape of the tool", "--tool"),
                             ("tool_radius_mm", "the radius of the tool", "--tool-radius-mm")):
         if key in test:

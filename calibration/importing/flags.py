@@ -8,7 +8,7 @@ from typing import Any
 from calibration.importing.imported import ImportedTest, ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.experiment.tools.tool import TOOLS, read_shape
+from tissue_sim.experiment.tools.tool import TOOLS, parse_shape_name
 from tissue_sim.recording.formats.gauge_length import uses_gauge_length
 from tissue_sim.recording.formats.guesses import ColumnGuess, FileInterpretation
 from tissue_sim.recording.formats.interpretation import get_channel_flag_name
@@ -65,7 +65,7 @@ def applies_to_kind(key: str, value: Any, kind: TestKind | None) -> bool:
 
 def _is_plate(shape: Any) -> bool:
     """Return whether a tool shape is a plate."""
-    name = read_shape(shape)[0]
+    name = parse_shape_name(shape)[0]
     return name in TOOLS and TOOLS[name].is_plate
 
 

@@ -69,7 +69,7 @@ def has_same_motion(first: Part, second: Part) -> bool:
     a, b = first.motions[0], second.motions[0]
     if a.speed and b.speed:
         pairs.append((a.speed, b.speed))
-    if kind is None or not kind.gripped:
+    if kind is None or not kind.has_gripped_ends:
         pairs.append((max(map(abs, a.reach)), max(map(abs, b.reach))))
     return all(max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair) for pair in pairs)
 

@@ -191,14 +191,14 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
     ones = np.ones(len(law.parameters))
 
     def solve_least_squares(trial_shift: float) -> tuple[float, np.ndarray]:
-        strain = kind.abscissa((displacement + trial_shift) / height)
+        strain = kind.compute_stretch_or_shear_strain((displacement + trial_shift) / height)
         design = kind.sign * area * form.derivatives(law, strain, ones)
         if value == SENSOR:
             design = np.column_stack([design, np.ones(displacement.size)])
         coefficients = np.linalg.lstsq(design, load, rcond=None)[0]
         return float(np.sum((load - design @ coefficients)**2)), coefficients
 
-    if displacement[-1] + _SHIFTS[-1] * shift >= height and not kind.gripped:
+    if displacement[-1] + _SHIFTS[-1] * shift >= height and not kind.has_gripped_ends:
         return None
     trial_shift = 0.0 if value == SENSOR else float(min(_SHIFTS * shift, key=lambda each: solve_least_squares(each)[0]))
     squares, coefficients = solve_least_squares(trial_shift)

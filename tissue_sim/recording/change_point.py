@@ -130,7 +130,7 @@ class LikelihoodProfile:
 
 
 class ChangePointFit:
-    """Least-squares fit of the law to one part, with whitened noise.
+    """Least-squares fit of a power law of contact with zero and drift to a loading window, with whitened noise.
 
     Args:
         part: samples that are fitted.
@@ -165,7 +165,7 @@ class ChangePointFit:
         return rows - (rows @ self._base) @ self._base.T
 
     def _evaluate_law_terms(self, places: np.ndarray, powers: np.ndarray) -> list[np.ndarray]:
-        """Return the terms of the law after contact, each of shape (places * powers, n); powers: (places, m)."""
+        """Return the power-law terms, without factors at trial contacts `places` and exponents `powers` (places, m)."""
         depth = np.maximum(self.part.displacement - places[:, None], 0.0)[:, None] / self._scale
         logarithm = np.log(depth, where=depth > 0, out=np.full(depth.shape, -np.inf))
         first = np.exp(powers[:, :, None] * logarithm)
@@ -195,7 +195,7 @@ class ChangePointFit:
         return answer
 
     def minimize_over_exponent(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the smallest sum of squares over the exponent at each place, and the exponent; shapes (places,)."""
+        """Return at each trial contact in `places`, m, the smallest sum of squares, N2, and its exponent, (places,)."""
         low, high = self.exponents
         rows, count = np.arange(places.size), 9 if high > low else 1
         powers = np.broadcast_to(np.linspace(low, high, count), (places.size, count))
@@ -302,11 +302,11 @@ class ChangePointFit:
         return _estimate_correlation(self.part.force - self.part.force[0], design)
 
     def compute_sum_of_squares_without_contact(self) -> float:
-        """Return the sum of squares of a fit with zero and drift alone, N2."""
+        """Return the sum of squares, N2, of a fit of a constant and a linear drift, without a contact force."""
         return float(self._data @ self._data)
 
     def fit_linear_coefficients(self, place: float, power: float) -> np.ndarray:
-        """Return the coefficients: zero less the first force, drift over the part, and terms of the law, N."""
+        """Return the fitted coefficients, N: zero minus first force, drift over the window, then the law's terms."""
         columns = [column[0] for column in self._evaluate_law_terms(np.array([place]), np.array([[power]]))]
         t = (self.part.time - self.part.time[0]) / ((self.part.time[-1] - self.part.time[0]) or 1.0)
         self._design = np.stack([np.ones(t.size), t, *columns])
@@ -329,20 +329,20 @@ class ChangePointFit:
         return float(np.sqrt(max(variance * covariance[1, 1], 0.0)) / size[1])
 
     def fit_zero_without_drift(self, place: float, power: float) -> float:
-        """Return the zero less the first force, N, of a fit without drift."""
+        """Return the fitted zero of the force minus the first force, N, of a fit without drift."""
         self.fit_linear_coefficients(place, power)
         design = np.delete(self._design, 1, axis=0)
         wanted = self._whiten_noise(self.part.force - self.part.force[0])
         return float(np.linalg.lstsq(self._whiten_noise(design).T, wanted, rcond=None)[0][0])
 
     def _leading_terms_at_shifted_parameters(self, place: float, power: float) -> list[np.ndarray]:
-        """Return the leading term at a shifted contact, and at a shifted exponent, shapes (n,)."""
+        """Return the leading power-law term at a shifted contact, and at a shifted exponent, for derivatives, (n,)."""
         shifted = place - _SETTINGS.difference_step * self._scale
         return [self._evaluate_law_terms(np.array([shifted]), np.array([[power]]))[0][0],
                 self._evaluate_law_terms(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
 
     def compute_force_residual(self, place: float, power: float) -> np.ndarray:
-        """Return the residual of the force without whitening, N, shape (n,)."""
+        """Return the measured minus the fitted force, N, without whitening, shape (n,)."""
         coefficients = self.fit_linear_coefficients(place, power)
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
@@ -387,7 +387,7 @@ def _estimate_correlation(data: np.ndarray, design: np.ndarray) -> float:
     freedom, known = data.size - design.shape[1], design.shape[1]
 
     def evaluate_restricted_likelihood(trial: float) -> float:
-        """Return -2 times the logarithm of the restricted likelihood for a trial correlation, up to a constant."""
+        """Return -2 log of the restricted likelihood of a trial correlation, up to a constant; to be minimized."""
         new = np.vstack([np.sqrt(1 - trial**2) * columns[:1], columns[1:] - trial * columns[:-1]])
         size = np.abs(np.diag(np.linalg.qr(new, mode="r"))).clip(1e-150)
         return 2 * freedom * np.log(size[-1]) + 2 * float(np.log(size[:known]).sum()) - np.log(1 - trial**2)

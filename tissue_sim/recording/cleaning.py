@@ -212,7 +212,7 @@ def _compute_nominal_stress_rounding(recording: Recording, measure: StrainOrStre
 
 
 def _get_time_if_present(recording: Recording) -> np.ndarray | None:
-    """Return the time, s, shape (n,); None for a recording without a time."""
+    """Return the time of a recording, s, shape (n,); None for a recording without the channel ``time``."""
     return recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
 
 

@@ -121,12 +121,12 @@ class Contact:
 
     @property
     def has_air_before_contact(self) -> bool:
-        """Whether samples in the air precede contact."""
+        """Whether the recording has samples in the air, before contact."""
         return self.status == "found"
 
     @property
     def sentence(self) -> str:
-        """Result as a sentence, in mm and N; see `in_words`."""
+        """Result as a sentence for the user, in mm and N; see `in_words`."""
         return self.in_words()
 
     def subtract_contact_and_zero(self, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None
@@ -188,7 +188,8 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
         raise InputError(f"displacement {displacement.shape}, force {force.shape} and time {time.shape} differ in "
                          "shape; give one value of each per sample", field="force")
     if displacement.size < _SETTINGS.fewest:
-        raise InputError(f"{displacement.size} samples; contact needs at least {_SETTINGS.fewest}", field="force")
+        raise InputError(f"the search for contact needs at least {_SETTINGS.fewest} samples; got "
+                         f"{displacement.size}. Record more samples", field="force")
     loading = _FirstLoading.from_arrays(time, displacement, force)
     if (latest := loading.find_immediate_rise()) is not None:
         return Contact("before", loading.start, (-np.inf, latest), loading.zero, noise=loading.noise, step=loading.step)
@@ -215,7 +216,7 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
 
 
 def _compute_misfit_probability(part: LoadingWindow, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
-    """Return the probability that the misfit of a part is chance, and the standard deviation of its residual, N."""
+    """Return the p value of the misfit of the law in a window, and the standard deviation of its residual, N."""
     from scipy import special
 
     part = part.coarse_window
@@ -233,7 +234,7 @@ def _compute_misfit_probability(part: LoadingWindow, terms: int, exponents: tupl
 
 def _build_contact(loading: _FirstLoading, fitted: ChangePointFit, profile: LikelihoodProfile,
                    adequate: bool) -> Contact:
-    """Return contact with its status from the fit of one part and the likelihood profile."""
+    """Return the result `Contact`, with its status, from the fit of one window and its likelihood profile."""
     from scipy import special
 
     part, (place, power) = fitted.part, profile.best_contact_and_exponent
@@ -323,7 +324,7 @@ class _FirstLoading:
 
     @cached_property
     def averaged_loading(self) -> _FirstLoading:
-        """The same loading, averaged to at most `ContactSettings.most_samples` samples."""
+        """This loading with neighbouring samples averaged, at most `ContactSettings.most_samples` samples."""
         part = self.whole.average_neighbouring_samples(_SETTINGS.most_samples)
         share = np.sqrt(part.time.size / self.whole.time.size)
         smooth = np.convolve(np.pad(part.force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
@@ -331,7 +332,7 @@ class _FirstLoading:
                                                              max(self.noise * share, part.rounding))
 
     def find_immediate_rise(self) -> float | None:
-        """Return the displacement, m, of a clear rise of the force within the first moves; None without such a rise."""
+        """Return the displacement, m, at which the force rises clearly in the first moves; None without a rise."""
         first = int(np.argmax(self.whole.displacement > self.start)) - 1
         before = np.median(self.whole.force[:max(first, 0) + 1])
         risen = self.whole.force[max(first, 0):][:_SETTINGS.fewest_in_air + 1] - before
@@ -339,7 +340,7 @@ class _FirstLoading:
         return float(self.whole.displacement[max(first, 0) + int(np.argmax(clear))]) if clear[-2:].all() else None
 
     def list_fit_windows(self) -> list[LoadingWindow]:
-        """Return parts of the loading, from all of it to the shortest one with a clear rise of the force."""
+        """Return windows from the start of the loading: the longest first, down to a clear rise of the force."""
         rise, parts = float(self.smooth.max()) - self.zero, [self.whole]
         for share in _SETTINGS.rise_fractions[1:]:
             if share * rise < _SETTINGS.least_rise * self.noise:

@@ -101,7 +101,7 @@ def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray, time: np.nda
 
 
 def _count_equal_loads(load: np.ndarray, first: int, last: int) -> int:
-    """Return the number of samples from `first` to `last` (not included) with an equal load.
+    """Return how many loads from sample `first` to `last` (not included) equal their median exactly.
 
     The number is 0 if the loads scatter, or if their last digit is coarse.
     """
@@ -114,7 +114,7 @@ def _count_equal_loads(load: np.ndarray, first: int, last: int) -> int:
 
 def find_creep_intervals(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None
                          ) -> tuple[tuple[int, int], ...]:
-    """Return first sample (from 0) and end (not included) of each part in which the displacement creeps.
+    """Return first sample (from 0) and end (not included) of each hold of the load in which the displacement creeps.
 
     Args:
         motion: displacement or strain, positive under load, in the order of time, shape (n,).
@@ -133,7 +133,7 @@ def find_creep_intervals(motion: np.ndarray, load: np.ndarray, time: np.ndarray 
 
 
 def _estimate_load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
-    """Return the load of the unloaded specimen.
+    """Return the load, in the unit of the recording, at which the specimen is unloaded.
 
     The load of the first sample is the load at rest. A recording that begins in a deformed state, as after a first
     sample that is left out, has a load at rest of at most zero.
@@ -142,7 +142,7 @@ def _estimate_load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
 
 
 def _compute_time_constant(values: np.ndarray, clock: np.ndarray, first: int, last: int) -> float:
-    """Return the time in which 63 % of the change from sample `first` to `last` (not included) takes place, s."""
+    """Return the time, s, after which 63 % of the change between samples `first` and `last` (excluded) has passed."""
     part = values[first:last]
     done = (part - part[0]) / ((float(np.median(part[-_SETTINGS.end_samples:])) - part[0]) or 1.0)
     reached = first + int(np.argmax(done >= 1.0 - np.exp(-1.0)))
@@ -155,7 +155,7 @@ def _find_sample_near_maximum_motion(motion: np.ndarray) -> int:
 
 
 def _count_samples_to_largest_motion(motion: np.ndarray, oscillation: Oscillation) -> int:
-    """Return the number of samples up to the largest motion before the oscillation."""
+    """Return the number of samples up to the largest displacement before the oscillation."""
     return int(np.argmax(motion[:oscillation.first + 1])) + 1
 
 

@@ -70,7 +70,7 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """Result as a sentence, in mm and N; see `in_words`."""
+        """Result as a sentence for the user, in mm and N; see `in_words`."""
         return self.in_words()
 
     def in_words(self, *, stressed: bool = False) -> str:
@@ -213,7 +213,7 @@ class _RampOrHold:
 
 def _build_failure(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
               ) -> tuple[Failure, int]:
-    """Return the failure after the sample `index`, and the sample at which the force exceeds the peak again."""
+    """Return the `Failure` after the peak at `index`, and the sample at which the force exceeds this peak again."""
     after = np.flatnonzero(labels[index:] == "unload")
     end = index + (after[0] if after.size else labels.size - index)
     risen = force[index] - zero

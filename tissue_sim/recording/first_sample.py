@@ -101,7 +101,7 @@ def estimate_first_sample_value(recording: Recording, screening: Screening, name
 
 
 def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
-    """Return whether the first sample is left out because of this channel."""
+    """Return whether the screening left out the first sample because of the channel `name`."""
     return any(1 in each.samples and each.channel == name for each in screening.left_out)
 
 

@@ -24,7 +24,7 @@ _LARGEST_LOGARITHMIC = 5.0
 
 @dataclass(frozen=True)
 class StrainOrStressMeasure:
-    """A measure of strain or stress.
+    """A measure of strain or stress, such as logarithmic strain, with its conversion to stretch or nominal stress.
 
     Attributes:
         channel: channel of a recording that results from the conversion.

@@ -85,7 +85,7 @@ _SCALE = ScaleSettings()
 
 
 class ChannelOutlierSearch:
-    """One channel with its noise, its steps and its candidates for outliers, each of shape (n,)."""
+    """Search for outliers in one channel: its noise, its steps and its candidate samples, each of shape (n,)."""
 
     def __init__(self, values: np.ndarray, settings: OutlierSettings, *, is_counted: bool = False):
         self.values, self.settings, self.is_counted = values, settings, is_counted

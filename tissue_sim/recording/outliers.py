@@ -98,7 +98,7 @@ def _explain_load_drop(which: str, group: tuple[int, ...], total: int, values: n
 
 @dataclass(frozen=True, eq=False)
 class _StartFromRest:
-    """A start from rest with a wrong first load, so that only the motion shows that the first samples are valid.
+    """Loading from rest at the start of a recording, which outlier detection must not remove; the first load is wrong.
 
     Attributes:
         motion: value of the motion in the first sample, where that sample is already left out for its load, shape (1,).
@@ -231,6 +231,6 @@ def _do_samples_rise_from_rest(values: np.ndarray, settings: OutlierSettings, *,
 
 
 def _do_first_loads_relax(values: np.ndarray, following: float) -> bool:
-    """Return whether the first loads are up to twice the next one, as after a start at the peak of a step."""
+    """Return whether each load has the sign of the load `following` them, and 1 to 2 times its magnitude."""
     return bool(np.all(values * following > 0) and np.all(np.abs(values) > abs(following))
                 and np.all(np.abs(values) < 2.0 * abs(following)))

@@ -39,7 +39,7 @@ _SETTINGS = PreloadSettings()
 
 
 class LoadAtZeroDisplacement(NamedTuple):
-    """Load at zero displacement.
+    """Load at zero displacement of a recording that starts under load.
 
     All values are negative for a load against the direction of loading.
 

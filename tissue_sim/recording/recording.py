@@ -73,7 +73,8 @@ class Recording:
             if name not in LABELS:
                 raise InputError(f"unknown label{nearest(name, LABELS)}", field=name)
             if len(values) != length:
-                raise InputError(f"{len(values)} labels for {length} samples", field=name)
+                raise InputError(f"must have one label per sample; got {len(values)} labels for {length} "
+                                 "samples.", field=name)
         if "time" in channels:
             back = np.flatnonzero(np.diff(channels["time"]) < 0)
             if back.size:

@@ -35,7 +35,7 @@ VISCOELASTIC_REMEDY = "state viscoelastic.terms[0].g and viscoelastic.terms[0].t
 
 @dataclass(frozen=True)
 class LeftOutSamples:
-    """Samples that are left out for one reason.
+    """Samples that screening leaves out of a recording for one reason.
 
     Attributes:
         samples: numbers of the samples in the recording, from 1.
@@ -49,7 +49,7 @@ class LeftOutSamples:
 
     @property
     def sentence(self) -> str:
-        """The samples and the reason."""
+        """Sentence with the numbers of the samples and the reason why they are left out."""
         return f"{format_sample_numbers(self.samples)} left out: {self.reason}"
 
 
@@ -134,7 +134,7 @@ class ControlFindings:
 
     @property
     def has_dissipative_oscillation(self) -> bool:
-        """Whether the force of an oscillation is out of phase."""
+        """Whether the force of an oscillation has a phase lag to the motion, so that the material dissipates."""
         return self.loss_factor is not None and abs(self.loss_factor) > SCREENING.loss_factor
 
     @property
@@ -149,7 +149,7 @@ class ControlFindings:
 
     @property
     def constant_load_warning(self) -> str:
-        """The two explanations of a load that is equal to its last digit, and the remedy; empty where it is not."""
+        """Warning that a constant load is either controlled or saturated, and the remedy; empty for another load."""
         return "" if not self.equal_samples else (
             f"{EQUAL_LOAD.format(self.equal_samples)}: the force is held and the column holds its set value (control = "
             "\"force\" in the test), or the load cell is saturated (control = \"displacement\")")
@@ -212,7 +212,7 @@ class Screening:
 
     @property
     def finding_sentences(self) -> tuple[str, ...]:
-        """One sentence for each finding."""
+        """One sentence for the user for each finding of the screening."""
         found = [*(each.sentence for each in self.left_out), *(each.sentence for each in self.saturation)]
         found += self.outlier_warnings
         found += [each.sentence for each in (self.preload, self.control) if each is not None]
@@ -220,7 +220,7 @@ class Screening:
 
     @property
     def fit_contradictions(self) -> tuple[str, ...]:
-        """The remarks by which the moduli of an elastic fit are wrong or doubtful."""
+        """The findings, as sentences, that make the moduli of an elastic fit wrong or doubtful."""
         found = [] if self.preload is None or self.preload.is_settled else [self.preload.sentence]
         found += self.outlier_warnings
         if self.control is not None:

@@ -57,7 +57,7 @@ class ReversalDetector:
         self._low = self._high = (np.nan, 0)
 
     def add_sample(self, index: int, depth: float) -> None:
-        """Add the next point: its index and its depth, m."""
+        """Add the next sample of the motion: its index and its depth, m."""
         # The first comparison with NaN is false: the first point is both extremes.
         if not depth >= self._low[0]:
             self._low = (depth, index)
@@ -69,13 +69,13 @@ class ReversalDetector:
             self._begin_branch(-1, self._high[1], (depth, index))
 
     def _begin_branch(self, direction: int, start: int, here: tuple[float, int]) -> None:
-        """Begin a branch at point `start`; `here` is the newest point (depth in m, index)."""
+        """Begin a branch at the reversal `start`; `here` is the newest sample (depth in m, index)."""
         self.direction = direction
         self.starts.append(start)
         self._low = self._high = here
 
     def discard_samples_before(self, first: int) -> None:
-        """Forget the points before index `first`."""
+        """Discard the stored reversals before sample `first`, to limit the memory."""
         while len(self.starts) > 1 and self.starts[1] <= first:
             del self.starts[0]
         if self.starts:

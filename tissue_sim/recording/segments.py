@@ -47,7 +47,7 @@ _SETTINGS = SegmentSettings()
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Segments of a test.
+    """Segments of a test: labels and cycles of its samples, contact, failure and warnings.
 
     Attributes:
         labels: name of the segment of each sample, in `SEGMENTS` or a label of the file, shape (n,).
@@ -69,7 +69,7 @@ class Segmentation:
 
     @property
     def has_air(self) -> bool:
-        """Whether samples in the air precede contact."""
+        """Whether the recording has samples in the air, before contact."""
         return self.contact is not None and self.contact.has_air_before_contact
 
     #: Old name.

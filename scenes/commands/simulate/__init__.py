@@ -70,7 +70,7 @@ def run(arguments) -> int:
     for path in outputs:
         require_overwritable_sidecar(path)
     protocol, rig = make_protocol(arguments), make_rig(arguments)
-    points = rig.readings(protocol.time)
+    points = rig.count_readings(protocol.time)
     if outputs and points < MIN_POINTS:
         raise InputError(f"a recording needs at least {MIN_POINTS} samples; got {points}. Add samples, or leave out -o",
                          field="--points" if rig.sampling_rate is None else "--rig")

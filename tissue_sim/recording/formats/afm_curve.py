@@ -123,7 +123,7 @@ def _find_force_in_air_and_contact(force: np.ndarray, approach: np.ndarray) -> t
     """Return the force in air, N, and the index of the sample at contact."""
     samples = np.flatnonzero(approach)
     if not samples.size:
-        raise InputError("has no approach, which is required to find the contact")
+        raise InputError("has no approach segment, which is required to find the contact; export this segment too")
     baseline = force[samples[:max(MIN_POINTS, round(BASELINE_FRACTION * samples.size))]]
     zero = baseline.mean()
     inside = force[samples] - zero <= 2.0 * abs(baseline - zero).max()

@@ -11,7 +11,7 @@ MODULUS_TOLERANCE = 0.05
 
 @dataclass(frozen=True)
 class AlternativeValue:
-    """Another value that the evidence does not exclude.
+    """Another value of an assumption that the evidence in the file does not exclude.
 
     Attributes:
         value: in words, as `Assumption.value`.

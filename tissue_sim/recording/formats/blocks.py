@@ -44,7 +44,7 @@ _SETTINGS = BlockSettings()
 
 @dataclass(frozen=True)
 class NumberBlock:
-    """One table of numbers.
+    """One table of numbers below a header row.
 
     Attributes:
         header: row of names; without names the first row of numbers.
@@ -61,7 +61,7 @@ class NumberBlock:
     below: bool = False
 
     def get_column_unit(self, place: int) -> str | None:
-        """Return the unit of a column (from 0) in the row of units; None without a unit."""
+        """Return the unit of a column, numbered from 0, in the row of units; None without a known unit."""
         return None if self.units is None or place >= len(self.units.cells) else known_unit(self.units.cells[place])
 
 
@@ -197,7 +197,7 @@ def _continues_after_text_row(rows: Sequence[TableRow], text: int, places: Seque
 
 
 def _continues_even_steps(before: Sequence[TableRow], row: TableRow, place: int) -> bool:
-    """Return whether a number at `place` continues the rows, within `BlockSettings.largest_gap` of their steps."""
+    """Return whether the step to `row` has the sign of the last step and at most `largest_gap` times its size."""
     values = [parse_any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
     if len(values) < 3:
         return False
@@ -230,5 +230,5 @@ def _find_numeric_runs(rows: Iterable[TableRow], places: Sequence[int]) -> list[
 
 
 def _count_numeric_cells(row: TableRow, places: Sequence[int]) -> int:
-    """Return how many of the given columns have a number in a row."""
+    """Return in how many of the given columns (from 0) a row has a number."""
     return sum(place < len(row.cells) and is_number(row.cells[place]) for place in places)

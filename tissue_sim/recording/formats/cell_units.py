@@ -15,7 +15,7 @@ _LETTER_AFTER_DIGIT = re.compile(r"\d[ \u00a0\u202f]?(?![eEdD][-+\d])[^\W\d_]|\d
 
 
 class ExtractedUnitRow(TableRow):
-    """Row of units that were removed from the cells below."""
+    """Row of units that `extract_cell_units` removed from the cells of numbers below this row."""
 
     __slots__ = ()
 
@@ -46,7 +46,7 @@ def extract_cell_units(rows: list[TableRow], text: str | None = None) -> list[Ta
 
 
 def has_units_of_previous_rows(rows: Sequence[TableRow], end: TrailingNumberLines) -> bool:
-    """Return whether the cells of a plain end have the units of the last numbers in rows without cell units.
+    """Return whether trailing number lines have the same units in their cells as the rows above these lines.
 
     Args:
         rows: rows above the end; see `extract_cell_units`.
@@ -57,7 +57,7 @@ def has_units_of_previous_rows(rows: Sequence[TableRow], end: TrailingNumberLine
 
 
 def _are_mostly_quantities(row: TableRow, *, begun: bool) -> bool:
-    """Return whether most cells are numbers, and at least one has a unit; in a `begun` table, no unit is needed."""
+    """Return whether most cells are numbers and at least one has a unit; `begun`: a unit is not required."""
     filled = [cell for cell in row.cells if cell]
     united = sum(split_number_and_unit(cell) is not None for cell in filled)
     numbers = united + sum(map(is_number, filled))

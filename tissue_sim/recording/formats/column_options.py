@@ -32,7 +32,7 @@ def validate_decimal_mark(decimal: Any, field: str = "decimal") -> str:
 
 
 def validate_delimiter(delimiter: Any, field: str = "delimiter") -> str:
-    """Return the delimiter if it is valid.
+    """Require that a delimiter is valid, and return the delimiter.
 
     Raises:
         InputError: not one character, or a character of numbers or quoted cells; with the field.
@@ -43,7 +43,7 @@ def validate_delimiter(delimiter: Any, field: str = "delimiter") -> str:
 
 
 def normalize_column_mapping(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the map with each entry as a mapping with ``name`` or ``column`` (from 1), and the other given keys.
+    """Check the option ``columns``; return channel -> mapping with ``name`` or ``column`` (from 1) and other keys.
 
     Raises:
         InputError: unknown channel or key, wrong type; with the field, such as ``columns.force.sign``.

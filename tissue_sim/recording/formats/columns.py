@@ -202,14 +202,14 @@ def _read_selected_sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
 def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
                 decimal: str | None, *, alone: bool = False,
                      end: TrailingNumberLines | None = None) -> list[MarkedRecording]:
-    """Return the recordings of the first table with the columns; a table with a plain end has one recording."""
+    """Return the recordings of the first table with the columns; with trailing number lines, one recording."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
     table: Table
     blocks: list[NumberBlock]
     table, blocks = (find_blocks_by_column_names(tables, names, also=places, file=path) if names
                      else find_blocks_by_column_numbers(tables, places, file=path))
-    # A plain end continues the only block of the table.
+    # The trailing number lines continue the only block of the table.
     if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line
                             or not has_units_of_previous_rows(table.rows, end)):
         raise NotPlainNumbersError
@@ -265,7 +265,7 @@ def _find_common_marks(blocks: Sequence[NumberBlock], chosen: Sequence[Sequence[
 
 
 def _continues_recording(first: Recording, second: Recording) -> bool:
-    """Return whether the second recording is a later part of the same test, with a continuing clock."""
+    """Return whether the second recording continues the first one: same labels, and no earlier time."""
     return ("time" in first and "time" in second and first.labels.keys() == second.labels.keys()
             and second.time[0] >= first.time[-1] > first.time[0])
 

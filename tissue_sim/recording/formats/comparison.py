@@ -13,7 +13,7 @@ from tissue_sim.recording.recording import Recording
 
 def get_valid_values_of_both(first: Sequence[Recording], second: Sequence[Recording], channel: str
                              ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the values of a channel in two readings of a table, without outliers and saturated samples.
+    """Return a channel of two interpretations of a table, only samples that are valid in both.
 
     A sample that is invalid in one reading is omitted in both, because one lost value of 9999 would determine the
     result of the comparison.

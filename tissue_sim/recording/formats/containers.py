@@ -108,7 +108,7 @@ def _read_container_tree(data: bytes, path: Path) -> Mapping[str, Any]:
             return _read_hdf5_group(file)
     # The oldest MATLAB files have no common first bytes.
     if data[:4] != _MATLAB and path.suffix.lower() != ".mat":
-        raise ValueError("the first bytes are those of another kind of file")
+        raise ValueError("the first bytes must be those of an HDF5, TDMS or MATLAB file")
     # A wrong length in a file may crash loadmat: `tissue_sim.bounded` reads the file in a separate process.
     return import_optional_package("scipy.io", path).loadmat(io.BytesIO(data), simplify_cells=True)
 
@@ -123,7 +123,7 @@ def _read_hdf5_group(group: Any) -> dict[str, Any]:
         unit = item.attrs.get("units", item.attrs.get("unit"))
         unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
         if item.size is not None and item.size > _SETTINGS.most_numbers:
-            raise ValueError(f"{name} has {item.size:g} numbers")
+            raise ValueError(f"{name} has {item.size:g} numbers, more than {_SETTINGS.most_numbers:g}")
         value = item[()]
         if getattr(value, "dtype", None) is not None and value.dtype.names:
             tree[name] = {column: value[column] for column in value.dtype.names}
@@ -149,7 +149,7 @@ def _read_tdms_file(file: Any) -> dict[str, Any]:
 
 
 def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[TableRow, ...]]]:
-    """Yield (name, rows) of each table in a tree, depth first; `place` is the path of the tree."""
+    """Yield (name, rows) of each table in a tree of groups, depth first; `place` is the path of the root."""
     vectors: dict[int, dict[str, np.ndarray]] = {}
     for name, value in tree.items():
         if str(name).startswith(("__", "#")):

@@ -85,7 +85,7 @@ class NumberMarks:
 
     @property
     def other_decimal_mark(self) -> str:
-        """The other decimal mark."""
+        """The decimal mark other than `decimal`: a comma for a point, and a point for a comma."""
         return _get_other_decimal_mark(self.decimal)
 
     @property
@@ -204,12 +204,12 @@ def _add_thousands_separators(marks: NumberMarks, columns: Iterable[Sequence[str
 
 
 def _find_first_ambiguous_cell(columns: Iterable[Sequence[str]]) -> str:
-    """Return the first cell whose number depends on the decimal mark; empty without such a cell."""
+    """Return the first cell whose value depends on the decimal mark, such as ``1,234``; else an empty text."""
     return next((cell for cells in columns for cell in cells if _does_value_depend_on_mark(cell)), "")
 
 
 def _does_value_depend_on_mark(cell: str) -> bool:
-    """Return whether the two decimal marks give two numbers."""
+    """Return whether a cell gives different numbers with a decimal point and with a decimal comma."""
     if isinstance(cell, ExactNumber) or not ("." in cell or "," in cell):
         return False
     point, comma = parse_number(cell, "."), parse_number(cell, ",")
@@ -236,12 +236,12 @@ def _collect_column_evidence(cells: Sequence[str]) -> _DecimalMarkEvidence | Non
 
 
 def _count_tolerated_damaged_cells(count: int) -> float:
-    """Return how many of `count` cells may be damaged."""
+    """Return how many of `count` cells may be unreadable before a decimal mark is excluded."""
     return max(1.0, _SETTINGS.damaged_fraction * count) if count > _SETTINGS.fewest_marked else 0.0
 
 
 def _get_line_at_position(text: str, position: int) -> str:
-    """Return the line of a text that contains a position."""
+    """Return the line of a text that contains the character at index `position`."""
     return text[text.rfind("\n", 0, position) + 1:].partition("\n")[0]
 
 
@@ -280,7 +280,7 @@ def _get_other_decimal_mark(mark: str) -> str:
 
 
 def _may_cells_be_damaged(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
-    """Return whether the refused cells are few and may be damaged; a cell that begins with a zero is intact."""
+    """Return whether the cells that a mark cannot read may be damaged: they are few, and none begins with zero."""
     odd = [cell for cell, is_odd in zip(cells, refused.tolist(), strict=True) if is_odd]
     return len(odd) <= _SETTINGS.damaged_fraction * count + 1 and count > _SETTINGS.most_short and not any(
         cell.lstrip("+-").startswith("0") for cell in odd)
@@ -293,7 +293,7 @@ def _describe_only_mark(cells: Sequence[str], refused: np.ndarray, mark: str) ->
 
 def _collect_digit_evidence(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.ndarray],
                             example: str) -> _DecimalMarkEvidence:
-    """Return the evidence of the numbers of digits, if exactly three digits follow each mark.
+    """Return the evidence for the decimal mark if exactly three digits follow each mark, as with thousands.
 
     Values below 1000 without a mark support a thousands separator.
     """

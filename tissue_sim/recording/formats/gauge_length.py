@@ -50,12 +50,12 @@ def convert_displacement_to_stretch(column: ColumnGuess, gauge: tuple[float, str
 
 
 def _strip_conversion_from_reason(column: ColumnGuess) -> str:
-    """Return the reason of a column without the replaced conversion."""
+    """Return the reason of a column guess without the sentence about its earlier conversion by the gauge length."""
     return column.reason.split("; a strain, ")[0]
 
 
 def is_converted_by_gauge_length(column: ColumnGuess) -> bool:
-    """Return whether a column was converted to its channel by the gauge length."""
+    """Return whether the channel of a column was computed with the gauge length (strain <-> displacement)."""
     return (column.channel, column.role) in (("displacement", "strain"), ("displacement", "shear strain"),
                                              ("stretch", "displacement"))
 

@@ -75,7 +75,7 @@ class ColumnGuess:
     strain_unit: str | None = None
 
     def to_campaign_entry(self) -> dict[str, Any]:
-        """Return the entry of the column in ``columns`` of a campaign."""
+        """Return the mapping that describes this column in the key ``columns`` of a campaign file."""
         entry: dict[str, Any] = {"name": self.header} if self.by_name else {"column": self.place}
         stated = {"unit": self.unit, "sign": self.sign if self.sign != 1 else None, "scale": self.scale,
                   "offset": self.offset, "measure": self.measure}
@@ -83,7 +83,7 @@ class ColumnGuess:
 
     @property
     def missing_information(self) -> str | None:
-        """Missing information that only the user knows, in words; None: complete."""
+        """Information about this column that only the user knows, such as its unit, in words; None: complete."""
         name = repr(self.header) if self.header else str(self.place)
         if self.unit is None and self.scale is None and CHANNELS[self.channel] != "ratio":
             return f"the unit of column {name} ({self.channel})"
@@ -96,7 +96,7 @@ class ColumnGuess:
 
 @dataclass(frozen=True, eq=False)
 class TableGroup:
-    """Tables of a file that are read with the same options.
+    """Tables of one file that are read with the same options, their recordings and the assumptions about them.
 
     Attributes:
         name: name that distinguishes the tables from others of the file; empty without others.
@@ -131,13 +131,13 @@ class TableGroup:
 
     @property
     def missing_information(self) -> tuple[str, ...]:
-        """Missing information about the columns that only the user knows."""
+        """Information about the columns that only the user knows, in words; empty: complete."""
         return tuple(column.missing_information for column in self.columns if column.missing_information)
 
 
 @dataclass(frozen=True, eq=False)
 class FileInterpretation:
-    """Interpretation of a file.
+    """Interpretation of a file of measurements: machine, format, table groups, warnings and assumptions.
 
     Attributes:
         file: path.

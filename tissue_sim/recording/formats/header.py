@@ -93,7 +93,7 @@ def find_repeated_column_positions(row: TableRow, names: Sequence[str], *, file:
 
 
 def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
-    """Return the positions of the cells that are `name`; without such a cell, those that are `name` and a unit."""
+    """Return the positions of the cells that equal `name`, or else of those that are `name` followed by a unit."""
     def normalize_cell(text: str) -> str:
         return " ".join(text.casefold().split())
 
@@ -105,7 +105,7 @@ def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
 
 
 def strip_empty_trailing_cells(cells: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the cells up to the last one with content."""
+    """Return the cells of a row without the empty cells at its end."""
     while cells and not cells[-1]:
         cells = cells[:-1]
     return cells

@@ -321,7 +321,7 @@ def _compute_modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: 
 
 def _compute_modulus_ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
            columns: Sequence[ColumnGuess]) -> float | None:
-    """Return the ratio of the shear moduli with the changed and with the original column; None: not readable."""
+    """Return shear modulus with the changed column over that with the original column; None: not readable."""
     try:
         other = read([changed if each is column else each for each in columns])
     except InputError:

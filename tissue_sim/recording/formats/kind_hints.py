@@ -58,7 +58,7 @@ def make_header_hint(own: Sequence[str], others: Sequence[str]) -> KindHint:
 
 
 def collect_label_hints(numbers: NumberTable) -> list[KindHint]:
-    """Return the texts in the columns of labels of a table.
+    """Return the texts in the label columns of a table as hints for the kind of test.
 
     Raises:
         InputError: the rows are of different tests, one of which has no registered kind.

@@ -77,7 +77,7 @@ class NamedTest:
             ValueError: the test has a kind.
         """
         if self.unknown is None:
-            raise ValueError(f"{self.kind} is a kind of test")
+            raise ValueError(f"only a test without a registered kind is refused; {self.kind!r} is registered")
         return InputError(f"{self.unknown.title} ({self.word!r} {self.where}) is {self.unknown.difference}; there is "
                           "no such kind of test. --kind overrules the word", field="kind")
 

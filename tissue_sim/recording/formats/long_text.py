@@ -108,7 +108,7 @@ class TrailingNumberLines:
 
 
 def split_off_trailing_numbers(text: str, skipped: int = 0) -> tuple[str, TrailingNumberLines | None]:
-    """Divide a text into its beginning and its plain end.
+    """Divide a text into its beginning and its trailing lines of plain numbers.
 
     Args:
         text: text with any line ends.

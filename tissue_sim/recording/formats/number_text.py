@@ -106,12 +106,12 @@ def parse_any_number(cell: str) -> float:
 
 
 def _choose_finite_value(first: float, second: float) -> float:
-    """Return the first value, or the second one if the first is not finite."""
+    """Return `first` if it is finite, else `second`."""
     return first if math.isfinite(first) else second
 
 
 def _parse_unusual_number(plain: str, decimal: str) -> float:
-    """Return a number with thousands separators or an exponent that `float` rejects; NaN: not a number."""
+    """Parse a number with thousands separators or an exponent that `float` rejects; NaN: not a number."""
     match = _EXPONENT_PATTERN.fullmatch(plain)
     if match is None:
         return _parse_grouped_number(plain, decimal)

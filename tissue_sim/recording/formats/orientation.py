@@ -119,12 +119,12 @@ def _orient_load(column: ColumnGuess, recordings: Sequence[Recording], starts: S
 
 
 def _is_majority_true(answers: Iterable[bool]) -> bool:
-    """Return whether more than half of the answers are true."""
+    """Return whether more than half of the booleans are true."""
     answers = list(answers)
     return 2 * sum(answers) > len(answers)
 
 
 def find_largest_excursion(values: np.ndarray) -> float:
-    """Return the largest deviation from the first value, with its sign."""
+    """Return the deviation from the first value with the largest magnitude, with its sign."""
     away = values - values[0]
     return float(away[np.argmax(np.abs(away))])

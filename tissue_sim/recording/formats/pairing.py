@@ -78,7 +78,7 @@ class RecordingColumns:
 
     @property
     def first_line_number(self) -> int:
-        """Line of the header, or of the first row of numbers."""
+        """Line number in the file (from 1) of the header or, without a header, of the first row of numbers."""
         return (self.numbers.header or self.numbers.rows[0]).line
 
     @property
@@ -157,7 +157,7 @@ def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, 
 
 def _build_from_named_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hints: ColumnHints,
                   statements: Mapping[str, str]) -> RecordingColumns:
-    """Return the recording of the columns that the user names."""
+    """Return the columns of the one recording whose columns the user names with flags."""
     roles = {column.role: column for column in named}
     motion = next((role for role, load in (("strain", "force"), ("shear strain", "force"), ("displacement", "stress"))
                    if {role, load} <= roles.keys()), None)
@@ -254,7 +254,7 @@ def _take_columns_until_repeated(roles: Sequence[ColumnWithKnownRole]) -> list[C
 
 
 def _get_general_role(role: str) -> str:
-    """Return the role, or ``strain`` for each measure of deformation."""
+    """Return ``strain`` for the role of any measure of deformation, else the role without a change."""
     return "strain" if role in ("strain", "stretch", "shear strain") else role
 
 

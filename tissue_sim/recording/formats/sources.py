@@ -33,7 +33,7 @@ _SAMPLE_LINES = 2000
 
 @dataclass(frozen=True)
 class FileContent:
-    """The content of a file.
+    """Tables of one file, as text, before their interpretation.
 
     Attributes:
         kind: ``text``, ``workbook`` or ``container``.
@@ -72,7 +72,7 @@ class NumberTable:
 
     @property
     def all_rows(self) -> tuple[TableRow, ...]:
-        """All rows in the order of the file: above, header and units, numbers, below."""
+        """All rows around and in the table, in the order of the file: above, header, units, numbers, below."""
         names = [row for row in (self.header, self.units) if row is not None]
         return (*self.above, *sorted(names, key=lambda row: row.line), *self.rows, *self.below)
 
@@ -181,12 +181,12 @@ def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -
 
 
 def find_number_tables(source: FileContent) -> list[NumberTable]:
-    """Return all runs of rows of numbers in a file."""
+    """Return all tables of numbers in a file: runs of consecutive rows of numbers."""
     return [numbers for table in source.tables for numbers in _find_runs_in_table(table)]
 
 
 def _find_runs_in_table(table: Table) -> Iterator[NumberTable]:
-    """Yield the runs of rows of numbers in a table."""
+    """Yield each run of consecutive rows of numbers in a table, with its header and the rows around the run."""
     begin = 0
     place = {id(row): i for i, row in enumerate(table.rows)}
     runs = [*_iterate_numeric_runs(table)]
@@ -219,7 +219,7 @@ def _split_name_and_unit_rows(above: list[TableRow], columns: Sequence[int]) -> 
 
 
 def _is_column_name_row(above: Sequence[TableRow], columns: Sequence[int]) -> bool:
-    """Return whether the last row has a name for each of the columns."""
+    """Return whether the last of the rows above the numbers has a name for each of the columns."""
     return bool(above) and all(i < len(above[-1].cells) and above[-1].cells[i] and not is_number(above[-1].cells[i])
                                for i in columns)
 

@@ -194,7 +194,7 @@ def _iterate_row_statements(row: TableRow, decimal: str | None) -> Iterator[tupl
 
 
 def _format_statement(key: str, value: str) -> tuple[str, str]:
-    """Return key and value of a statement; a unit in the key moves to the value."""
+    """Return key and value of a statement; a unit in the key is moved to the end of the value."""
     name, unit = loose_header(key.strip("# "))
     return name, f"{value} {unit}" if unit else value
 

@@ -195,7 +195,7 @@ def collect_column_cells(rows: Sequence[TableRow], columns: Iterable[ChannelColu
 def _parse_trailing_numbers(end: TrailingNumberLines, columns: Sequence[ChannelColumn], width: int, delimiter: str,
                             marks: NumberMarks
                             ) -> np.ndarray:
-    """Return the numbers of a plain end in the units of the file, shape (rows, columns).
+    """Return the numbers of the trailing lines in the units of the file, shape (rows, columns).
 
     Raises:
         NotPlainError: labels, another delimiter or width, or marks that differ from those of the rows.
@@ -213,7 +213,7 @@ def _parse_trailing_numbers(end: TrailingNumberLines, columns: Sequence[ChannelC
 
 
 def _format_count_with_noun(number: int, noun: str) -> str:
-    """Return number and noun, with a plural s if necessary."""
+    """Return the number and the noun, such as ``1 cell`` or ``3 cells``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 

@@ -65,7 +65,7 @@ class TableReader:
         return replace(marked, recording=complete_motion_from_speed(marked.recording, self.speed, self.path))
 
     def read_recordings(self, columns: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
-        """Read the recordings; see `read`."""
+        """Read the recordings of the columns, without the marks; see `read_marked_recordings`."""
         return tuple(each.recording for each in self.read_marked_recordings(columns))
 
     def read_corrected_recordings(self, columns: tuple[ColumnGuess, ...]

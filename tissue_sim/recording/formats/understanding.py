@@ -71,7 +71,7 @@ def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileIn
     source = read_file_content(path, delimiter=hints.delimiter, sheet=hints.sheet, skip_lines=hints.skip_lines)
     found = find_number_tables(source)
     if not found:
-        raise InputError("holds no table of numbers in columns", file=path)
+        raise InputError("holds no table of numbers in columns; expected rows of numbers below a header", file=path)
     words = "\n".join(text for numbers in found[:8] for text in _format_rows_above_numbers(numbers))
     machine = MACHINES.get(hints.format or "") or (None if hints.format == "table" else identify_machine(words))
     found, warnings = _remove_sweeps(found, path)

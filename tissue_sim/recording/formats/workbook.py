@@ -43,7 +43,7 @@ class Sheet:
         return Table(extract_cell_units([row for row in self.rows if row.line > skip_rows]), name=self.name)
 
     def add_location_to_errors(self) -> AbstractContextManager[None]:
-        """Return a context manager that adds file and sheet to an `InputError`."""
+        """Return a context manager that adds the file and the name of this sheet to an `InputError` raised in it."""
         return located(file=self.file, part=f"sheet {self.name!r}")
 
 
