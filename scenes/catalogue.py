@@ -10,12 +10,12 @@ class _Scenes(Mapping[str, TestKind]):
 
     def __getitem__(self, name: str) -> TestKind:
         kind = KINDS[name]
-        if kind.gripped:
+        if kind.has_gripped_ends:
             raise KeyError(name)
         return kind
 
     def __iter__(self) -> Iterator[str]:
-        return (name for name, kind in KINDS.items() if not kind.gripped)
+        return (name for name, kind in KINDS.items() if not kind.has_gripped_ends)
 
     def __len__(self) -> int:
         return sum(1 for _ in self)

@@ -206,7 +206,7 @@ def _draw_field(axes, fields: Fields, name: str, sample: int, sides: tuple[int, 
 def _draw_needle(axes, mesh: Mesh, nodes: np.ndarray, tool: Tool, top: float) -> None:
     """Draw the outline of a needle from its contact with the tissue up to the height `top`, mm."""
     tip = _find_face_height(mesh, nodes, tool)
-    r, z = (tool.profile.outline((top - tip) * 1e-3) * 1e3).T
+    r, z = (tool.profile.sample_outline((top - tip) * 1e-3) * 1e3).T
     axes.fill(np.concatenate([r, -r[::-1]]), tip + np.concatenate([z, z[::-1]]), color=RIGID, edgecolor="0.4",
               linewidth=0.6)
 

@@ -11,7 +11,7 @@ from scenes.field_labels import LABELS
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.sections import cut_tetrahedra, intersect_triangles
-from tissue_sim.mesh.subdivision import side_edges, surface_triangles, tetrahedra
+from tissue_sim.mesh.subdivision import find_face_edges, subdivide_into_tetrahedra, triangulate_surface_faces
 from tissue_sim.pose import Pose
 
 #: Grey of rigid bodies, a colour of matplotlib.
@@ -64,22 +64,24 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
     nodes = compute_deformed_nodes(fields, sample)
     heights = compute_distance_from_plane(nodes, pose)
-    crossings, triangles = cut_tetrahedra(mesh.connectivity[:, tetrahedra(mesh.element)].reshape(-1, 4), heights)
-    points = crossings.interpolate(nodes)
-    values = crossings.interpolate(fields.at_nodes(name, sample) * LABELS[name][1])
+    crossings, triangles = cut_tetrahedra(mesh.connectivity[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4),
+                                          heights)
+    points = crossings.interpolate_nodal_values(nodes)
+    values = crossings.interpolate_nodal_values(fields.at_nodes(name, sample) * LABELS[name][1])
     # The picture is seen from -y; the reversed order of the corners turns the triangles towards the viewer.
     picture = axes.tripcolor(Triangulation(1e3 * points[:, 0], 1e3 * points[:, 2], triangles[:, ::-1]), values,
                              shading="gouraud", cmap="viridis", vmin=scale.low, vmax=scale.high)
     picture.set_in_layout(False)  # faster: the layout would measure each triangle
-    sides = surface_triangles(mesh.element, mesh.connectivity[:, mesh.element.faces].reshape(
-        -1, mesh.element.faces.shape[1]))
-    edges = _project_lines(intersect_triangles(sides, heights).interpolate(nodes))
+    sides = triangulate_surface_faces(mesh.element, mesh.connectivity[:, mesh.element.face_nodes].reshape(
+        -1, mesh.element.face_nodes.shape[1]))
+    edges = _project_lines(intersect_triangles(sides, heights).interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
-    outside = surface_triangles(mesh.element, np.concatenate(list(mesh.faces.values())))
-    edges = _project_lines(intersect_triangles(outside, heights).interpolate(nodes))
+    outside = triangulate_surface_faces(mesh.element, np.concatenate(list(mesh.faces.values())))
+    edges = _project_lines(intersect_triangles(outside, heights).interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="0.15", linewidths=1.0))
     undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
-    outline = intersect_triangles(outside, compute_distance_from_plane(undeformed, pose)).interpolate(undeformed)
+    outline = intersect_triangles(outside,
+                                  compute_distance_from_plane(undeformed, pose)).interpolate_nodal_values(undeformed)
     axes.add_collection(LineCollection(_project_lines(outline), colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
     low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
     width, plate = 0.59 * np.ptp(1e3 * nodes[:, 0]), 0.04 * (high - low).max()
@@ -109,7 +111,7 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
     mesh, scale = fields.mesh, colour_scale(fields, name, sample)
     nodes = compute_deformed_nodes(fields, sample)
     sides = np.concatenate(list(mesh.faces.values()))
-    points, triangles = _split_at_edges(nodes, surface_triangles(mesh.element, sides))
+    points, triangles = _split_at_edges(nodes, triangulate_surface_faces(mesh.element, sides))
     values = fields.at_nodes(name, sample)[points] * LABELS[name][1]
     colour = (values - scale.low) / (scale.high - scale.low) if scale.high > scale.low else np.zeros_like(values)
     bodies = [(nodes[points], triangles, colormaps["viridis"](np.clip(colour, 0.0, 1.0))[:, :3])]
@@ -121,9 +123,9 @@ def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, 
         bodies.append((vertices[split], faces, np.full((len(split), 3), float(RIGID))))
     _draw_bodies(axes, bodies)
     # Only edges of element faces that are turned towards the viewer are drawn.
-    lines = nodes[sides[:, side_edges(mesh.element)].reshape(-1, 2)]
-    normals = _vertex_normals(nodes, surface_triangles(mesh.element, sides), len(nodes))
-    ends = normals[sides[:, side_edges(mesh.element)].reshape(-1, 2)]
+    lines = nodes[sides[:, find_face_edges(mesh.element)].reshape(-1, 2)]
+    normals = _vertex_normals(nodes, triangulate_surface_faces(mesh.element, sides), len(nodes))
+    ends = normals[sides[:, find_face_edges(mesh.element)].reshape(-1, 2)]
     lines = lines[(ends @ _compute_view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
         lines = lines[~_find_hidden_points(lines.mean(axis=1), *bodies[1][:2])]
@@ -187,7 +189,7 @@ def tool_outline(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndarray:
         Points (r, z) relative to the tip, m, shape (n, 2).
     """
     top = nodes[:, 2].max() - pose.position[2] + 0.35 * np.ptp(nodes[:, 2])
-    outline = tool.profile.outline(top / max(pose.rotation[2][2], 0.2))
+    outline = tool.profile.sample_outline(top / max(pose.rotation[2][2], 0.2))
     return np.concatenate([outline, [[0.0, outline[-1, 1]]]])
 
 

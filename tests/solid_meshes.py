@@ -3,30 +3,35 @@
 import meshio
 import numpy as np
 
-from tissue_sim.mesh.element_conversion import join_at_corners, split_hexahedra
+from tissue_sim.mesh.element_conversion import merge_shared_nodes, split_hexahedra
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.solid import block_mesh, needle_solid, with_surface, with_tool_sets
+from tissue_sim.mesh.solid import (
+    add_tool_node_sets,
+    create_block_mesh,
+    create_mesh_with_surface_sets,
+    create_needle_mesh,
+)
 from tissue_sim.mesh.tetrahedra import TET15P1
 
 
 def block(x, y, z, element, move=None):
     """A block of hexahedra, or of tetrahedra in their place; `move` takes the corners, (n, 3), elsewhere."""
-    mesh = block_mesh(x, y, z, HEX8P0)
+    mesh = create_block_mesh(x, y, z, HEX8P0)
     if move is not None:
         mesh.nodes[:] = move(mesh.nodes)
     if not isinstance(element, Hexahedron):
         return split_hexahedra(mesh, element)
-    places = np.einsum("nc,eci->eni", element.corner_weights, mesh.nodes[mesh.connectivity])
-    return with_surface(element, *join_at_corners(element, mesh.connectivity, places))
+    places = np.einsum("nc,eci->eni", element.corner_function_values, mesh.nodes[mesh.connectivity])
+    return create_mesh_with_surface_sets(element, *merge_shared_nodes(element, mesh.connectivity, places))
 
 
 def punched_cylinder(element, radius=8e-3, centre=(0.0, 0.0), **sizes):
     """The study's cylinder under a needle, with the node sets under its face and outside it."""
     made_of = element if isinstance(element, Hexahedron) else HEX27P1
-    mesh = needle_solid(0.04, 0.07, radius, made_of, centre=centre, **sizes)
+    mesh = create_needle_mesh(0.04, 0.07, radius, made_of, centre=centre, **sizes)
     if made_of is element:
         return mesh
-    return with_tool_sets(split_hexahedra(mesh, element), radius, centre)
+    return add_tool_node_sets(split_hexahedra(mesh, element), radius, centre)
 
 
 #: Corners of a cell of VTK.

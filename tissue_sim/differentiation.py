@@ -141,7 +141,7 @@ class _DerivativeObserver:
         derivatives = self._derivatives
         force = np.zeros(0) if derivatives is None else derivatives.force
         if self._approach is not None and isinstance(derivatives, SpatialDerivatives):
-            force = derivatives.vector @ self._approach.against
+            force = derivatives.vector @ self._approach.direction_against_motion
         self.rates.append(factor * force)
         self.kinks.append(derivatives is not None and derivatives.pop_changed())
 

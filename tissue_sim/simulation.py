@@ -117,7 +117,7 @@ def simulate(model: Model, *, resolution: str = "fast", mesh: Any = None, fields
     """
     started = time.perf_counter()
     protocol, rig = model.experiment.protocol, model.rig
-    rig.readings(protocol.time)  # raises its errors before the simulation
+    rig.count_readings(protocol.time)  # raises its errors before the simulation
     if share := model.experiment.slip:
         held, free = (
             simulate(replace(model, experiment=experiment, rig=rig.motion_only), resolution=resolution, mesh=mesh,
@@ -220,7 +220,7 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
     def forces(samples: np.ndarray) -> np.ndarray:
         """Forces of the second solution at fractional sample numbers, N, as far as it converges."""
         other, solves = [], 0
-        along = replace(model, experiment=replace(model.experiment, protocol=protocol.at(samples)))
+        along = replace(model, experiment=replace(model.experiment, protocol=protocol.interpolate_motion(samples)))
         try:
             drive = _Drive(SOLVERS.find(solver, "solver")(along, resolution=estimate.resolution, topology=topology),
                            along, tolerance=_SETTINGS.rough_tolerance)

@@ -31,7 +31,7 @@ def tilted(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
         return recording
     curve = LoadingCurve(recording.with_channels(displacement=depth))
     samples = np.arange(recording.force.size, dtype=float)
-    force = sum(share * curve.force_behind(_delayed_depth(depth, lag), 0.0, samples)
+    force = sum(share * curve.solve_force_with_compliance(_delayed_depth(depth, lag), 0.0, samples)
                 for lag, share in split_into_strips(tilt))
     return recording.with_channels(force=force)
 

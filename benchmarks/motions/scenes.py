@@ -18,7 +18,7 @@ from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import SolidMesh, needle_solid
+from tissue_sim.mesh.solid import SolidMesh, create_needle_mesh
 
 #: Version of the cached reduced models; raise it when their scenes or their training change.
 REDUCED_VERSION = 3
@@ -111,16 +111,16 @@ def scaled_parameters(scene: Scene, factor: float) -> dict[str, float]:
 @functools.cache
 def coarse_mesh() -> SolidMesh:
     """Return the coarsest mesh of the spatial scenes on which a ball can slide: 196 nodes."""
-    return needle_solid(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0, smallest=0.45 * SPATIAL_TOOL_RADIUS,
-                        growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=2)
+    return create_needle_mesh(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0, smallest=0.45 * SPATIAL_TOOL_RADIUS,
+                              growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=2)
 
 
 @functools.cache
 def ball_mesh() -> SolidMesh:
     """A mesh that is as fine under a ball at the largest depth as the estimated faceting error of its force requires:
     847 nodes."""
-    return needle_solid(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0, smallest=0.25 * SPATIAL_TOOL_RADIUS,
-                        growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=4)
+    return create_needle_mesh(*SPATIAL_SPECIMEN, SPATIAL_TOOL_RADIUS, HEX8P0, smallest=0.25 * SPATIAL_TOOL_RADIUS,
+                              growth=2.4, largest=3.0 * SPATIAL_TOOL_RADIUS, around=4)
 
 
 def solid_mesh(scene: Scene) -> SolidMesh:

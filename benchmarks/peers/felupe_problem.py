@@ -120,7 +120,7 @@ def unknowns(mesh: Mesh, pressure: str) -> fem.FieldContainer:
             discontinuous modes, ``"Q1"`` continuous bilinear (Taylor-Hood).
     """
     four = mesh.element is Q4P0
-    turned = mesh.connectivity[:, _TURNED[:mesh.element.nodes]]
+    turned = mesh.connectivity[:, _TURNED[:mesh.element.node_count]]
     felupe_mesh = fem.Mesh(mesh.nodes[:, ::-1] * 1e3, turned, "quad" if four else "quad9")
     region = (fem.RegionQuad if four else fem.RegionBiQuadraticQuad)(felupe_mesh)
     cells = np.arange(len(turned))

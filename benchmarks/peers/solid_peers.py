@@ -32,7 +32,7 @@ from benchmarks.realtime.multirate import mesh_of
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.mesh.subdivision import tetrahedra
+from tissue_sim.mesh.subdivision import subdivide_into_tetrahedra
 
 _HERE = Path(__file__).parent
 DEPTHS = np.arange(1, 11) * 1e-3
@@ -78,8 +78,9 @@ def ours(material: ts.Material, mesh: SolidMesh) -> dict:
 
 def mujoco(python: str, poisson: float, mesh: SolidMesh, seconds: float) -> dict | None:
     """Return the CPU time of a time step in MuJoCo, s, and the number of steps per depth; None without MuJoCo."""
-    corners = mesh.connectivity[:, mesh.element.corners]
-    job = {"nodes": mesh.nodes, "tetrahedra": corners[:, tetrahedra(mesh.element)].reshape(-1, 4), "depths": DEPTHS,
+    corners = mesh.connectivity[:, mesh.element.corner_nodes]
+    cells = corners[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4)
+    job = {"nodes": mesh.nodes, "tetrahedra": cells, "depths": DEPTHS,
            "base": mesh.sets["base"], "face": mesh.sets["face"], "young": 2.0 * STUDY.mu0 * (1.0 + poisson),
            "poisson": poisson, "seconds": seconds}
     with tempfile.TemporaryDirectory() as folder:

@@ -29,7 +29,7 @@ from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -52,7 +52,8 @@ DELAYS = ((0.016, None), (0.033, None), (0.066, None), (0.004, 0.020), (0.006, 0
 
 def mesh_of(size: int):
     smallest, around, growth, largest = MESHES[size]
-    return needle_solid(0.04, 0.07, 8e-3, HEX8P0, smallest=smallest, growth=growth, largest=largest, around=around)
+    return create_needle_mesh(0.04, 0.07, 8e-3, HEX8P0, smallest=smallest, growth=growth, largest=largest,
+                              around=around)
 
 
 def path() -> list[Pose]:

@@ -28,7 +28,7 @@ from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.axisymmetric import growing_line
 from tissue_sim.mesh.hexahedra import HEX27P1
-from tissue_sim.mesh.solid import SolidMesh, block_mesh, cylinder_solid, needle_solid
+from tissue_sim.mesh.solid import SolidMesh, create_block_mesh, create_cylinder_mesh, create_needle_mesh
 from tissue_sim.pose import Pose
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -50,8 +50,8 @@ def banded_mesh(radius: float, height: float, reach: float, size: float) -> Soli
     inward = np.linspace(0.5, 1.0, round(0.5 * reach / size) + 1)
     outward = growing_line(radius - reach, 1.5 * size, 2.0, 20 * size)
     depth = growing_line(height, size, 1.5, 20 * size)
-    return cylinder_solid(radius, height, HEX27P1, around=around, inward=inward, outward=outward / outward[-1],
-                          z=-depth[::-1], face_radius=reach)
+    return create_cylinder_mesh(radius, height, HEX27P1, around=around, inward=inward, outward=outward / outward[-1],
+                                z=-depth[::-1], face_radius=reach)
 
 
 def dragged(mesh: SolidMesh, depth: float, aside: float, angles: tuple[float, ...] = ANGLES) -> dict:
@@ -133,7 +133,7 @@ class Mindlin:
         half = np.concatenate([inner, outer])
         line = np.concatenate([-half[:0:-1], half])
         down = growing_line(far * a, size, 3.0, far * a)
-        self.mesh = block_mesh(line, half, -down[::-1], HEX27P1)
+        self.mesh = create_block_mesh(line, half, -down[::-1], HEX27P1)
         self.mesh.sets["mirror"] = np.flatnonzero(np.abs(self.mesh.nodes[:, 1]) < 1e-9 * a)
         self.mu, self.modulus = mu, 2e3
         material = ts.Material("neo_hooke", {"C10": 0.5 * self.modulus}, ts.Bulk("bulk_ratio", self.RATIO))
@@ -189,7 +189,7 @@ def main() -> None:
     for name in asked.checks:
         began = time.perf_counter()
         if name == "dragged":
-            answers[name] = dragged(needle_solid(
+            answers[name] = dragged(create_needle_mesh(
                 0.04, 0.07, 8e-3, HEX27P1, smallest=2.4e-3, growth=2.2, largest=20e-3, around=4 if asked.fine else 2),
                 3e-3, 4e-3)
         elif name == "turned":

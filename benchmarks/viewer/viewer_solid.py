@@ -35,7 +35,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.solid import block_mesh
+from tissue_sim.mesh.solid import create_block_mesh
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 
@@ -59,7 +59,7 @@ class NoSession:
 def block(element: Hexahedron) -> SolidFields:
     """Return the fields of a block at rest."""
     line = np.linspace(-0.5 * EDGE, 0.5 * EDGE, CELLS[element] + 1)
-    mesh = block_mesh(line, line, line - 0.5 * EDGE, element)
+    mesh = create_block_mesh(line, line, line - 0.5 * EDGE, element)
     batches, count = ElementBatches(mesh), len(mesh.connectivity)
     return SolidFields(mesh, MATERIAL, 3e7, np.zeros((1, len(mesh.nodes), 3)),
                        np.zeros((1, count, element.pressure_modes)), *batches.of_points, batches.weights,

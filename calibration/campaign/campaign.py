@@ -46,7 +46,7 @@ from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
-from tissue_sim.recording.formats.columns import check_delimiter, validate_decimal_mark
+from tissue_sim.recording.formats.column_options import validate_decimal_mark, validate_delimiter
 from tissue_sim.rig.rig import Rig
 from tissue_sim.specimen import Specimen
 
@@ -275,7 +275,7 @@ def _read_tests(table: CampaignTable, specimens: Mapping[str, Specimen], folder:
                 raise InputError(f"{key} requires columns; state the columns too, or leave {key} out",
                                  field=f"{field}.{key}")
         if entry.delimiter:
-            check_delimiter(entry.delimiter, f"{field}.delimiter")
+            validate_delimiter(entry.delimiter, f"{field}.delimiter")
         if entry.decimal is not None:
             validate_decimal_mark(entry.decimal, f"{field}.decimal")
         specimen = find_specimen(entry, specimens, table, field)

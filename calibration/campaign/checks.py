@@ -13,11 +13,11 @@ from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, Test
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.experiment.tools.tool import TOOLS, read_shape
+from tissue_sim.experiment.tools.tool import TOOLS, parse_shape_name
 from tissue_sim.files import exists, find_files
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.material.material import BULK_RATIOS
-from tissue_sim.recording.formats.columns import check_columns
+from tissue_sim.recording.formats.column_options import normalize_column_mapping
 
 
 def require_positive(value: float | None, field: str, unit: str = "") -> None:
@@ -50,7 +50,7 @@ def check_available(entry: TestTable, field: str) -> None:
         known = ", ".join(name for name, other in KINDS.items() if other.closed_form is not None)
         raise InputError(f"kind must be one of {known} for the analytical method; got {entry.kind!r}. Set fit.method = "
                          "'inverse_fem' for other kinds", field=f"{field}.kind")
-    if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{field}.tool").is_plate:
+    if entry.tool is not None and not TOOLS.find(parse_shape_name(entry.tool)[0], f"{field}.tool").is_plate:
         raise InputError(f"tool must be a plate in a homogeneous test; got {entry.tool!r}. Leave tool out",
                          field=f"{field}.tool")
     for key in ("protocol", "rig"):
@@ -64,7 +64,7 @@ def read_columns_key(entry: TestTable, field: str) -> Mapping[str, Any] | None:
     if entry.columns is None:
         return None
     try:
-        columns = check_columns(entry.columns)
+        columns = normalize_column_mapping(entry.columns)
     except InputError as error:
         raise error.located(field=field) from None
     present = {*columns, "displacement"} if entry.speed_mm_s is not None and {"time", "force"} <= columns.keys() \

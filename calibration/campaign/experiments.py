@@ -16,8 +16,8 @@ from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
     convert_tool_sizes_to_si,
-    read_shape,
-    shapes_without_file,
+    list_shapes_without_file,
+    parse_shape_name,
     tool_sizes,
 )
 from tissue_sim.fem.solver import SOLVERS
@@ -57,17 +57,18 @@ def read_experiment(entry: TestTable, specimen: Specimen | None, folder: Path, p
         InputError: keys contradict the kind of test or each other; the error states the field.
     """
     kind = KINDS[entry.kind]
-    if kind.gripped:
-        for key in (*entry.tool_sizes, *kind.faces, *_TOOL_KEYS):
-            face = kind.faces.get(key)
+    if kind.has_gripped_ends:
+        for key in (*entry.tool_sizes, *kind.face_interfaces, *_TOOL_KEYS):
+            face = kind.face_interfaces.get(key)
             if getattr(entry, key) not in (None, face.usual if face is not None and face.fixed else None):
                 raise InputError(f"{key} does not apply to kind = {entry.kind!r}, which is gripped on both sides; "
                                  f"leave {key} out", field=f"{place}.{key}")
-        if entry.tool is not None and not TOOLS.find(read_shape(entry.tool)[0], f"{place}.tool").is_plate:
+        if entry.tool is not None and not TOOLS.find(parse_shape_name(entry.tool)[0], f"{place}.tool").is_plate:
             raise InputError(f"tool does not apply to kind = {entry.kind!r}; leave tool out", field=f"{place}.tool")
         return None
     specimen = Specimen(1.0, 1.0) if specimen is None else specimen
-    interfaces = {key: value for key in kind.faces if (value := _read_friction(entry, kind, key, place)) is not None}
+    interfaces = {key: value for key in kind.face_interfaces
+                  if (value := _read_friction(entry, kind, key, place)) is not None}
     laws = [from_keys(CONTACT_LAWS.find(name, f"{place}.contact_laws.{name}"), content, f"{place}.contact_laws.{name}")
             for name, content in (entry.contact_laws or {}).items()]
     try:
@@ -115,13 +116,13 @@ def read_solver(entry: TestTable, specimen: Specimen | None, place: str) -> str:
 
 def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> str | float | None:
     """Return the stated friction of a face, or None if the campaign states nothing."""
-    face, value = kind.faces[key], getattr(entry, key)
+    face, value = kind.face_interfaces[key], getattr(entry, key)
     if isinstance(value, str) and value not in (*INTERFACES, *([AS_TOOL] if key == "friction_base" else [])):
         raise InputError(f"unknown friction {value!r}{nearest(value, INTERFACES)}; or give a coefficient",
                          field=f"{place}.{key}")
     if face.fixed and value is not None and (value or "frictionless") != face.usual:
         other = " or ".join(repr(name) for name, one in KINDS.items()
-                            if one.faces[key].stated and one.fits(kind.require_tool()))
+                            if one.face_interfaces[key].stated and one.allows_tool(kind.require_tool()))
         raise InputError(f"{key} must be {face.usual} for kind = {entry.kind!r}; got {value!r}. Leave {key} out, or "
                          f"use kind = {other}", field=f"{place}.{key}")
     if value is None and face.stated:
@@ -134,14 +135,14 @@ def _read_friction(entry: TestTable, kind: TestKind, key: str, place: str) -> st
 def _read_tool(entry: TestTable, kind: TestKind, folder: Path, place: str) -> Tool:
     """Return the tool of a test: that of its kind, or a shape with stated sizes."""
     kinds_tool = kind.require_tool()
-    shape, profile = read_shape(entry.tool or kinds_tool.shape, folder)
-    fits = kind.fits(TOOLS.find(shape, f"{place}.tool"))
+    shape, profile = parse_shape_name(entry.tool or kinds_tool.shape, folder)
+    fits = kind.allows_tool(TOOLS.find(shape, f"{place}.tool"))
     if kind.tool_stated and (entry.tool is None or not fits):
-        known = ", ".join(repr(name) for name in shapes_without_file() if kind.fits(TOOLS[name]))
+        known = ", ".join(repr(name) for name in list_shapes_without_file() if kind.allows_tool(TOOLS[name]))
         raise InputError(f"{entry.kind} requires the shape of the tool; state tool = {known} or a profile file",
                          field=f"{place}.tool")
     if not fits:
-        other = " or ".join(repr(name) for name, one in KINDS.items() if one.fits(TOOLS[shape]))
+        other = " or ".join(repr(name) for name, one in KINDS.items() if one.allows_tool(TOOLS[shape]))
         raise InputError(f"{entry.kind} cannot use the tool {entry.tool!r}; use kind = {other}", field=f"{place}.tool")
     usual = {} if entry.tool is not None else {name: getattr(kinds_tool, name) for name in declared(type(kinds_tool))}
     # Zero means that the tool has no such dimension.

@@ -38,8 +38,8 @@ def select_elastic_samples(samples: np.ndarray, displacement: np.ndarray, screen
         InputError: fewer than five samples, or an oscillation with a phase lag.
     """
     control = screening.control
-    samples = samples[samples < screening.kept_before_saturation]
-    if control is not None and control.dissipates:
+    samples = samples[samples < screening.kept_count_before_saturation]
+    if control is not None and control.has_dissipative_oscillation:
         raise InputError(f"{path.name}: {control.sentence}", field="recordings")
     if control is not None and control.pattern == "oscillation":
         return samples
@@ -70,7 +70,8 @@ def require_loading(displacement: np.ndarray, force: np.ndarray, screening: Scre
     Raises:
         InputError: sample 1 is left out and the next sample is far from rest.
     """
-    if 1 in screening.samples and displacement[0] > _FAR * np.ptp(displacement) and force[0] > _FAR * np.ptp(force):
+    starts_loaded = displacement[0] > _FAR * np.ptp(displacement) and force[0] > _FAR * np.ptp(force)
+    if 1 in screening.left_out_sample_numbers and starts_loaded:
         lost = next((each.sentence for each in screening.left_out if 1 in each.samples), "sample 1 left out")
         raise InputError(f"{path.name}: the loading from rest must be recorded for a material with a memory. {lost}, "
                          "and the next sample is under load. Correct that sample in the file", field="recordings")
@@ -104,13 +105,13 @@ def check_motion(displacement: np.ndarray, height: float, test: Test, path: Path
         raise InputError(f"{path.name} has a constant displacement in all {displacement.size} samples of loading; "
                          "check which column is read as displacement", field="recordings")
     largest = float(displacement.max())
-    if not test.kind.gripped and largest >= height:
+    if not test.kind.has_gripped_ends and largest >= height:
         raise InputError(f"{path.name}: the stretch must be above zero; got {1 - largest:g}"
                          if test.specimen is None else
                          f"{path.name}: the displacement must be smaller than the height {height * 1e3:g} mm of the "
                          f"specimen {test.specimen.name!r}; got {largest * 1e3:g} mm", field="recordings")
     # A gripped specimen in tension has the length height + displacement, which must be positive.
-    if test.kind.gripped and not test.kind.both_ways and float(displacement.min()) <= -height:
+    if test.kind.has_gripped_ends and not test.kind.loads_in_both_directions and float(displacement.min()) <= -height:
         number = int(np.argmin(displacement)) + 1
         shortest = 1.0 + float(displacement.min()) / height
         raise InputError(f"{path.name}: the stretch must be above zero; got {shortest:g} in sample {number} of the "

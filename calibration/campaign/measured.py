@@ -28,7 +28,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.screening import Screening
-from tissue_sim.recording.segmentation import label_motion, number_runs
+from tissue_sim.recording.segmentation import label_motion, number_repeated_runs
 from tissue_sim.specimen.specimen import add_article
 
 if TYPE_CHECKING:
@@ -230,7 +230,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
         # A table of stress and stretch has no order in time; neighbours in the sorted table give the noise.
         samples = samples[np.argsort(displacement[samples], kind="stable")]
     else:
-        samples = select_elastic_samples(samples, displacement, screening, path, both_sides=test.kind.gripped)
+        samples = select_elastic_samples(samples, displacement, screening, path, both_sides=test.kind.has_gripped_ends)
         # Samples after a failure are cut and do not count as hold or unloading.
         failure = whole.segmentation.failure
         end = failure.index + 1 if failure is not None and test.failure == "cut" else displacement.size
@@ -238,7 +238,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
     loading = samples
     inside = np.ones(samples.size, bool)
     if test.max_strain is not None:
-        reached = np.abs(displacement) if test.kind.gripped else displacement
+        reached = np.abs(displacement) if test.kind.has_gripped_ends else displacement
         inside = reached[samples] <= test.max_strain * height * (1 + 1e-9)
         # With memory, samples after the first one beyond the window depend on a history outside of the window.
         beyond = np.flatnonzero(~inside)
@@ -257,7 +257,7 @@ def _read_curve(recording: Recording, screening: Screening, name: str, path: Pat
         if campaign.fit.method != "analytical":
             # Distinct times, if the clock is coarser than the sampling interval.
             time = spread_time_stamps(time, time.size)
-        labels = number_runs(label_motion(time, displacement[samples]) if labels is None else labels[samples])
+        labels = number_repeated_runs(label_motion(time, displacement[samples]) if labels is None else labels[samples])
     used = np.isin(np.arange(displacement.size), samples)
     curve = MeasuredCurve(name, test, time, displacement[samples], force[samples], labels if remembering else None,
                           path, str(recording.metadata.get("sha256", "")), stressed, later,
@@ -307,7 +307,7 @@ def _interpolate_evenly(displacement: np.ndarray, curve: MeasuredCurve, campaign
     height = 1.0 if test.specimen is None else test.specimen.height
     limit = np.inf if test.max_strain is None else test.max_strain * height
     distinct, samples = np.unique(displacement, return_index=True)
-    start = max(distinct[0], -limit if test.kind.gripped else 0.0)
+    start = max(distinct[0], -limit if test.kind.has_gripped_ends else 0.0)
     grid = np.linspace(start, min(distinct[-1], limit), points)
     inside = int(np.sum((distinct >= grid[0]) & (distinct <= grid[-1] * (1 + 1e-9))))
     if points > inside:
@@ -344,7 +344,7 @@ def _check_parts(test: Test, material: Material, stressed: bool, closed: bool, p
     if test.specimen is not None and test.specimen.specific_weight and material.remembers:
         raise InputError("the closed form does not support gravity for a material with memory; set gravity = false, or "
                          "fit.method = 'inverse_fem'", field="specimen")
-    if not test.rig.ideal:
+    if not test.rig.is_ideal:
         raise InputError(f"{path.name} contains stress, to which a rig does not apply; leave rig out", field="rig")
 
 
@@ -370,7 +370,8 @@ def _read_force_and_displacement(recording: Recording, test: Test, path: Path) -
                          f"{add_article(test.specimen.shape)} without constant cross-section; use "
                          f"{' and '.join(mechanical)}", field="recordings")
     height, area = (1.0, 1.0) if test.specimen is None else (test.specimen.height, test.specimen.area)
-    return (height * test.kind.strain(recording.channel(motion)), test.kind.sign * area * recording.channel(load),
+    return (height * test.kind.compute_nominal_strain(recording.channel(motion)),
+            test.kind.sign * area * recording.channel(load),
             True)
 
 

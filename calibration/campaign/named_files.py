@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.experiment.tools.tool import read_shape
+from tissue_sim.experiment.tools.tool import parse_shape_name
 from tissue_sim.specimen import SPECIMENS
 
 
@@ -26,7 +26,7 @@ def rename_files(content: Mapping[str, Any], folder: Path, name: Callable[[Path]
     of_specimens = {key for kind in SPECIMENS.values() for key in kind.paths}
 
     def rename_value(key: str, value: Any) -> Any:
-        path = folder / value if key == "rig" else read_shape(value, folder)[1] if key == "tool" else None
+        path = folder / value if key == "rig" else parse_shape_name(value, folder)[1] if key == "tool" else None
         return value if path is None else name(path)
 
     renamed = dict(content)

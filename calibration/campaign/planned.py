@@ -13,7 +13,7 @@ from calibration.campaign.measured import MeasuredCurve, read_measured
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.recording.segmentation import label_motion, number_runs
+from tissue_sim.recording.segmentation import label_motion, number_repeated_runs
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def create_planned_curves(test: Test, protocol: Protocol, noise: SensorNoise, re
     """
     time = np.linspace(protocol.time[0], protocol.time[-1], samples)
     displacement = np.interp(time, protocol.time, protocol.displacement)
-    labels = number_runs(label_motion(time, displacement))
+    labels = number_repeated_runs(label_motion(time, displacement))
     return tuple(MeasuredCurve(f"{test.name}/planned {number + 1}", test, time, displacement, 1e3 * displacement,
                                labels, Path(), "", noise=noise) for number in range(replicates))
 

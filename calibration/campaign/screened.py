@@ -9,9 +9,9 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign, Test
 from tissue_sim.errors import InputError
-from tissue_sim.recording.cleaning import clean
-from tissue_sim.recording.control import find_control
-from tissue_sim.recording.preload import LoadAtZero, estimate_load_at_zero
+from tissue_sim.recording.cleaning import remove_outliers_and_saturation
+from tissue_sim.recording.control import analyse_control_and_creep
+from tissue_sim.recording.preload import LoadAtZeroDisplacement, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Preload, Screening
 
@@ -31,14 +31,14 @@ def clean_recording(recording: Recording, name: str, test: Test) -> tuple[Record
         The cleaned recording and the findings.
 
     Raises:
-        InputError: see `tissue_sim.recording.cleaning.clean`.
+        InputError: see `tissue_sim.recording.cleaning.remove_outliers_and_saturation`.
     """
     columns = test.reading.get("columns") or {}
     zeroed = [channel for channel, entry in columns.items() if entry.get("offset") == "start"]
     own = name.removeprefix(f"{test.name}/")
     try:
-        return clean(recording, test.leave_out.get(own, test.leave_out.get("")), zeroed,
-                     None if test.control == "find" else test.control)
+        return remove_outliers_and_saturation(recording, test.leave_out.get(own, test.leave_out.get("")), zeroed,
+                               None if test.control == "find" else test.control)
     except InputError as error:
         raise InputError(f"{own}: {error.problem}", file=error.file, field=error.field) from None
 
@@ -76,7 +76,7 @@ def add_load_control(screening: Screening, motion: np.ndarray, load: np.ndarray,
         time: time, s, shape (n,), or None.
         test: test that may state the controlled quantity.
     """
-    control = find_control(motion, load, time)
+    control = analyse_control_and_creep(motion, load, time)
     return replace(screening, control=control if test.control == "find" else replace(control, equal_samples=0))
 
 
@@ -92,7 +92,7 @@ def add_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, camp
         can_pull: whether the test can load the specimen in the opposite direction.
         stressed: whether strain and stress were recorded.
     """
-    found = estimate_load_at_zero(motion, load)
+    found = estimate_load_at_zero_displacement(motion, load)
     if found is None:
         return screening
     fit = campaign.fit
@@ -106,7 +106,7 @@ def add_preload(screening: Screening, motion: np.ndarray, load: np.ndarray, camp
     return replace(screening, preload=Preload(*found, covers, sentence))
 
 
-def _describe_force_against_load(found: LoadAtZero, *, stressed: bool, covers: bool) -> str:
+def _describe_force_against_load(found: LoadAtZeroDisplacement, *, stressed: bool, covers: bool) -> str:
     """Describe a recording that begins under a force against the direction of loading."""
     load = f"{1e-3 * found.load:.3g} kPa" if stressed else f"{found.load:.3g} N"
     finding = (f"the recording begins under {load}, {100 * found.fraction:.0f} % of its range, against the direction "
@@ -117,7 +117,7 @@ def _describe_force_against_load(found: LoadAtZero, *, stressed: bool, covers: b
     return f"{finding}; the moduli are wrong; {remedy}"
 
 
-def _describe_preload(found: LoadAtZero, *, stressed: bool, covers: bool, fits_contact: bool) -> str:
+def _describe_preload(found: LoadAtZeroDisplacement, *, stressed: bool, covers: bool, fits_contact: bool) -> str:
     """Describe a recording that begins under load, with remedy."""
     load, shift = (f"{1e-3 * found.load:.3g} kPa", f"a strain of {found.shift:.3g}") if stressed else \
         (f"{found.load:.3g} N", f"{1e3 * found.shift:.2g} mm")
@@ -143,7 +143,7 @@ def list_screening_notes(screening: Screening, recording: Recording, *, remember
     """
     unread = recording.metadata.get("unread_columns")
     names = ", ".join(map(repr, unread)) if isinstance(unread, list | tuple) else ""
-    subjects = {"outliers": [*(each.sentence for each in screening.left_out), *screening.doubts],
+    subjects = {"outliers": [*(each.sentence for each in screening.left_out), *screening.outlier_warnings],
                 "saturation": [each.sentence for each in screening.saturation],
                 "preload": [screening.preload.sentence] if screening.preload is not None else [],
                 "control": [screening.control.sentence] if screening.control is not None and not remembering else [],

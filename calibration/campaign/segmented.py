@@ -10,9 +10,9 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from tissue_sim.errors import InputError
-from tissue_sim.recording.origin import describe_other_kind, describe_other_tool
+from tissue_sim.recording.origin import describe_kind_mismatch, describe_tool_mismatch
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segments import Segmentation, segment_arrays
+from tissue_sim.recording.segments import Segmentation, find_segments_of_arrays
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +63,7 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
         InputError: the contact cannot be detected, the contact is stated in mm for a recording of stress, or a failure
             occurs and the test sets ``failure = 'refuse'``.
     """
-    found = segment_arrays(displacement, force, time, labels, stressed=stressed)
+    found = find_segments_of_arrays(displacement, force, time, labels, stressed=stressed)
     contact, used = found.contact, np.ones(displacement.size, bool)
     notes: dict[str, str] = {}
     recorded, shift = force, 0.0
@@ -83,9 +83,9 @@ def segment_recording(test: Test, displacement: np.ndarray, force: np.ndarray, t
             notes["contact"] = (f"{contact.in_words(stressed=stressed)}; the recorded displacement is used"
                                 + ("" if stressed else ", so state the contact in mm if the first displacement is not "
                                    "0"))
-        if contact.found:
+        if contact.has_air_before_contact:
             used, shift = np.arange(displacement.size) >= contact.index, contact.displacement
-            displacement, force = contact.counted_from(displacement, force, time)
+            displacement, force = contact.subtract_contact_and_zero(displacement, force, time)
             # In later cycles the tool may lift off again.
             used &= remembering | (displacement >= 0)
     if not used.any():
@@ -118,7 +118,7 @@ def list_notes_with_air(recording: SegmentedRecording, first: int, *, stressed: 
         stressed: whether strain and stress were recorded.
     """
     contact, notes = recording.segmentation.contact, dict(recording.notes)
-    if contact is None or not contact.found:
+    if contact is None or not contact.has_air_before_contact:
         return notes
     position = recording.displacement[first] + recording.shift
     if position < contact.interval[0]:
@@ -134,10 +134,10 @@ def list_notes_with_air(recording: SegmentedRecording, first: int, *, stressed: 
 def list_origin_notes(recording: Recording, test: Test) -> dict[str, str]:
     """Return notes if the metadata of a recording state another kind of test or another tool than the campaign."""
     notes = {}
-    if kind := describe_other_kind(recording, test.kind.name):
+    if kind := describe_kind_mismatch(recording, test.kind.name):
         notes["kind"] = f"the file states the kind {kind}; the fit uses {test.kind.name}"
     tool = None if test.experiment is None else test.experiment.tool
-    if tool is not None and (other := describe_other_tool(recording, tool.shape, tool.radius)):
+    if tool is not None and (other := describe_tool_mismatch(recording, tool.shape, tool.radius)):
         notes["tool"] = f"the file states a {other}; the fit uses another tool"
     return notes
 

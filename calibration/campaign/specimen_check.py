@@ -29,7 +29,8 @@ def check_size(recording: Recording, test: Test, campaign: Campaign, path: Path)
     field = f"specimen[{list(campaign.specimens).index(test.specimen.name)}]"
     shape = test.specimen.shape
     recorded = metadata.get("shape", "cylinder" if "radius_mm" in metadata else None)
-    any_shape = test.kind.gripped or campaign.fit.method == "analytical" or test.specimen.name in campaign.prisms
+    any_shape = (test.kind.has_gripped_ends or campaign.fit.method == "analytical"
+                 or test.specimen.name in campaign.prisms)
     if not any_shape and isinstance(recorded, str) and recorded not in (shape, PRISM):
         raise InputError(f"the campaign states {add_article(shape)} and {path.name} states {add_article(recorded)}; "
                          "correct the wrong one", file=campaign.path, field=f"{field}.shape")

@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.parameters import declared
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen
-from tissue_sim.specimen.specimen import add_article, keys_of, specimen_of_keys
+from tissue_sim.specimen.specimen import add_article, get_shape_keys, make_specimen_from_keys
 
 #: Keys of a prism -> whether the key is required.
 _PRISM_KEYS = {"area_mm2": True, "height_mm": True}
@@ -49,7 +49,7 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
         raise InputError("gravity = true requires the density of the specimen; add density_kg_m3",
                          field=f"{field}.density_kg_m3")
     shape = entry.shape
-    has = _PRISM_KEYS if shape == PRISM else keys_of(shape)
+    has = _PRISM_KEYS if shape == PRISM else get_shape_keys(shape)
     given: dict[str, float | str] = {**entry.sizes, **entry.texts}
     if entry.area_mm2 is not None:
         given["area_mm2"] = entry.area_mm2
@@ -73,8 +73,8 @@ def _read_specimen(entry: SpecimenTable, name: str, folder: Path, field: str) ->
                 raise InputError(f"{declaration.key} must be {low:g} to {high:g}; got {size:g}. Check the unit",
                                  field=f"{field}.{declaration.key}")
     try:
-        return specimen_of_keys(shape, given, name=name, density=entry.density_kg_m3, height_is=entry.height_is,
-                                gravity=STANDARD_GRAVITY if entry.gravity else 0.0)
+        return make_specimen_from_keys(shape, given, name=name, density=entry.density_kg_m3, height_is=entry.height_is,
+                                       gravity=STANDARD_GRAVITY if entry.gravity else 0.0)
     except InputError as error:
         raise error.located(field=field) from None
 
@@ -99,7 +99,7 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
         raise InputError(f"specimen must name one of {', '.join(specimens)}", field=f"{field}.specimen")
     found = next(iter(specimens.values()), None) if entry.specimen is None else specimens[entry.specimen]
     kind = KINDS[entry.kind]
-    stands = kind.settles if table.fit.method == "analytical" else not kind.gripped
+    stands = kind.has_closed_form_with_weight if table.fit.method == "analytical" else not kind.has_gripped_ends
     if found is not None and found.specific_weight and not stands:
         raise InputError(f"gravity = true requires a specimen that stands under a plate; {entry.kind} does not define "
                          "the direction of gravity. Use a specimen with gravity = false for this test",
@@ -115,9 +115,9 @@ def find_specimen(entry: TestTable, specimens: Mapping[str, Specimen], table: Ca
         raise InputError(f"{entry.kind} requires the shape of the specimen; {description}, of which only the "
                          "cross-section is known. State the shape, such as 'cylinder' with radius_mm",
                          field=f"{field}.specimen")
-    if found.is_prism or (table.fit.method != "analytical" and not kind.gripped):
+    if found.is_prism or (table.fit.method != "analytical" and not kind.has_gripped_ends):
         return found
     remedy = f"for {entry.kind} use a specimen such as shape = 'prism' with area_mm2 and height_mm" \
-        if kind.gripped else "set fit.method = 'inverse_fem'"
+        if kind.has_gripped_ends else "set fit.method = 'inverse_fem'"
     raise InputError(f"{description} without constant cross-section, for which there is no closed form; {remedy}",
                      field=f"{field}.specimen")

@@ -7,7 +7,7 @@ from typing import Any
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
 from calibration.fit.ordinary_problem import OrdinaryProblem
-from tissue_sim.recording.contact_error import contact_error
+from tissue_sim.recording.contact_error import relative_modulus_error_from_contact
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 
 
@@ -43,4 +43,4 @@ def _estimate_relative_modulus_error(curve: MeasuredCurve) -> float:
     contact = None if curve.whole is None else curve.whole.segmentation.contact
     if contact is None or curve.test.contact != "find":
         return 0.0
-    return contact_error(curve.displacement, curve.force, curve.time, contact)
+    return relative_modulus_error_from_contact(curve.displacement, curve.force, curve.time, contact)

@@ -151,7 +151,7 @@ def _build_path(test: ForwardTest) -> MeasuredCurve:
         segment = np.full(displacement.size, "")
     else:
         # A gripped specimen may be loaded in both directions.
-        start = min(0.0, float(reached.min())) if first.test.kind.gripped else 0.0
+        start = min(0.0, float(reached.min())) if first.test.kind.has_gripped_ends else 0.0
         displacement = np.linspace(start, max(0.0, float(reached.max())), _SETTINGS.points)
         if first.time is not None:
             order = np.argsort(first.displacement, kind="stable")

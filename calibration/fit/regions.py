@@ -100,7 +100,7 @@ def _iterate_regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tup
             deepest = max(curve.displacement.max() for curve in test.measured)
             # Loading begins at rest, or at the largest compression of a gripped specimen.
             lowest = min(0.0, *(curve.displacement.min() for curve in test.measured)) \
-                if test.measured[0].test.kind.gripped else 0.0
+                if test.measured[0].test.kind.has_gripped_ends else 0.0
             positions = [np.clip((curve.displacement - lowest) / (deepest - lowest), 0.0, 1.0) * 3
                          for curve in test.measured]
             regions = [(name, _SETTINGS.third_modes, [(((s > third) | (third == 0)) & (s - third <= 1),

@@ -78,7 +78,8 @@ def _format_sag_range(compute_sags: Collection[float | None], digits: int) -> st
 def _find_compressed_columns(campaign: Campaign) -> list[Specimen]:
     """Return the specimens that a plate compresses between frictionless faces, without repetition."""
     return list(dict.fromkeys(test.specimen for test in campaign.tests
-                              if test.kind.settles and test.specimen is not None and test.specimen.is_prism))
+                              if test.kind.has_closed_form_with_weight and test.specimen is not None
+                              and test.specimen.is_prism))
 
 
 def _compute_sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:

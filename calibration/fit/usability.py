@@ -175,7 +175,7 @@ def find_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
     """
     screening = curve.screening
     of_memory = screening.control.sentence if remembers and screening.control is not None else None
-    return [sentence for sentence in screening.contradictions if sentence != of_memory]
+    return [sentence for sentence in screening.fit_contradictions if sentence != of_memory]
 
 
 def _check_replicates(evidence: Evidence) -> Clause:

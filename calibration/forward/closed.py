@@ -154,8 +154,8 @@ class ClosedFormTest:
             stress = closed_form.stress(law, strain, values)
             derivatives = closed_form.derivatives(law, strain, values)
             slope = -self.kind.sign * closed_form.slope(law, strain, values) / self.height if contact else None
-        if not self.kind.gripped:
-            separated = self.kind.strain(strain) < 0.0
+        if not self.kind.has_gripped_ends:
+            separated = self.kind.compute_nominal_strain(strain) < 0.0
             stress[separated], derivatives[separated] = 0.0, 0.0
             if slope is not None:
                 slope[separated] = 0.0
@@ -278,7 +278,7 @@ class ClosedFormTest:
 
     def strain(self, displacement: np.ndarray) -> np.ndarray:
         """Return stretch or shear strain at displacements, m, any shape."""
-        return self.kind.abscissa(displacement / self.height)
+        return self.kind.compute_stretch_or_shear_strain(displacement / self.height)
 
     def update_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
         """Return 0: a closed form has no mesh error."""
@@ -293,5 +293,5 @@ class ClosedFormTest:
         low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
         if not closed_form.rest:
             return StretchRange(closed_form.mode, *closed_form.extremes(low, high), closed_form.extremes(low, high))
-        low, high = min(low, 1.0), 1.0 if not self.kind.gripped else max(high, 1.0)
+        low, high = min(low, 1.0), 1.0 if not self.kind.has_gripped_ends else max(high, 1.0)
         return StretchRange(closed_form.mode, low, high, closed_form.extremes(low, high))

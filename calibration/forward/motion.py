@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline, PchipInterpolator, make_interp_spline
 from calibration.forward.difference_steps import DIFFERENCES
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_corners
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners
 from tissue_sim.rig.rig import Rig
 
 
@@ -193,7 +193,7 @@ class TimedMotion:
             steps: number of steps per travel.
         """
         travel = float(np.ptp(displacement))
-        corners = find_corners(time, displacement, MOTION_SETTINGS.straightness * travel)
+        corners = find_motion_corners(time, displacement, MOTION_SETTINGS.straightness * travel)
         corners = np.array(_remove_hold_corners(displacement, corners, MOTION_STEPS.hold_fraction * travel))
         t, d = time[corners].astype(float), displacement[corners].astype(float)
         if d[0] > MOTION_SETTINGS.straightness * travel and d.size > 1 and d[1] > d[0]:

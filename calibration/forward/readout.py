@@ -50,7 +50,7 @@ class Readout:
     def faults(self) -> Rig | None:
         """Rig with only the faults that change readings; None if the rig reads true forces."""
         reading = self.rig.reading_only
-        return None if reading.ideal else reading
+        return None if reading.is_ideal else reading
 
     def read(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
         """Return the readings of the force sensor.
@@ -111,7 +111,7 @@ class ReadoutEffects:
         With a tilted tool or a rig that changes the motion, the simulation applies the effects and this object is
         empty.
         """
-        ideal = not model.experiment.tilt and model.rig.motion_only.ideal
+        ideal = not model.experiment.tilt and model.rig.motion_only.is_ideal
         return cls(model.material.reduced_effects(plate=model.experiment.tool.is_plate) if ideal else ())
 
     def has_parameter(self, path: str) -> bool:

@@ -8,7 +8,7 @@ from pathlib import Path
 from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.file import read_recordings
-from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understanding
+from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
 
 _SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", ".ibw", ".spm")
 #: How the texts of AFM Workshop and of afmformats begin.
@@ -34,7 +34,7 @@ def is_afm(path: Path) -> bool:
     return not any(name in ("[Content_Types].xml", "content.xml") or name.startswith("xl/") for name in names)
 
 
-def interpret_afm_file(path: Path) -> Understanding:
+def interpret_afm_file(path: Path) -> FileInterpretation:
     """Interpret a file of force curves of an AFM.
 
     Raises:
@@ -43,5 +43,5 @@ def interpret_afm_file(path: Path) -> Understanding:
     read_bytes(path, "force curves of an AFM")
     recordings = read_recordings(path, format="afm")
     kind = KindGuess("needle_indentation", "force curves of an AFM press a tip into the specimen")
-    reading = Reading("", (), (), read_only({"format": "afm"}), recordings, kind, 1)
-    return Understanding(path, "afm", "afm", None, None, None, (reading,))
+    reading = TableGroup("", (), (), read_only({"format": "afm"}), recordings, kind, 1)
+    return FileInterpretation(path, "afm", "afm", None, None, None, (reading,))

@@ -63,7 +63,7 @@ def make_assumption_rows(tests: Sequence[ImportedTest]) -> list[AssumptionRow]:
             "stated" if each.is_stated else _to_one_line("; ".join(each.evidence)),
             _to_one_line("; ".join(each.against)), _to_one_line("; ".join(
                 f"{other.value}{_format_ratio(other.modulus_ratio)}" for other in each.alternatives)),
-            _to_one_line(each.flag), each.is_question))
+            _to_one_line(each.flag), each.needs_user_decision))
     return rows
 
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 
 from calibration.importing.imported import Part
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.guesses import Reading, Understanding
+from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 
 
-def share_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding]:
+def share_decimal_mark(understood: Sequence[FileInterpretation]) -> list[FileInterpretation]:
     """State the decimal mark of some files for all files with the same mark.
 
     A file with thousands separators states its decimal mark in the campaign. Replicates with smaller numbers have no
@@ -22,10 +22,10 @@ def share_decimal_mark(understood: Sequence[Understanding]) -> list[Understandin
         return list(understood)
     mark, = stated
 
-    def set_decimal_mark(each: Understanding, reading: Reading) -> Reading:
+    def set_decimal_mark(each: FileInterpretation, reading: TableGroup) -> TableGroup:
         """Return the reading of a file with the common mark among its options, if the file has this mark."""
         if "decimal" in reading.options or "columns" not in reading.options or each.decimal_mark != mark or any(
-                assumption.is_question for assumption in each.assumptions):
+                assumption.needs_user_decision for assumption in each.assumptions):
             return reading
         options = dict(reading.options)
         columns = options.pop("columns")

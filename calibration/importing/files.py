@@ -39,13 +39,13 @@ from tissue_sim.atomic_write import write_bytes, write_text
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, located, shortened
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.experiment.tools.tool import shapes_without_file
+from tissue_sim.experiment.tools.tool import list_shapes_without_file
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.guesses import Reading, Understanding
-from tissue_sim.recording.formats.sizes import Size, find_sizes
-from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
+from tissue_sim.recording.formats.sizes import SizeOrSpeed, find_sizes
+from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.specimen import SPECIMENS, specimen_sizes
-from tissue_sim.specimen.specimen import sizes_of
+from tissue_sim.specimen.specimen import get_shape_sizes
 
 _LAWS = {"analytical": ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1"),
          "inverse_fem": ("neo_hooke", "reduced_polynomial_2")}
@@ -128,7 +128,7 @@ def _check_paths(paths: Sequence[Path], output: Path | None, overwrite: bool) ->
                              file=each)
 
 
-def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Understanding]:
+def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[FileInterpretation]:
     """Interpret all files.
 
     Raises:
@@ -149,7 +149,7 @@ def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Under
     return understood
 
 
-def _interpret_file(path: Path, wishes: ImportOptions) -> Understanding:
+def _interpret_file(path: Path, wishes: ImportOptions) -> FileInterpretation:
     """Interpret one file with its sidecar, and read stress and strain if the size of the specimen is unknown."""
     stated = wishes.stated
     if stated.format in ("afm", "jpk", "bruker") or (not stated.format and bounded(is_afm, path, file=path)):
@@ -158,29 +158,30 @@ def _interpret_file(path: Path, wishes: ImportOptions) -> Understanding:
     speed, height = wishes.test.get("speed_mm_s"), wishes.specimen.get("height_mm")
     stated = replace(stated, kind=stated.kind or find_stated_kind(said), speed=None if speed is None else 1e-3 * speed,
                      height=None if height is None else 1e-3 * float(height))
-    found = add_sidecar(bounded(understand, path, stated, file=path), said,
+    found = add_sidecar(bounded(interpret_file, path, stated, file=path), said,
                         kind_stated=wishes.stated.kind is not None)
     # Without the size of the specimen a force gives no modulus; stress and strain in the file give one.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= set(
         reading.recordings[0].channels) and not _has_height_and_section(_merge_sizes(reading, wishes))]
     if lacking and not stated.columns:
-        direct = bounded(understand, path, replace(stated, direct=True), file=path)
+        direct = bounded(interpret_file, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
             return direct
     return found
 
 
-def _merge_sizes(reading: Reading, wishes: ImportOptions) -> dict[str, Size]:
+def _merge_sizes(reading: TableGroup, wishes: ImportOptions) -> dict[str, SizeOrSpeed]:
     """Return key -> size of the specimen; the user overrides the sidecar, and the sidecar overrides the file."""
     found = find_sizes(reading.stated, reading.kind.kind)
-    found |= {key: Size(key, float(value), "in the sidecar of the recording") for key, value in reading.specimen.items()
-              if key != "shape"}
+    found |= {key: SizeOrSpeed(key, float(value), "in the sidecar of the recording")
+              for key, value in reading.specimen.items() if key != "shape"}
     if any(key in wishes.specimen for key in ("radius_mm", "area_mm2")):
         found = {key: size for key, size in found.items() if key not in ("radius_mm", "area_mm2")}
-    return found | {key: Size(key, float(value), "stated") for key, value in wishes.specimen.items() if key != "shape"}
+    return found | {key: SizeOrSpeed(key, float(value), "stated") for key, value in wishes.specimen.items()
+                    if key != "shape"}
 
 
-def _has_height_and_section(sizes: Mapping[str, Size]) -> bool:
+def _has_height_and_section(sizes: Mapping[str, SizeOrSpeed]) -> bool:
     """Return whether the sizes give height and cross-section; other keys belong to a stated shape."""
     return not sizes.keys() <= _OWN_SIZES or ("height_mm" in sizes and ("radius_mm" in sizes or "area_mm2" in sizes))
 
@@ -217,9 +218,9 @@ def _build_tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]
                 specimens[specimen] = lines
         keys, lacks = _make_test_lines(parts, wishes)
         missing += [what for what in lacks if what not in missing]
-        columns = tuple(Line(column.channel, column.entry(),
-                             f"{FILL_IN}: {column.missing}; {column.reason}" if column.missing else column.reason)
-                        for column in reading.columns)
+        columns = tuple(Line(column.channel, column.to_campaign_entry(),
+                             f"{FILL_IN}: {what}; {column.reason}" if (what := column.missing_information)
+                             else column.reason) for column in reading.columns)
         tests.append(ImportedTest(name, reading.kind.kind, tuple(parts), specimen, tuple(keys), columns, reason,
                                   zero))
     if len(specimens) > 1 and "specimen" in specimens:
@@ -230,7 +231,7 @@ def _build_tests(groups: Sequence[tuple[str, tuple[Part, ...], Zero | None, str]
     return tuple(tests), specimens, tuple(missing)
 
 
-def _make_specimen_lines(reading: Reading, wishes: ImportOptions, kind: TestKind | None
+def _make_specimen_lines(reading: TableGroup, wishes: ImportOptions, kind: TestKind | None
                          ) -> tuple[tuple[Line, ...], list[str]]:
     """Return the lines of the specimen of a reading, and the missing sizes."""
     sizes = _merge_sizes(reading, wishes)
@@ -240,7 +241,7 @@ def _make_specimen_lines(reading: Reading, wishes: ImportOptions, kind: TestKind
     if shape is not None:
         return _make_shape_lines(str(shape), sizes, reason)
     lines, missing = [], []
-    flat = "area_mm2" in sizes or (kind is not None and kind.gripped and "radius_mm" not in sizes)
+    flat = "area_mm2" in sizes or (kind is not None and kind.has_gripped_ends and "radius_mm" not in sizes)
     lines.append(Line("shape", "prism" if flat else "cylinder"))
     for key, what in (("area_mm2", "cross-section") if flat else ("radius_mm", "radius"),
                       ("height_mm", "gauge length" if kind is not None and kind.name == "uniaxial_tension" else
@@ -256,10 +257,10 @@ def _make_specimen_lines(reading: Reading, wishes: ImportOptions, kind: TestKind
     return tuple(lines), missing
 
 
-def _make_shape_lines(shape: str, sizes: Mapping[str, Size], reason: str) -> tuple[tuple[Line, ...], list[str]]:
+def _make_shape_lines(shape: str, sizes: Mapping[str, SizeOrSpeed], reason: str) -> tuple[tuple[Line, ...], list[str]]:
     """Return the lines of a specimen with a stated shape, and the missing sizes."""
     lines, missing = [Line("shape", shape, reason)], []
-    for key, declared in sizes_of(shape).items():
+    for key, declared in get_shape_sizes(shape).items():
         flag = f"--{key.replace('_', '-')}"
         if key in sizes:
             lines.append(Line(key, sizes[key].value, sizes[key].reason))
@@ -277,7 +278,7 @@ def _make_test_lines(parts: Sequence[Part], wishes: ImportOptions) -> tuple[list
     if reading.kind.kind is None:
         missing.append("the kind of test (--kind)")
     missing += [f"{what} (--{'scale' if what.startswith('the scale') else 'unit'} {_flag_name(column.channel)}=...)"
-                for column in reading.columns if (what := column.missing)]
+                for column in reading.columns if (what := column.missing_information)]
     lines += [Line(key, value, describe_decimal_mark(parts) if key == "decimal" else "")
               for key, value in reading.options.items() if key != "columns"]
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
@@ -311,12 +312,12 @@ def _make_speed_lines(parts: Sequence[Part], stated: float | None) -> list[Line]
     return [] if found is None else [Line("speed_mm_s", found.value, f"no clock; {found.reason}")]
 
 
-def _make_tool_lines(test: Mapping[str, Any], reading: Reading) -> tuple[list[Line], list[str]]:
+def _make_tool_lines(test: Mapping[str, Any], reading: TableGroup) -> tuple[list[Line], list[str]]:
     """Return the lines of the tool of an indentation and of its friction, and the missing information."""
     lines: list[Line] = []
     missing: list[str] = []
     said = reading.recordings[0].metadata
-    shapes = ", ".join(shape for shape in shapes_without_file() if shape != "plate")
+    shapes = ", ".join(shape for shape in list_shapes_without_file() if shape != "plate")
     for key, what, flag in (("tool", "the shape of the tool", "--tool"),
                             ("tool_radius_mm", "the radius of the tool", "--tool-radius-mm")):
         if key in test:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from tissue_sim.recording.contact import Contact
-from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.screening import EQUAL_LOAD, Screening, format_sample_numbers
 
 
@@ -27,10 +27,10 @@ def _list_assumptions(screening: Screening, contact: Contact | None, *, has_air:
                       controlled: str | None) -> Iterator[Assumption]:
     """Yield the assumptions about one recording; see `list_recording_assumptions`."""
     control = screening.control
-    if screening.samples:
+    if screening.left_out_sample_numbers:
         sentences = [*(each.sentence for each in screening.left_out), *(each.sentence for each in screening.saturation)]
-        yield Assumption("samples left out", format_sample_numbers(screening.samples), tuple(sentences))
-    if contact is not None and contact.found:
+        yield Assumption("samples left out", format_sample_numbers(screening.left_out_sample_numbers), tuple(sentences))
+    if contact is not None and contact.has_air_before_contact:
         yield Assumption("contact", "after air" if has_air else "at the first sample",
                          (contact.in_words(stressed=stressed),))
     if controlled is not None:
@@ -39,7 +39,7 @@ def _list_assumptions(screening: Screening, contact: Contact | None, *, has_air:
         # The modulus at the held load, or that of the loading alone: the ratio is not known before a fit.
         yield Assumption("controlled quantity", "the force is held, and its column holds the set value",
                          (EQUAL_LOAD.format(control.equal_samples),), (),
-                         (Alternative("the load cell is saturated", None, "--control displacement"),),
+                         (AlternativeValue("the load cell is saturated", None, "--control displacement"),),
                          "--control force")
     elif control is not None and control.quantity is not None:
         evidence = {"creep": "the force is constant while the displacement creeps",

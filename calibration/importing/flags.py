@@ -8,10 +8,10 @@ from typing import Any
 from calibration.importing.imported import ImportedTest, ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.experiment.tools.tool import TOOLS, read_shape
+from tissue_sim.experiment.tools.tool import TOOLS, parse_shape_name
 from tissue_sim.recording.formats.gauge_length import uses_gauge_length
-from tissue_sim.recording.formats.guesses import ColumnGuess, Understanding
-from tissue_sim.recording.formats.interpretation import flag_name
+from tissue_sim.recording.formats.guesses import ColumnGuess, FileInterpretation
+from tissue_sim.recording.formats.interpretation import get_channel_flag_name
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.measures import ENGINEERING, MEASURES
 
@@ -36,10 +36,11 @@ def check_options(wishes: ImportOptions) -> None:
         names = [ENGINEERING, *(name for name, each in MEASURES.items() if each.channel == becomes)]
         if measure not in names or len(names) == 1:
             expected = f"one of {', '.join(names)}" if len(names) > 1 else "that of a strain, stretch or stress"
-            raise InputError(f"measure of {flag_name(channel)} must be {expected}; got {measure!r}", field="--measure")
+            raise InputError(f"measure of {get_channel_flag_name(channel)} must be {expected}; got {measure!r}",
+                             field="--measure")
 
 
-def require_used(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]) -> None:
+def require_used(wishes: ImportOptions, files: Sequence[FileInterpretation], tests: Sequence[ImportedTest]) -> None:
     """Refuse options that no file needs.
 
     Raises:
@@ -64,11 +65,11 @@ def applies_to_kind(key: str, value: Any, kind: TestKind | None) -> bool:
 
 def _is_plate(shape: Any) -> bool:
     """Return whether a tool shape is a plate."""
-    name = read_shape(shape)[0]
+    name = parse_shape_name(shape)[0]
     return name in TOOLS and TOOLS[name].is_plate
 
 
-def _find_unused(wishes: ImportOptions, files: Sequence[Understanding], tests: Sequence[ImportedTest]
+def _find_unused(wishes: ImportOptions, files: Sequence[FileInterpretation], tests: Sequence[ImportedTest]
             ) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of each option without effect."""
     yield from _find_unused_for_files(wishes, files)
@@ -89,7 +90,7 @@ def _find_unused(wishes: ImportOptions, files: Sequence[Understanding], tests: S
                "displacement and force are read if all sizes are stated")
 
 
-def _find_unused_for_files(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _find_unused_for_files(wishes: ImportOptions, files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options that do not apply to this kind of file."""
     stated, kinds = wishes.stated, {each.kind_of_file for each in files}
     if stated.sheet is not None and not kinds & {"workbook", "container"}:
@@ -103,7 +104,7 @@ def _find_unused_for_files(wishes: ImportOptions, files: Sequence[Understanding]
             yield "--column", "files of an AFM name their channels"
 
 
-def _find_unused_for_columns(wishes: ImportOptions, files: Sequence[Understanding]) -> Iterator[tuple[str, str]]:
+def _find_unused_for_columns(wishes: ImportOptions, files: Sequence[FileInterpretation]) -> Iterator[tuple[str, str]]:
     """Yield (flag, reason) of options for channels that are not read."""
     columns: list[ColumnGuess] = [column for each in files for reading in each.readings for column in reading.columns]
     read = {name for column in columns for name in (column.channel, column.role)}
@@ -112,5 +113,5 @@ def _find_unused_for_columns(wishes: ImportOptions, files: Sequence[Understandin
                          ("--measure", stated.measures)):
         for channel in values:
             if channel not in read:
-                has = ", ".join(dict.fromkeys(flag_name(column.channel) for column in columns)) or "none"
-                yield flag, f"no column of {flag_name(channel)} is read; columns are read for {has}"
+                has = ", ".join(dict.fromkeys(get_channel_flag_name(column.channel) for column in columns)) or "none"
+                yield flag, f"no column of {get_channel_flag_name(channel)} is read; columns are read for {has}"

@@ -9,7 +9,7 @@ from pathlib import Path
 from calibration.campaign.measured import REPLICATE_TOLERANCE
 from calibration.importing.imported import Part
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.formats.sizes import size_signature
+from tissue_sim.recording.formats.sizes import make_size_signature
 
 #: The number at the end of a name: ``EF10_A3``, ``Specimen_RawData_1``, ``gel (2)``.
 _NUMBER = re.compile(r"[ _.\-]*\(?\d+\)?$")
@@ -28,7 +28,7 @@ def group_into_tests(parts: Sequence[Part]) -> list[tuple[str, tuple[Part, ...],
         reading = part.reading
         stem = counted[part.file]
         key = (stem, reading.name, reading.kind.kind, repr(sorted(reading.options.items(), key=str)),
-               size_signature(reading.stated, reading.kind.kind), repr(sorted(reading.specimen.items())),
+               make_size_signature(reading.stated, reading.kind.kind), repr(sorted(reading.specimen.items())),
                tuple((column.channel, column.header, column.unit) for column in reading.columns))
         clusters = alike.setdefault(key, [])
         cluster = next((each for each in clusters if has_same_motion(each[0], part)), None)
@@ -69,7 +69,7 @@ def has_same_motion(first: Part, second: Part) -> bool:
     a, b = first.motions[0], second.motions[0]
     if a.speed and b.speed:
         pairs.append((a.speed, b.speed))
-    if kind is None or not kind.gripped:
+    if kind is None or not kind.has_gripped_ends:
         pairs.append((max(map(abs, a.reach)), max(map(abs, b.reach))))
     return all(max(pair) <= (1 + REPLICATE_TOLERANCE) * min(pair) for pair in pairs)
 

@@ -12,7 +12,7 @@ from calibration.importing.motion import Motion
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.public_names import old_names
 from tissue_sim.recording.formats.assumption import Assumption
-from tissue_sim.recording.formats.guesses import ColumnHints, Reading, Understanding
+from tissue_sim.recording.formats.guesses import ColumnHints, FileInterpretation, TableGroup
 
 __getattr__ = old_names(__name__, {"Wishes": "ImportOptions"})
 
@@ -47,8 +47,8 @@ class Part:
         motions: motions of their recordings, in order.
     """
 
-    understanding: Understanding
-    reading: Reading
+    understanding: FileInterpretation
+    reading: TableGroup
     motions: tuple[Motion, ...]
 
     @property
@@ -121,7 +121,7 @@ class Imported:
         output, picture: written files; None: not written.
     """
 
-    files: tuple[Understanding, ...]
+    files: tuple[FileInterpretation, ...]
     tests: tuple[ImportedTest, ...]
     specimens: Mapping[str, tuple[Line, ...]]
     text: str
@@ -162,8 +162,8 @@ def list_questions_of_tests(tests: Sequence[ImportedTest]) -> tuple[str, ...]:
     """Questions that the user must decide by a flag, each once, with the files that they concern."""
     asked: dict[str, list[str]] = {}
     for name, each in list_assumptions_of_tests(tests):
-        if each.is_question:
-            asked.setdefault(each.question, []).append(name)
+        if each.needs_user_decision:
+            asked.setdefault(each.question_text, []).append(name)
     return tuple(f"{', '.join(dict.fromkeys(names))}: {question}" for question, names in asked.items())
 
 
@@ -181,7 +181,7 @@ def to_json(imported: Imported) -> dict[str, Any]:
         "warnings": list(imported.warnings)}
 
 
-def _file_to_json(understanding: Understanding, imported: Imported) -> dict[str, Any]:
+def _file_to_json(understanding: FileInterpretation, imported: Imported) -> dict[str, Any]:
     """Return the entry of a file in ``files`` of `to_json`."""
     parts = [part for test in imported.tests for part in test.parts if part.understanding is understanding]
     recordings = [_recording_to_json(motion, recording.name or part.reading.name, len(recording))
@@ -190,7 +190,8 @@ def _file_to_json(understanding: Understanding, imported: Imported) -> dict[str,
     return {"file": str(understanding.file), "format": understanding.format, "delimiter": understanding.delimiter,
             "decimal_mark": understanding.decimal_mark, "encoding": understanding.encoding,
             "units": {column.channel: column.unit for part in parts for column in part.reading.columns},
-            "columns": {column.channel: column.entry() for part in parts[:1] for column in part.reading.columns},
+            "columns": {column.channel: column.to_campaign_entry() for part in parts[:1]
+                        for column in part.reading.columns},
             "kind": parts[0].reading.kind.kind,
             "unused_columns": list(dict.fromkeys(name for part in parts for name in part.reading.unused)),
             **{key: first[key] for key in ("contact_mm", "contact_interval_mm", "segments", "cycles", "failure")},
@@ -204,7 +205,8 @@ def _recording_to_json(motion: Motion, name: str, points: int) -> dict[str, Any]
     contact = motion.contact
     channel, in_mm = ("displacement_mm", 1e3) if motion.channel == "displacement" else ("strain", 1.0)
     return {"name": name, "points": points, "rate_Hz": motion.rate, "duration_s": motion.duration,
-            "contact_mm": contact.displacement * 1e3 if in_mm > 1 and contact is not None and contact.found else None,
+            "contact_mm": contact.displacement * 1e3 if in_mm > 1 and contact is not None
+            and contact.has_air_before_contact else None,
             "contact_interval_mm": None if in_mm == 1 or contact is None or contact.status == "none"
             else [end * 1e3 if math.isfinite(end) else None for end in contact.interval],
             "contact": None if contact is None else contact.status,

@@ -10,13 +10,13 @@ import numpy as np
 
 from calibration.importing.findings import list_recording_assumptions
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.cleaning import clean
+from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.contact import Contact
-from tissue_sim.recording.control import find_control
+from tissue_sim.recording.control import analyse_control_and_creep
 from tissue_sim.recording.failure import Failure
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.screening import Control, Screening
+from tissue_sim.recording.screening import ControlFindings, Screening
 from tissue_sim.recording.segments import Segmentation, find_segments, get_motion_and_load
 
 #: Channels of the motion -> value at rest; the first channel in a recording is used.
@@ -68,7 +68,8 @@ class Motion:
     @property
     def segments(self) -> tuple[Segment, ...]:
         """Segments in the order of time."""
-        return tuple(Segment(name, self.sample(first), self.sample(end - 1)) for name, first, end in self.found.runs())
+        return tuple(Segment(name, self.sample(first), self.sample(end - 1)) for name, first,
+                     end in self.found.iterate_segments())
 
     @property
     def cycles(self) -> int:
@@ -93,7 +94,7 @@ class Motion:
             return False
         if contact.status == "unclear" and contact.interval[1] <= _NEGLIGIBLE_AIR * max(map(abs, self.reach)):
             return False
-        return True if contact.found else None
+        return True if contact.has_air_before_contact else None
 
 
 def describe_motion(recording: Recording, kind: str | None, controlled: str | None = None) -> Motion:
@@ -106,9 +107,9 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
     """
     channel = next(name for name in MOTIONS if name in recording)
     size = len(recording)
-    recording, screening = clean(recording, controlled=controlled)
+    recording, screening = remove_outliers_and_saturation(recording, controlled=controlled)
     is_kept = np.ones(size, bool)
-    is_kept[np.array(screening.samples, int) - 1] = False
+    is_kept[np.array(screening.left_out_sample_numbers, int) - 1] = False
     kept = np.flatnonzero(is_kept)
     way = np.array(recording.channel(channel)) - MOTIONS[channel]
     # Compression is recorded as a stretch below 1, and a table may start at its largest strain.
@@ -133,17 +134,18 @@ def describe_motion(recording: Recording, kind: str | None, controlled: str | No
     return replace(motion, warnings=tuple(_list_warnings(recording, motion)), assumptions=assumptions)
 
 
-def _find_control(recording: Recording, kind: str | None) -> Control:
+def _find_control(recording: Recording, kind: str | None) -> ControlFindings:
     """Return the controlled quantity of a recording."""
     motion, load, _ = get_motion_and_load(recording, KINDS.get(kind) if kind else None)
-    return find_control(motion, load, recording.time if "time" in recording and np.ptp(recording.time) > 0 else None)
+    return analyse_control_and_creep(motion, load, recording.time if "time" in recording
+                                     and np.ptp(recording.time) > 0 else None)
 
 
 def _list_warnings(recording: Recording, motion: Motion) -> Iterator[str]:
     """Yield the warnings about one recording: screening, contact, segments."""
     contact = motion.contact
     said = "" if contact is None else contact.in_words(stressed=motion.found.stressed)
-    yield from motion.screening.remarks
+    yield from motion.screening.finding_sentences
     # Force curves of an AFM count from contact, and negligible air needs no warning.
     silent = "zeroing" in recording.metadata or motion.air is False
     yield from (warning for warning in motion.found.warnings if not (warning == said and silent))

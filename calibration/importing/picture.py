@@ -77,7 +77,7 @@ def _draw_curves(left, right, test: ImportedTest) -> None:
     """Draw the recordings of a test: motion over time in the left axes, load over motion in the right axes."""
     number = 0
     for part in test.parts:
-        raw = {column.channel for column in part.reading.columns if column.missing}
+        raw = {column.channel for column in part.reading.columns if column.missing_information}
         for recording, motion in zip(part.reading.recordings, part.motions, strict=True):
             load = "force" if "force" in recording else "nominal stress"
             style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}

@@ -14,7 +14,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import read_bytes
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understanding
+from tissue_sim.recording.formats.guesses import FileInterpretation, KindGuess, TableGroup
 
 
 def read_sidecar(path: Path) -> Mapping[str, Any]:
@@ -36,7 +36,7 @@ def find_stated_kind(said: Mapping[str, Any]) -> str | None:
     return kind if isinstance(kind, str) and kind in KINDS else None
 
 
-def add_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: bool) -> Understanding:
+def add_sidecar(found: FileInterpretation, said: Mapping[str, Any], *, kind_stated: bool) -> FileInterpretation:
     """Add the kind of test, the specimen and the tool in a sidecar to the interpretation of a file.
 
     Args:
@@ -55,7 +55,7 @@ def add_sidecar(found: Understanding, said: Mapping[str, Any], *, kind_stated: b
         {"tool": tool, "tool_radius_mm": said.get("tool_radius_mm")}
     about = {key: value for key, value in about.items() if value is not None}
 
-    def complete(reading: Reading) -> Reading:
+    def complete(reading: TableGroup) -> TableGroup:
         """Return a reading with the kind, the sizes and the metadata of the sidecar."""
         guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
         return replace(reading, kind=guess, specimen=read_only(sizes),

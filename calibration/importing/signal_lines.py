@@ -8,10 +8,13 @@ from typing import NamedTuple
 from calibration.importing.imported import ImportedTest, Line, Part
 from calibration.importing.zero import PRELOAD
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.contact_error import INTERVAL_DEVIATIONS, contact_error
+from tissue_sim.recording.contact_error import (
+    INTERVAL_DEVIATIONS,
+    relative_modulus_error_from_contact,
+)
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 from tissue_sim.recording.recording import MIN_POINTS
-from tissue_sim.recording.screening import Control
+from tissue_sim.recording.screening import ControlFindings
 from tissue_sim.recording.segments import get_motion_and_load
 
 #: Bounds of a fitted contact offset, in its standard deviations.
@@ -103,9 +106,9 @@ def _find_wide_interval_offsets(tests: Sequence[ImportedTest]) -> Iterator[_Cont
                 kept = recording if motion.kept is None else recording.select(motion.kept)
                 displacement, load, _ = get_motion_and_load(kept, KINDS.get(test.kind) if test.kind else None)
                 time = kept.time if "time" in kept else None
-                displacement, load = contact.counted_from(displacement, load, time)
+                displacement, load = contact.subtract_contact_and_zero(displacement, load, time)
                 pressed = displacement >= 0
-                error = contact_error(displacement[pressed], load[pressed],
+                error = relative_modulus_error_from_contact(displacement[pressed], load[pressed],
                                       None if time is None else time[pressed], contact)
                 half = 0.5e3 * (contact.interval[1] - contact.interval[0])
                 if error > MODULUS_TOLERANCE:
@@ -129,7 +132,7 @@ def format_viscoelastic_start(tests: Sequence[ImportedTest]) -> list[Line]:
     return []
 
 
-def needs_viscoelasticity(control: Control) -> bool:
+def needs_viscoelasticity(control: ControlFindings) -> bool:
     """Return whether a hold shows relaxation, and an elastic law describes neither the test nor its loading."""
     if control.time_constant is None:
         return False

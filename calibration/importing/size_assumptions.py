@@ -9,9 +9,9 @@ from typing import Any
 
 from calibration.importing.imported import ImportOptions
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.formats.guesses import Reading, Understanding
-from tissue_sim.recording.formats.sizes import Size, find_distinct_sizes, find_sizes_without_unit
+from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
+from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
+from tissue_sim.recording.formats.sizes import SizeOrSpeed, find_distinct_sizes, find_sizes_without_unit
 from tissue_sim.recording.formats.statements import DIMENSIONS
 
 #: Key -> name and unit of the size.
@@ -21,14 +21,14 @@ _GIVEN_BY = {"radius_mm": ("diameter", "radius", "circumference", "area"), "area
              "height_mm": ("height", "thickness", "length", "gauge length")}
 
 
-def add_size_assumptions(found: Understanding, wishes: ImportOptions) -> Understanding:
+def add_size_assumptions(found: FileInterpretation, wishes: ImportOptions) -> FileInterpretation:
     """Add an assumption for each size that the file states."""
     return replace(found, readings=tuple(
         replace(reading, assumptions=(*reading.assumptions, *list_size_assumptions(reading, wishes.specimen)))
         for reading in found.readings))
 
 
-def list_size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[Assumption, ...]:
+def list_size_assumptions(reading: TableGroup, stated: Mapping[str, Any]) -> tuple[Assumption, ...]:
     """Return one assumption for each size of the specimen that the file of a reading states.
 
     Args:
@@ -46,12 +46,12 @@ def list_size_assumptions(reading: Reading, stated: Mapping[str, Any]) -> tuple[
         is_stated = section if key != "height_mm" else bool(given & {key, "shape"})
         assumptions.append(Assumption(
             f"size of the specimen ({name})", f"{first.value:g} {unit}", (first.reason,), (),
-            tuple(Alternative(f"{each.value:g} {unit} ({each.reason})", _modulus_ratio(key, first, each, reading),
-                              _size_flag(each)) for each in others), _size_flag(first), is_stated))
+            tuple(AlternativeValue(f"{each.value:g} {unit} ({each.reason})", _modulus_ratio(key, first, each, reading),
+                                   _size_flag(each)) for each in others), _size_flag(first), is_stated))
     return tuple(assumptions)
 
 
-def describe_unclear_statement(reading: Reading, key: str) -> str:
+def describe_unclear_statement(reading: TableGroup, key: str) -> str:
     """Return the reason why a statement in the file does not give the size `key`; empty without such a statement."""
     seen = find_sizes_without_unit(reading.stated)
     found = next((seen[name] for name in _GIVEN_BY.get(key, ()) if name in seen), "")
@@ -61,12 +61,12 @@ def describe_unclear_statement(reading: Reading, key: str) -> str:
     return f"the file states {product!r}, which does not name the sizes" if product else ""
 
 
-def _size_flag(size: Size) -> str:
+def _size_flag(size: SizeOrSpeed) -> str:
     """Return the flag of the command line that states a size."""
     return f"--{size.key.replace('_', '-')} {size.value:g}"
 
 
-def _modulus_ratio(key: str, first: Size, other: Size, reading: Reading) -> float | None:
+def _modulus_ratio(key: str, first: SizeOrSpeed, other: SizeOrSpeed, reading: TableGroup) -> float | None:
     """Return the ratio of the moduli with the other and the first size (homogeneous deformation); None: unknown."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
     if kind is None or kind.closed_form is None:

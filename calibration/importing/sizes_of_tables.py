@@ -10,9 +10,9 @@ import numpy as np
 from calibration.importing.imported import ImportOptions
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.cleaning import clean
-from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE, Alternative, Assumption
-from tissue_sim.recording.formats.guesses import Reading, Understanding
+from tissue_sim.recording.cleaning import remove_outliers_and_saturation
+from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE, AlternativeValue, Assumption
+from tissue_sim.recording.formats.guesses import FileInterpretation, TableGroup
 from tissue_sim.recording.formats.sizes import find_sizes
 from tissue_sim.recording.recording import Recording
 
@@ -20,7 +20,7 @@ from tissue_sim.recording.recording import Recording
 _LEAST_RANGE_RATIO = 1.0 / 3.0
 
 
-def compare_table_sizes(found: Understanding, wishes: ImportOptions) -> Understanding:
+def compare_table_sizes(found: FileInterpretation, wishes: ImportOptions) -> FileInterpretation:
     """Add a question if tables of different sizes have the same forces.
 
     The stiffness of a homogeneous specimen is proportional to its cross-section over its height. Tables whose
@@ -41,16 +41,16 @@ def compare_table_sizes(found: Understanding, wishes: ImportOptions) -> Understa
         "sizes of the tables", "a specimen for each table, with the sizes that the file states for it", (), (
             f"cross-section over height differs by {100 * np.expm1(apart):.0f} % between the tables, and the stiffness "
             f"by {100 * np.expm1(together):.0f} % only: the file contradicts itself",),
-        (Alternative("one specimen for all tables", None, "--height-mm ... --radius-mm ... or --area-mm2 ..."),),
+        (AlternativeValue("one specimen for all tables", None, "--height-mm ... --radius-mm ... or --area-mm2 ..."),),
         "import one table at a time with --curve and its sizes as flags")
     return replace(found, readings=tuple(replace(reading, assumptions=(*reading.assumptions, question))
                                          for reading in found.readings))
 
 
-def _compute_area_over_height(reading: Reading) -> float | None:
+def _compute_area_over_height(reading: TableGroup) -> float | None:
     """Return cross-section over height, mm; None: an unknown size, or a reading without force and displacement."""
     kind = KINDS[reading.kind.kind] if reading.kind.kind else None
-    read = {column.channel for column in reading.columns if not column.missing}
+    read = {column.channel for column in reading.columns if not column.missing_information}
     if kind is None or kind.closed_form is None or "force" not in read or any(
             not {"displacement", "force"} <= each.channels.keys() for each in reading.recordings):
         return None
@@ -64,7 +64,7 @@ def _compute_secant_stiffnesses(recordings: Sequence[Recording]) -> list[float]:
     loadings = []
     for each in recordings:
         try:
-            kept, _ = clean(each)
+            kept, _ = remove_outliers_and_saturation(each)
         except InputError:
             return [0.0]
         motion = np.abs(kept.displacement - kept.displacement[0])

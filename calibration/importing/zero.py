@@ -20,8 +20,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.laws import LAWS, find_law
-from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.preload import LoadAtZero, estimate_load_at_zero
+from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
+from tissue_sim.recording.preload import LoadAtZeroDisplacement, estimate_load_at_zero_displacement
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import get_motion_and_load
 from tissue_sim.units import quantity_of, to_si
@@ -99,8 +99,8 @@ def add_zero_assumption(parts: Sequence[Part], sizes: Mapping[str, float], laws:
     found = [(curve, start) for part in parts for recording, motion in zip(part.reading.recordings, part.motions,
                                                                           strict=True)
              if (curve := _select_first_loading(recording, motion, kind)) is not None
-             and (start := estimate_load_at_zero(*curve)) is not None]
-    if not found or any(column.missing for column in reading.columns):
+             and (start := estimate_load_at_zero_displacement(*curve)) is not None]
+    if not found or any(column.missing_information for column in reading.columns):
         return tuple(parts), None
     shift, load = (float(np.mean([getattr(start, name) for _, start in found])) for name in ("shift", "load"))
     explanations = [_fit_explanations(curve, start, kind, sizes, laws) for curve, start in found]
@@ -151,7 +151,7 @@ def _find_jump(parts: Sequence[Part], load: float) -> str | None:
     return None
 
 
-def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZero, kind: TestKind | None,
+def _fit_explanations(curve: tuple[np.ndarray, np.ndarray], start: LoadAtZeroDisplacement, kind: TestKind | None,
              sizes: Mapping[str, float], laws: Sequence[str]) -> tuple[dict[str, _Explanation], float] | None:
     """Return explanation -> best fit of all laws, and the noise of the force, N; None: the stress is unknown."""
     area = sizes.get("area_mm2", np.pi * sizes["radius_mm"]**2 if "radius_mm" in sizes else None)
@@ -191,14 +191,14 @@ def _fit_explanation(value: str, displacement: np.ndarray, load: np.ndarray, shi
     ones = np.ones(len(law.parameters))
 
     def solve_least_squares(trial_shift: float) -> tuple[float, np.ndarray]:
-        strain = kind.abscissa((displacement + trial_shift) / height)
+        strain = kind.compute_stretch_or_shear_strain((displacement + trial_shift) / height)
         design = kind.sign * area * form.derivatives(law, strain, ones)
         if value == SENSOR:
             design = np.column_stack([design, np.ones(displacement.size)])
         coefficients = np.linalg.lstsq(design, load, rcond=None)[0]
         return float(np.sum((load - design @ coefficients)**2)), coefficients
 
-    if displacement[-1] + _SHIFTS[-1] * shift >= height and not kind.gripped:
+    if displacement[-1] + _SHIFTS[-1] * shift >= height and not kind.has_gripped_ends:
         return None
     trial_shift = 0.0 if value == SENSOR else float(min(_SHIFTS * shift, key=lambda each: solve_least_squares(each)[0]))
     squares, coefficients = solve_least_squares(trial_shift)
@@ -223,7 +223,7 @@ def select_linear_laws(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in names if name in LAWS and is_linear(name)) or ("neo_hooke",)
 
 
-def _compare_explanations(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZero,
+def _compare_explanations(explanations: Sequence[tuple[dict[str, _Explanation], float]], start: LoadAtZeroDisplacement,
                           kind: TestKind | None, stated: str | None, jump: str | None
                           ) -> tuple[Assumption, str, float | None]:
     """Compare the explanations of all replicates.
@@ -259,13 +259,13 @@ def _compare_explanations(explanations: Sequence[tuple[dict[str, _Explanation], 
         comparison = f"residuals of {residuals[value]:.2g} N, with the other explanation {residuals[other]:.2g} N"
         (evidence if criteria[value] <= criteria[other] else against).append(comparison)
     other = SENSOR if value == PRELOAD else PRELOAD
-    alternatives = () if decided else (Alternative(words[other], ratio, f"--zero {other}"),)
+    alternatives = () if decided else (AlternativeValue(words[other], ratio, f"--zero {other}"),)
     assumption = Assumption("zero of displacement and force", words[value], tuple(evidence), tuple(against),
                             alternatives, f"--zero {value}", stated is not None)
     return assumption, value, shift
 
 
-def _make_unzeroed_assumption(start: LoadAtZero, stated: str | None) -> Assumption:
+def _make_unzeroed_assumption(start: LoadAtZeroDisplacement, stated: str | None) -> Assumption:
     """Return the assumption that the load cell was not zeroed, for a tensile force of a tool without adhesion.
 
     Raises:
@@ -301,7 +301,7 @@ def _apply_zero(part: Part, assumption: Assumption, zero: Zero, *, is_constant: 
             if column.channel == "force" and column.offset is None else column for column in reading.columns))
         recordings = tuple(each.with_channels(force=each.force - zero.load) for each in reading.recordings)
         reading = replace(reading, recordings=recordings, options=read_only(
-            {**reading.options, "columns": {column.channel: column.entry() for column in reading.columns}}))
+            {**reading.options, "columns": {column.channel: column.to_campaign_entry() for column in reading.columns}}))
     return replace(part, reading=reading, motions=motions)
 
 

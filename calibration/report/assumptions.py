@@ -25,7 +25,7 @@ def _list_analytical_assumptions(result: CalibrationResult, units: Units) -> lis
     if not fit.others:
         lines = ["The material is incompressible and elastic: only the loading is fitted, and the speed has no "
                  "influence."]
-    if any(test.kind.settles for test in result.campaign.tests):
+    if any(test.kind.has_closed_form_with_weight for test in result.campaign.tests):
         lines.append("Lubricated means frictionless: the faces slide freely and every slice deforms homogeneously.")
     if fit.offset == "none":
         lines.append("Contact offsets and force zeros are not fitted: the recorded values are used "

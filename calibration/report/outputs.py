@@ -188,7 +188,8 @@ def _format_row_in_units(test: TestCurves, displacement: float, forces: Sequence
     if test.area is None:
         return [None, None, *mechanical, *empty]
     sign, height = setup.kind.sign, 1.0 if setup.specimen is None else setup.specimen.height
-    name, value = setup.kind.require_closed_form().label, setup.kind.abscissa(displacement / height)
+    name = setup.kind.require_closed_form().label
+    value = setup.kind.compute_stretch_or_shear_strain(displacement / height)
     if setup.specimen is not None and setup.specimen.specific_weight:
         name = "1 - displacement/height [-]"
     return [name, value, *mechanical, *(sign * force / test.area for force in forces),

@@ -76,7 +76,7 @@ def _draw_motion(axes, clock: np.ndarray, travel: np.ndarray, label: str) -> Non
 
 def _draw_segment_spans(axes, clock: np.ndarray, segmentation: Segmentation) -> None:
     named: set[str] = set()
-    for name, first, end in segmentation.runs():
+    for name, first, end in segmentation.iterate_segments():
         last = min(end, clock.size - 1)
         axes.axvspan(clock[first], clock[last], color=SPANS.get(name, "0.8"), alpha=0.22, lw=0, zorder=0,
                      label=None if name in named else name)
@@ -104,7 +104,7 @@ def _draw_contact(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray,
     axes.plot(travel[shown], base, color=SPANS["approach"], lw=1.6, label="zero and drift")
     left = low if np.isfinite(low) else float(travel[shown].min())
     axes.axvspan(left, high, color=SPANS["failure"], alpha=0.2, lw=0, label="95 %")
-    if contact.found:
+    if contact.has_air_before_contact:
         axes.axvline(position, color=SPANS["failure"], lw=1.2, label="contact")
     titles = {"found": "contact", "before": "recording starts in contact", "unclear": "contact cannot be determined",
               "none": "no contact"}
@@ -150,7 +150,7 @@ def _describe_recording(curve: MeasuredCurve) -> str:
     whole = curve.whole
     assert whole is not None
     found = whole.segmentation
-    runs = [name for name, _, _ in found.runs()]
+    runs = [name for name, _, _ in found.iterate_segments()]
     parts = [f"{'stated' if found.stated else 'found'}: {_count_segments(runs)}",
              f"{int(whole.used.sum())} of {whole.used.size} samples fitted"]
     if found.contact is not None:

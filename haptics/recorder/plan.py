@@ -10,7 +10,7 @@ from typing import Any, Literal
 from haptics.devices.contracts import Stage
 from haptics.safety.motion_guard import MotionLimits, require_stoppable
 from tissue_sim.errors import InputError
-from tissue_sim.experiment.segments import Leg
+from tissue_sim.experiment.segments import MotionLeg
 
 
 @dataclass(frozen=True)
@@ -58,7 +58,7 @@ class Plan:
     """
 
     name: str
-    legs: tuple[Leg, ...]
+    legs: tuple[MotionLeg, ...]
     replicates: int = 3
     contact: Literal["force", "here"] = "force"
     touch: Literal["each", "once"] = "each"

@@ -203,7 +203,7 @@ def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
         value = getattr(tool, name, None)
         if value:
             keys[key] = value / declaration.factor
-    keys |= {key: getattr(experiment, key) for key, face in kind.faces.items()
+    keys |= {key: getattr(experiment, key) for key, face in kind.face_interfaces.items()
              if not face.fixed and not (key == "friction_wall" and not tool.has_shaft)}
     if experiment.contact_laws:
         keys["contact_laws"] = {name: to_keys(law) for name, law in experiment.contact_laws.items()}

@@ -86,7 +86,7 @@ class CutAway:
             divisions = min(max(round((SETTINGS.cells / len(mesh.connectivity)) ** 0.5), SETTINGS.min_divisions),
                             SETTINGS.max_divisions)
         line = np.linspace(-1.0, 1.0, divisions + 1)
-        shapes, _ = mesh.element.shape_functions(np.array([(a, b) for b in line for a in line]))
+        shapes, _ = mesh.element.evaluate_shape_functions(np.array([(a, b) for b in line for a in line]))
         # A point is identified by its nodes and weights, which are the same in all elements that share the point.
         points: dict[tuple, int] = {}
         number = np.array([[points.setdefault(key, len(points)) for key in _point_keys(nodes, shapes)]
@@ -213,8 +213,8 @@ def _contact_surface(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
     top, side, order = mesh.sets["top"], mesh.sets["side"], mesh.element.order
     nodes = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
     along, _ = leggauss(order)
-    shapes, _ = mesh.element.shape_functions(np.column_stack([along, np.full(order, -1.0)]))
-    edge_shapes = shapes[:, list(mesh.element.edges[0])]
+    shapes, _ = mesh.element.evaluate_shape_functions(np.column_stack([along, np.full(order, -1.0)]))
+    edge_shapes = shapes[:, list(mesh.element.edge_nodes[0])]
     edge_nodes = nodes[np.arange(0, nodes.size - 1, order)[:, None] + np.arange(order + 1)]
     columns = np.repeat(edge_nodes, order, axis=0)
     rows = np.broadcast_to(np.arange(len(columns))[:, None], columns.shape)

@@ -15,7 +15,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.recording.file import read_recordings
-from tissue_sim.recording.origin import describe_other_tool
+from tissue_sim.recording.origin import describe_tool_mismatch
 from tissue_sim.recording.recording import MIN_POINTS, Recording
 from tissue_sim.recording.segmentation import find_loading_and_unloading
 
@@ -94,7 +94,8 @@ class Measurement:
         Returns:
             The description; empty if the tools agree or the recordings state none.
         """
-        return next(filter(None, (describe_other_tool(each, tool.shape, tool.radius) for each in self.recordings)), "")
+        return next(filter(None, (describe_tool_mismatch(each, tool.shape, tool.radius) for each in self.recordings)),
+                    "")
 
     @property
     def noise(self) -> float | None:

@@ -17,7 +17,7 @@ from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
 from tissue_sim.recording.file import read_recording, write_recording
-from tissue_sim.recording.formats.guesses import ColumnGuess, Reading
+from tissue_sim.recording.formats.guesses import ColumnGuess, TableGroup
 from tissue_sim.recording.recording import Recording
 
 #: First line of a recording file of tissue_sim.
@@ -93,9 +93,9 @@ def _read_sidecar(path: Path, content: bytes) -> Upload:
 def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Upload, ...]:
     """Convert the recordings of a test-machine file to the format of tissue_sim; number them if there are several."""
     # Imported here so that the page starts without the file parsers.
-    from tissue_sim.recording.formats.understanding import understand
+    from tissue_sim.recording.formats.understanding import interpret_file
 
-    found = bounded(understand, path, file=path)
+    found = bounded(interpret_file, path, file=path)
     recordings = [(reading, recording) for reading in found.readings
                   for recording in _select_usable_recordings(reading)]
     uploads = []
@@ -112,7 +112,7 @@ def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Upload, .
     return tuple(uploads)
 
 
-def _select_usable_recordings(reading: Reading) -> tuple[Recording, ...]:
+def _select_usable_recordings(reading: TableGroup) -> tuple[Recording, ...]:
     """Return the recordings of a reading.
 
     Raises:
@@ -122,13 +122,13 @@ def _select_usable_recordings(reading: Reading) -> tuple[Recording, ...]:
     if not {"displacement", "force"} <= channels:
         raise InputError(f"must contain displacement and force; got {' and '.join(sorted(channels - {'time'}))}. Use "
                          "tissue-sim calibrate for other quantities.")
-    if reading.missing:
-        raise InputError(f"does not state {', '.join(reading.missing)}. Write the unit into the header, as in "
-                         "'Load (N)', or use tissue-sim import.")
+    if reading.missing_information:
+        raise InputError(f"does not state {', '.join(reading.missing_information)}. Write the unit into the header, as "
+                         "in 'Load (N)', or use tissue-sim import.")
     return reading.recordings
 
 
-def _describe_columns(reading: Reading, machine: str) -> str:
+def _describe_columns(reading: TableGroup, machine: str) -> str:
     """Return a sentence that states which column was read as which channel."""
     columns = ", ".join(f"{column.channel} from {_describe_column(column)}" for column in reading.columns)
     return f"{columns}{'' if machine == 'table' else f' (a file of {machine})'}"

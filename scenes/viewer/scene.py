@@ -115,10 +115,10 @@ class Scene:
             raise ts.InputError(f"must be one of {', '.join(SCENES)}; got {name!r}", field="scene")
         kind, before = SCENES[name], self.experiment
         if tool is None:
-            tool = before.tool if kind.fits(before.tool) else kind.require_tool()
-        if not kind.fits(tool):
+            tool = before.tool if kind.allows_tool(before.tool) else kind.require_tool()
+        if not kind.allows_tool(tool):
             raise ts.InputError(f"must fit the scene {kind.title.lower()}; got a {tool.shape!r} tool", field="tool")
-        changes: dict[str, Any] = kind.interfaces(tool)
+        changes: dict[str, Any] = kind.default_interfaces(tool)
         if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}
         if friction is not None:

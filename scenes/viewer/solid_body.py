@@ -17,7 +17,7 @@ from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.fields import extrapolate
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.sections import cut_tetrahedra, cut_triangles, intersect_triangles
-from tissue_sim.mesh.subdivision import side_edges, surface_triangles, tetrahedra
+from tissue_sim.mesh.subdivision import find_face_edges, subdivide_into_tetrahedra, triangulate_surface_faces
 
 
 @dataclass(frozen=True)
@@ -78,13 +78,13 @@ class SolidBody:
     def from_mesh(cls, mesh: Any) -> SolidBody:
         """Extract the surface and its edges from a mesh in 3D, and divide its elements into tetrahedra."""
         element, sides = mesh.element, np.concatenate(list(mesh.faces.values()))
-        triangles = surface_triangles(element, sides)
+        triangles = triangulate_surface_faces(element, sides)
         nodes, numbers, sharp = _split_at_sharp_edges(mesh.nodes, triangles)
         per_side = len(triangles) // len(sides)
         # (side, node) -> point.
         point_of = dict(zip(zip(np.repeat(np.arange(len(sides)), 3 * per_side).tolist(), triangles.ravel().tolist(),
                                 strict=True), numbers.ravel().tolist(), strict=True))
-        edges_of_sides = sides[:, side_edges(element)]
+        edges_of_sides = sides[:, find_face_edges(element)]
         lines = np.array([[point_of[side, node] for node in pair] for side, pairs in enumerate(edges_of_sides.tolist())
                           for pair in pairs])
         _, first = np.unique(np.sort(nodes[lines], axis=1), axis=0, return_index=True)
@@ -92,7 +92,8 @@ class SolidBody:
         on_surface[sides] = True
         at_surface = np.flatnonzero(on_surface[mesh.connectivity].any(axis=1))
         count = len(mesh.connectivity)
-        return cls(mesh, mesh.connectivity[:, tetrahedra(element)], nodes, numbers, lines[first], sharp, at_surface,
+        return cls(mesh, mesh.connectivity[:, subdivide_into_tetrahedra(element)], nodes, numbers, lines[first], sharp,
+                   at_surface,
                    np.arange(0, count, -(-count // SETTINGS.max_range_elements)),
                    np.ascontiguousarray(mesh.connectivity.T))
 
@@ -187,10 +188,10 @@ class SolidBody:
         element, local = self.mesh.element, wedge.points_from_scene_to_tool(positions)
         cuts = self._find_cut_elements(positions, wedge)
         for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.faces, strict=True):
-            sides = self.mesh.connectivity[elements][:, element.faces].reshape(-1, element.faces.shape[1])
-            ends = intersect_triangles(surface_triangles(element, sides), heights)
-            kept = (ends.interpolate(along).reshape(-1, 2) >= 0.0).all(axis=1)
-            on_face = ends.interpolate(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
+            sides = self.mesh.connectivity[elements][:, element.face_nodes].reshape(-1, element.face_nodes.shape[1])
+            ends = intersect_triangles(triangulate_surface_faces(element, sides), heights)
+            kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
+            on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.points_from_tool_to_scene(on_face))
         return np.concatenate(lines)
 
@@ -237,8 +238,8 @@ class SolidBody:
         lines = [wedge.points_from_tool_to_scene(wedge.clip_lines(rim, raised))]
         for (heights, along), (_, normal) in zip(wedge.heights_over_faces(local), wedge.opening.faces, strict=True):
             ends = intersect_triangles(touching, heights)
-            kept = (ends.interpolate(along).reshape(-1, 2) >= 0.0).all(axis=1)
-            on_face = ends.interpolate(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
+            kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
+            on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
             lines.append(wedge.points_from_tool_to_scene(on_face))
         return np.concatenate(lines)
 
@@ -266,8 +267,10 @@ class SolidBody:
         """Yield points, triangles and values of each section face."""
         for heights, along, elements in self._find_cut_elements(positions, wedge):
             crossings, triangles = cut_tetrahedra(self.cells[elements].reshape(-1, 4), heights)
-            edge, _, kept = cut_triangles(triangles, crossings.interpolate(along))
-            yield edge.extend(crossings.interpolate(positions)), kept, edge.extend(crossings.interpolate(values))
+            edge, _, kept = cut_triangles(triangles, crossings.interpolate_nodal_values(along))
+            points, at_points = (edge.append_interpolated_values(crossings.interpolate_nodal_values(each))
+                                 for each in (positions, values))
+            yield points, kept, at_points
 
 
 def _has_flagged_node(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:

@@ -103,7 +103,7 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
         top = max(SETTINGS.shaft_height * specimen.height,
                   profile.vertices[-2, 1] + SETTINGS.shaft_above_shoulder * radius) if tool.has_shaft \
             else profile.vertices[-2, 1] + profile.rounding
-        outline = profile.outline(top)
+        outline = profile.sample_outline(top)
         inset = SETTINGS.inset * radius
     shrunk = outline * [1.0 - inset / outline[:, 0].max(), 1.0] + [0.0, inset]
     shrunk[:, 1] = np.minimum(shrunk[:, 1], top)

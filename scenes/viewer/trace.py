@@ -17,9 +17,9 @@ from tissue_sim.recording.file import write_recording
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segmentation import (
     MOTION_SETTINGS,
-    Reversals,
-    count_cycles,
+    ReversalDetector,
     label_motion,
+    label_reloads_and_cycles,
     select_monotone_samples,
 )
 from tissue_sim.tool_force import ForceStatus
@@ -133,7 +133,7 @@ class Trace:
         self._first = self._end = 0
         #: Number of dropped points: index of a point in the reversals minus its index in `_points`.
         self._dropped = 0
-        self._reversals = Reversals()
+        self._reversals = ReversalDetector()
         self._last = (-np.inf, np.nan, np.nan)
         self._bin = -1
         self._largest = 0.0
@@ -177,13 +177,13 @@ class Trace:
             self._dropped += self._first
             self._first, self._end = 0, self._end - self._first
         self._points[:, self._end] = point
-        self._reversals.add(self._dropped + self._end, point[Row.DEPTH])
+        self._reversals.add_sample(self._dropped + self._end, point[Row.DEPTH])
         self._end += 1
         time, depth, force, *_ = point
         self._last = time, depth, force
         if len(self) > self._max_points:
             self._first += 1
-            self._reversals.forget_before(self._dropped + self._first)
+            self._reversals.discard_samples_before(self._dropped + self._first)
 
     @property
     def time(self) -> np.ndarray:
@@ -275,7 +275,7 @@ class Trace:
                              "slowly if many ticks are late.", field="trace")
         time, depth, wrench = self.time[in_equilibrium], self.depth[in_equilibrium], self.wrench[in_equilibrium]
         labels = label_motion(time, depth, 0.5 * MOTION_SETTINGS.hysteresis, shortest_hold=MOTION_SETTINGS.hold_time)
-        segment, cycle = count_cycles(labels)
+        segment, cycle = label_reloads_and_cycles(labels)
         channels = {"time": time - time[0], "displacement": depth, "force": self.force[in_equilibrium]}
         if wrench[:, [0, 1, 3, 4, 5]].any():
             channels |= zip(_CHANNELS, wrench.T, strict=True)
@@ -285,7 +285,7 @@ class Trace:
         """Return direction (1 or -1), first index and last index of each branch in the arrays of the trace."""
         dropped = self._dropped + self._first
         return [(direction, first - dropped, last - dropped)
-                for direction, first, last in self._reversals.branches(dropped + len(self) - 1)]
+                for direction, first, last in self._reversals.list_branches(dropped + len(self) - 1)]
 
     def _make_branch(self, first: int, last: int) -> Branch:
         part = slice(first, last + 1)

@@ -115,6 +115,6 @@ class Wedge:
         for number in range(len(self.opening.faces)):
             heights, _ = self.heights_over_faces(self.points_from_scene_to_tool(at_points[0]))[number]
             crossings, below, rest = cut_triangles(rest, heights)
-            at_points = [crossings.extend(each) for each in at_points]
+            at_points = [crossings.append_interpolated_values(each) for each in at_points]
             parts.append(below)
         return at_points[0], np.concatenate(parts), at_points[1:]

@@ -6,7 +6,7 @@ from scipy import stats
 
 from calibration.statistics.adequacy import adjust_holm, cosine_modes, score_test
 from calibration.statistics.sensor_noise import SensorNoise, whiten
-from tissue_sim.rig.noise import sensor_noise
+from tissue_sim.rig.noise import generate_sensor_noise
 
 DEPTH = np.linspace(0.0, 1.0, 200)
 PARAMETERS = np.column_stack([DEPTH, DEPTH**3])
@@ -22,8 +22,8 @@ def fit(noise, misfit_force=0.0, seed=0, replicates=2):
     for r in range(replicates):
         own = np.zeros((DEPTH.size, 2 * replicates))
         own[:, 2 * r:2 * r + 2] = NUISANCES
-        error = sensor_noise(DEPTH.size, noise.deviation, 1000 * seed + r, time=time,
-                             correlation_time=noise.correlation_time)
+        error = generate_sensor_noise(DEPTH.size, noise.deviation, 1000 * seed + r, time=time,
+                                      correlation_time=noise.correlation_time)
         force = PARAMETERS @ [6.0, 2.0] + NUISANCES @ rng.normal(size=2) + misfit_force + error
         rows.append(whiten(np.column_stack([PARAMETERS, own]), time, noise))
         data.append(whiten(force, time, noise))
@@ -55,7 +55,7 @@ def test_coloured_noise_taken_as_white_raises_false_alarms():
     assert alarms < 12
     alarms = 0
     for seed in range(100):
-        rng_error = sensor_noise(DEPTH.size, 0.02, seed, time=40 * DEPTH, correlation_time=2.0) / 0.02
+        rng_error = generate_sensor_noise(DEPTH.size, 0.02, seed, time=40 * DEPTH, correlation_time=2.0) / 0.02
         answer = np.linalg.lstsq(PARAMETERS, rng_error, rcond=None)[0]
         alarms += score_test(PARAMETERS @ answer - rng_error, PARAMETERS, cosine_modes(DEPTH, 5)).p < 0.05
     assert alarms > 50

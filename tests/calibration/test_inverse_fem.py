@@ -22,7 +22,7 @@ from calibration.fit.uncertainty import assess_uncertainty
 from calibration.forward.motion import TimedMotion
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.jitter import Jitter
-from tissue_sim.recording.segmentation import label_motion, number_runs
+from tissue_sim.recording.segmentation import label_motion, number_repeated_runs
 
 TRUTH = {"C10": 1404.9, "C20": 699.4}
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -309,7 +309,7 @@ def test_motion_that_is_not_quite_straight():
 
 def test_segments_that_come_again_have_numbers():
     labels = np.array(["ramp", "ramp", "unload", "ramp", "hold", "ramp"])
-    assert number_runs(labels).tolist() == ["ramp", "ramp", "unload", "ramp 2", "hold", "ramp 3"]
+    assert number_repeated_runs(labels).tolist() == ["ramp", "ramp", "unload", "ramp 2", "hold", "ramp 3"]
 
 
 @pytest.mark.slow

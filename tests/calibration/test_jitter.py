@@ -7,7 +7,7 @@ import pytest
 
 from calibration.statistics.jitter import Jitter, WhitenedReplicate, estimate_jitter
 from calibration.statistics.sensor_noise import SensorNoise, whiten
-from tissue_sim.rig.noise import sensor_noise
+from tissue_sim.rig.noise import generate_sensor_noise
 
 #: Jitter of the contact, m.
 CONTACT = 3e-5
@@ -26,8 +26,8 @@ def replicate(curve, rng, contact=CONTACT, zero=ZERO, samples=101, shift=None, n
     columns = np.column_stack([slope / 0.01, np.ones(samples), force, force**2 / 8.0, 1e-3 * force * d])
     shared = 0.0 if shift is None else shift
     residual = sign * (columns[:, 0] * rng.normal(0.0, contact) + rng.normal(0.0, zero) + shared * columns[:, 4]
-                       + sensor_noise(samples, noise.deviation, int(rng.integers(2**31)), time=time,
-                                      correlation_time=noise.correlation_time))
+                       + generate_sensor_noise(samples, noise.deviation, int(rng.integers(2**31)), time=time,
+                                               correlation_time=noise.correlation_time))
     white = whiten(np.column_stack([columns, residual]), time, noise)
     return WhitenedReplicate(white[:, 5], white[:, 0], white[:, 1], white[:, 2:4], white[:, 4:5])
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, whiten
 from tissue_sim.errors import InputError
-from tissue_sim.rig.noise import sensor_noise
+from tissue_sim.rig.noise import generate_sensor_noise
 
 TIME = np.linspace(0.0, 40.0, 401)
 WAY = TIME / 40.0
@@ -24,7 +24,8 @@ def estimates(force, level, tau, trials, time=TIME, segment=None, replicates=1):
     """Deviation in units of the true one, and correlation time, of each trial, shape (trials, 2)."""
     found = []
     for trial in range(trials):
-        signals = [(force + sensor_noise(force.size, level, 100 * trial + r, time=time, correlation_time=tau), time,
+        signals = [(force + generate_sensor_noise(force.size, level, 100 * trial + r, time=time, correlation_time=tau),
+                    time,
                     segment) for r in range(replicates)]
         one = estimate_shared_noise(signals)
         assert one.source == "estimated"
@@ -117,7 +118,8 @@ def test_uneven_times(tau):
 def test_time_stamps_that_repeat():
     """A clock of half a second under samples at 10 Hz."""
     stamps = np.floor(TIME / 0.5) * 0.5
-    found = [estimate_sensor_noise(CURVES["sphere"] + sensor_noise(401, 0.02, seed, time=TIME, correlation_time=0.2),
+    found = [estimate_sensor_noise(CURVES["sphere"] + generate_sensor_noise(401, 0.02, seed, time=TIME,
+                                                                            correlation_time=0.2),
                                    stamps) for seed in range(40)]
     assert np.mean([one.deviation for one in found]) == pytest.approx(0.02, rel=0.05)
     assert np.median([one.correlation_time for one in found]) == pytest.approx(0.2, rel=0.15)
@@ -154,7 +156,7 @@ def test_a_hold_inside_one_step_of_the_sensor_has_its_rounding_error():
 
 
 def test_what_is_stated_is_kept():
-    force = CURVES["sphere"] + sensor_noise(401, 0.02, 3, time=TIME, correlation_time=0.5)
+    force = CURVES["sphere"] + generate_sensor_noise(401, 0.02, 3, time=TIME, correlation_time=0.5)
     assert estimate_sensor_noise(force, TIME, deviation=0.03, correlation_time=0.0) == SensorNoise(0.03)
     level = estimate_sensor_noise(force, TIME, correlation_time=0.5)
     assert (level.correlation_time, level.source) == (0.5, "estimated")
@@ -169,7 +171,7 @@ def test_what_is_stated_is_kept():
 @pytest.mark.parametrize("stated", [0.005, 0.02, 0.1])
 def test_a_wrong_level_makes_no_colour_and_hides_none(stated):
     for tau in (0.0, 0.5):
-        found = [estimate_sensor_noise(CURVES["sphere"] + sensor_noise(401, 0.02, seed, time=TIME,
+        found = [estimate_sensor_noise(CURVES["sphere"] + generate_sensor_noise(401, 0.02, seed, time=TIME,
                                                                        correlation_time=tau), TIME, deviation=stated)
                  for seed in range(20)]
         assert {one.deviation for one in found} == {stated}
@@ -222,7 +224,7 @@ def test_whitening_is_the_dense_cholesky_factor(steps, tau, deviation):
 def test_whitened_noise_is_white():
     time = np.cumsum(np.random.default_rng(1).exponential(0.1, 5000))
     noise = SensorNoise(0.02, 0.5)
-    white = whiten(sensor_noise(5000, 0.02, 1, time=time, correlation_time=0.5), time, noise)
+    white = whiten(generate_sensor_noise(5000, 0.02, 1, time=time, correlation_time=0.5), time, noise)
     assert white.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * 5000))
     assert abs(np.mean(white[1:] * white[:-1])) < 4 / np.sqrt(5000)
 

@@ -20,7 +20,7 @@ from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import block_mesh
+from tissue_sim.mesh.solid import create_block_mesh
 
 CAMPAIGN = """
 [[specimen]]
@@ -224,7 +224,7 @@ def test_a_moved_block_keeps_its_circle_and_its_sides():
 def write_lumpy_mesh(path):
     """A block of 30 x 30 x 20 mm in hexahedra, with a lump in its middle that a region names."""
     side = np.linspace(-0.015, 0.015, 6)
-    mesh = block_mesh(side, side, np.linspace(-0.020, 0.0, 5), HEX8P0)
+    mesh = create_block_mesh(side, side, np.linspace(-0.020, 0.0, 5), HEX8P0)
     middle = mesh.nodes[mesh.connectivity].mean(axis=1)
     lump = (np.abs(middle[:, :2]).max(axis=1) < 0.01) & (middle[:, 2] > -0.015)
     write_hexahedra(path, mesh, lump)

@@ -16,7 +16,7 @@ from calibration.fit.usability import displacement_R2, find_contradictions
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.report.usability import CRITERIA
 from scenes.cli import main
-from tissue_sim.recording.screening import Control, LeftOut, Preload, Screening
+from tissue_sim.recording.screening import ControlFindings, LeftOutSamples, Preload, Screening
 
 #: Cross-section, m2.
 AREA = np.pi * 0.0125**2
@@ -191,15 +191,16 @@ def curve(tmp_path):
 
 
 def test_screening_contradicts_an_elastic_law(curve):
-    loses = replace(curve, screening=Screening(control=Control("displacement", "oscillation", loss_factor=0.3,
-                                                               frequency=1.0)))
+    loses = replace(curve, screening=Screening(control=ControlFindings("displacement", "oscillation", loss_factor=0.3,
+                                                                       frequency=1.0)))
     assert "viscoelastic.terms[0].g" in find_contradictions(loses, remembers=False)[0]
     assert not find_contradictions(loses, remembers=True)
-    follows = replace(curve, screening=Screening(control=Control("displacement", "ramp", loading=curve.force.size)))
+    follows = replace(curve,
+                      screening=Screening(control=ControlFindings("displacement", "ramp", loading=curve.force.size)))
     assert not find_contradictions(follows, remembers=False)
     zeroed = replace(curve, screening=Screening(preload=Preload(0.65, 0.11, 4e-4, False, "begins under 0.65 N")))
     assert find_contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
-    kept = replace(curve, screening=Screening(suspected=(LeftOut((61,), "force", "sample 61 is 50 N"),)))
+    kept = replace(curve, screening=Screening(suspected=(LeftOutSamples((61,), "force", "sample 61 is 50 N"),)))
     assert "sample 61 is 50 N" in find_contradictions(kept, remembers=False)[0]
 
 

@@ -58,7 +58,7 @@ def test_order(element, order, cells, name):
         mesh = block(line, line, line - 0.03, element)
         displacement, _ = solve(mesh, law(name), exact, 2)
         points, weights = element.quadrature
-        values, slopes = element.shape_functions(points)
+        values, slopes = element.evaluate_shape_functions(points)
         X = mesh.nodes[mesh.connectivity]
         places, found = np.einsum("qa,eai->eqi", values, X), np.einsum("qa,eai->eqi", values,
                                                                        displacement[mesh.connectivity])

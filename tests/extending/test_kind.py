@@ -6,8 +6,8 @@ import pytest
 import calibration
 import tissue_sim as ts
 from scenes import SCENES
-from tissue_sim.recording.formats.kind_words import Hint, find_named_tests
-from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests
+from tissue_sim.recording.formats.understanding import interpret_file
 
 TRUTH = {"C10": 1200.0, "C01": 500.0}
 #: Height, m.
@@ -78,8 +78,8 @@ def test_it_takes_its_words_over_from_the_tests_without_a_kind(kind, tmp_path):
     path.write_text("Pure shear\nStretch [-],Nominal stress [Pa]\n" + "".join(
         f"{a:.4f},{b:.4f}\n" for a, b in zip(stretch, stress(stretch)[0], strict=True)), encoding="utf-8")
     for text in ("pure shear", "Planar tension", "cisaillement pur"):
-        assert [each.kind for each in find_named_tests([Hint(text, "here")])] == ["planar_tension"]
-    reading, = understand(path).readings
+        assert [each.kind for each in find_named_tests([KindHint(text, "here")])] == ["planar_tension"]
+    reading, = interpret_file(path).readings
     assert reading.kind.kind == "planar_tension" and "'pure shear' above the numbers" in reading.kind.reason
 
 
@@ -87,7 +87,7 @@ def test_a_kind_has_words_of_its_own(registers):
     registers(ts.KINDS, ts.TestKind(name="torque_test", title="Torque test", tool=None, sign=1.0,
                                     title_words=(r"torsion\w*",), closed_form=ts.KINDS["simple_shear"].closed_form))
     for text in ("Torsion", "torque test", "Torsionsversuch"):
-        assert [each.kind for each in find_named_tests([Hint(text, "here")])] == ["torque_test"]
+        assert [each.kind for each in find_named_tests([KindHint(text, "here")])] == ["torque_test"]
 
 
 def test_its_recordings_need_its_channels(kind, tmp_path):

@@ -11,7 +11,7 @@ from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.effect import EFFECTS
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
 
 #: Parameter of the law, Pa.
@@ -43,8 +43,8 @@ def model(stuff, approach=None):
 
 
 def mesh(offset=0.0, layers=()):
-    return needle_solid(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2,
-                        centre=(offset, 0.0), interfaces=np.cumsum([layer.thickness for layer in layers]))
+    return create_needle_mesh(0.04, 0.07, 8e-3, HEX8P0, smallest=2.4e-3, growth=2.2, largest=20e-3, around=2,
+                              centre=(offset, 0.0), interfaces=np.cumsum([layer.thickness for layer in layers]))
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
 
 #: m.
@@ -80,8 +80,8 @@ def bonded():
     experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(2e-3, 2), friction="bonded",
                                tool=ts.Tool("flat", radius=RADIUS))
     model = ts.Model(experiment, material)
-    mesh = needle_solid(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
-                        around=2)
+    mesh = create_needle_mesh(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
+                              around=2)
     bulk = SolidLinearisation(make_solver(model, mesh=mesh))
     return MultiRateTissue(model, link=DelayedBulk(bulk, 6e-3, 30e-3))
 

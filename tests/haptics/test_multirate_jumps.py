@@ -8,7 +8,7 @@ from haptics.loop.multirate import MultiRateTissue
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
 
 #: Length of a step, s.
@@ -28,8 +28,8 @@ def ball():
     experiment = ts.Experiment(ts.Specimen(0.030, 0.020), ts.Protocol.ramp(2e-3, 2), friction="frictionless",
                                tool=ts.Tool("round", radius=RADIUS))
     model = ts.Model(experiment, material)
-    mesh = needle_solid(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
-                        around=2)
+    mesh = create_needle_mesh(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
+                              around=2)
     bulk = SolidLinearisation(make_solver(model, mesh=mesh))
     tissue = MultiRateTissue(model, link=DelayedBulk(bulk, DELAY, TANGENT))
     tissue.warm_up()

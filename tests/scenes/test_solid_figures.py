@@ -13,7 +13,7 @@ from scenes.solid_figures import draw_cut, draw_surface, revolve_profile, tool_p
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import block_mesh, needle_solid
+from tissue_sim.mesh.solid import create_block_mesh, create_needle_mesh
 from tissue_sim.pose import Pose
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -35,8 +35,8 @@ def bent(mesh):
 
 @pytest.fixture(params=(HEX8P0, HEX27P1), ids=lambda element: element.name)
 def cylinder(request):
-    mesh = needle_solid(0.04, 0.07, 8e-3, request.param, smallest=3e-3, growth=2.2, largest=20e-3, around=2,
-                        centre=(10e-3, 0.0))
+    mesh = create_needle_mesh(0.04, 0.07, 8e-3, request.param, smallest=3e-3, growth=2.2, largest=20e-3, around=2,
+                              centre=(10e-3, 0.0))
     return fields_of(mesh, bent(mesh))
 
 
@@ -90,7 +90,7 @@ def test_only_faces_towards_the_camera_are_drawn(cylinder):
 
 def test_a_tool_behind_a_compliant_load_train_is_drawn_on_the_tissue():
     line = np.linspace(-0.02, 0.02, 5)
-    fields = fields_of(block_mesh(line, line, line - 0.02, HEX8P0), np.zeros((125, 3)))
+    fields = fields_of(create_block_mesh(line, line, line - 0.02, HEX8P0), np.zeros((125, 3)))
     upright = tool_pose(fields, -1, Pose((0.0, 0.0, -6e-3)), ts.Tool("flat", radius=8e-3))
     assert upright.position == pytest.approx((0.0, 0.0, -1e-3)), "the top is 1 mm below the scene's origin"
     above = Pose((0.0, 0.0, 2e-3))

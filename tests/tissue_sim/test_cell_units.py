@@ -7,12 +7,12 @@ import openpyxl
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.recording.formats.cell_units import CellUnits, without_cell_units
+from tissue_sim.recording.formats.cell_units import ExtractedUnitRow, extract_cell_units
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.number_text import is_number, parse_number, split_quantity
+from tissue_sim.recording.formats.number_text import is_number, parse_number, split_number_and_unit
 from tissue_sim.recording.formats.sizes import parse_quantity
-from tissue_sim.recording.formats.table import Row
-from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.recording.formats.table import TableRow
+from tissue_sim.recording.formats.understanding import interpret_file
 
 WAY = np.linspace(0.0, 4.0, 17)
 FORCE = 2.5 * WAY + 0.25 * WAY**2
@@ -30,7 +30,7 @@ def quantities(units=("s", "mm", "N"), decimal="."):
 def understood(tmp_path, content, **stated):
     path = tmp_path / "gel.csv"
     path.write_text(content, encoding="utf-8")
-    found = understand(path, ColumnHints(**stated))
+    found = interpret_file(path, ColumnHints(**stated))
     return found.readings[0], path
 
 
@@ -39,7 +39,7 @@ def understood(tmp_path, content, **stated):
     ("1'234.5 mN", ("1'234.5", "mN")), ("2 N/mm2", ("2", "N/mm2")), ("3 \u00b5m", ("3", "um")), ("12.3", None),
     ("1E", None), ("specimen 2", None), ("10:30:00", None), ("3 apples", None), ("2 mm high", None)])
 def test_a_number_and_its_unit(cell, expected):
-    assert split_quantity(cell) == expected
+    assert split_number_and_unit(cell) == expected
 
 
 @pytest.mark.parametrize("decimal", [".", ","])
@@ -60,14 +60,14 @@ def test_units_in_the_cells_of_a_spreadsheet(tmp_path):
     for row in ("Time", "Displacement", "Load"), *quantities(("s", "um", "mN")):
         book.active.append(row)
     book.save(tmp_path / "gel.xlsx")
-    recording, = understand(tmp_path / "gel.xlsx").readings[0].recordings
+    recording, = interpret_file(tmp_path / "gel.xlsx").readings[0].recordings
     np.testing.assert_allclose(recording.force, 1e-3 * FORCE, atol=1e-7)
 
 
 def test_a_unit_in_the_cells_that_contradicts_the_header_is_a_question(tmp_path):
     reading, _ = understood(tmp_path, text(quantities(("s", "mm", "mN")), "Time (s);Displacement (mm);Load (N)"))
     unit = next(each for each in reading.assumptions if each.subject == "unit of force")
-    assert unit.is_question and "the cells have mN" in unit.against
+    assert unit.needs_user_decision and "the cells have mN" in unit.against
 
 
 @pytest.mark.parametrize("odd", ["9.9 mN", "9.9"])
@@ -79,11 +79,11 @@ def test_different_units_in_one_column_are_refused_with_the_line(tmp_path, odd):
 
 
 def test_rows_without_units_stay_as_they_are():
-    rows = [Row(i, (str(i), "2.5", "note 3")) for i in range(1, 9)]
-    assert without_cell_units(rows, "note 3\n") is not None and without_cell_units(rows) == rows
-    few = [Row(i, (f"{i} mm", f"{i} N")) for i in range(1, 5)]
-    assert without_cell_units(few) == few
-    assert isinstance(without_cell_units([*few, Row(5, ("5 mm", "5 N"))])[0], CellUnits)
+    rows = [TableRow(i, (str(i), "2.5", "note 3")) for i in range(1, 9)]
+    assert extract_cell_units(rows, "note 3\n") is not None and extract_cell_units(rows) == rows
+    few = [TableRow(i, (f"{i} mm", f"{i} N")) for i in range(1, 5)]
+    assert extract_cell_units(few) == few
+    assert isinstance(extract_cell_units([*few, TableRow(5, ("5 mm", "5 N"))])[0], ExtractedUnitRow)
 
 
 @pytest.mark.parametrize(("cell", "decimal", "value"), [

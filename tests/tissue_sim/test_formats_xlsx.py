@@ -11,7 +11,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from tissue_sim import InputError, read_recording
-from tissue_sim.recording.formats.columns import column_number, read_blocks
+from tissue_sim.recording.formats.column_options import parse_column_number
+from tissue_sim.recording.formats.columns import read_recordings_from_columns
 from tissue_sim.recording.formats.xlsx import read_xlsx
 
 NATIVE = ("time [s]", "displacement [mm]", "force [N]")
@@ -151,12 +152,12 @@ def test_missing_columns(tmp_path, columns, message):
 
 @pytest.mark.parametrize(("column", "expected"), [("A", 1), ("z", 26), ("AA", 27), ("XFD", 16384), (7, 7)])
 def test_letters_of_columns(column, expected):
-    assert column_number(column) == expected
+    assert parse_column_number(column) == expected
 
 
 @pytest.mark.parametrize("column", [0, -1, True, "", "ABCD", "A1", 1.0, None])
 def test_what_is_no_place(column):
-    assert refusal(column_number, column).field == "column"
+    assert refusal(parse_column_number, column).field == "column"
 
 
 def test_a_place_needs_a_unit_and_stands_alone(tmp_path):
@@ -186,7 +187,7 @@ def test_without_the_extra_the_answer_names_it(tmp_path, monkeypatch):
     path = tmp_path / "run.h5"
     path.write_bytes(b"\x89HDF\r\n\x1a\n")
     monkeypatch.setitem(sys.modules, "h5py", None)
-    assert "pip install 'tissue-sim[formats]'" in refusal(read_blocks, path, columns=BY_PLACE).problem
+    assert "pip install 'tissue-sim[formats]'" in refusal(read_recordings_from_columns, path, columns=BY_PLACE).problem
 
 
 numbers = st.floats(-1e6, 1e6, allow_subnormal=False)

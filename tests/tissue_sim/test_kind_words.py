@@ -4,8 +4,8 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.kind_words import Hint, find_named_tests, normalize_text
-from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests, normalize_text
+from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.recording.formats.unknown_tests import UNKNOWN_TESTS
 
 ROWS = "".join(f"{0.5 * i:g},{0.1 * i:.3f},{0.2 * i:.3f}\n" for i in range(21))
@@ -13,7 +13,7 @@ TABLE = "Time (s),Travel (mm),Load (N)\n" + ROWS
 
 
 def names(text):
-    return list(dict.fromkeys(each.kind or each.unknown.name for each in find_named_tests([Hint(text, "here")])))
+    return list(dict.fromkeys(each.kind or each.unknown.name for each in find_named_tests([KindHint(text, "here")])))
 
 
 @pytest.mark.parametrize(("text", "expected"), [
@@ -60,8 +60,8 @@ def test_a_file_of_such_a_test_is_refused_until_the_user_states_a_kind(tmp_path,
     path = tmp_path / name
     path.write_text(above + TABLE.replace("Load", f"{header}Load"), encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"there is no such kind of test\. --kind overrules the word"):
-        understand(path)
-    reading, = understand(path, ColumnHints(kind="uniaxial_tension")).readings
+        interpret_file(path)
+    reading, = interpret_file(path, ColumnHints(kind="uniaxial_tension")).readings
     assert reading.kind.kind == "uniaxial_tension" and "names" in reading.kind.against[0]
     assert "as stated" in reading.remarks[0]
 
@@ -69,7 +69,7 @@ def test_a_file_of_such_a_test_is_refused_until_the_user_states_a_kind(tmp_path,
 def test_two_words_in_the_file_overrule_its_name(tmp_path):
     path = tmp_path / "fatigue_control.csv"
     path.write_text("Uniaxial tension\n" + TABLE, encoding="utf-8")
-    assert understand(path).readings[0].kind.kind == "uniaxial_tension"
+    assert interpret_file(path).readings[0].kind.kind == "uniaxial_tension"
 
 
 def test_rows_of_different_tests_are_refused(tmp_path):
@@ -77,4 +77,4 @@ def test_rows_of_different_tests_are_refused(tmp_path):
     rows = [f"{label},{1 + 0.1 * i:.2f},{i}" for label in ("uniaxial", "planar") for i in range(9)]
     path.write_text("test,stretch,stress (kPa)\n" + "\n".join(rows), encoding="utf-8")
     with pytest.raises(ts.InputError, match=r"rows are of different tests \(uniaxial, planar in column 'test'\)"):
-        understand(path)
+        interpret_file(path)

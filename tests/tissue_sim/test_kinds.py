@@ -9,7 +9,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes import SCENES
-from tissue_sim.experiment.interfaces import check_interface
+from tissue_sim.experiment.interfaces import validate_interface
 from tissue_sim.recording.recording import CHANNELS
 
 EVERY = pytest.mark.parametrize("name", ts.KINDS)
@@ -27,19 +27,19 @@ def test_a_kind_is_what_its_parts_know(name):
     kind = ts.KINDS[name]
     assert kind.name == name and pickle.loads(pickle.dumps(kind)) == kind
     assert {channel for pair in kind.channels for channel in pair} <= set(CHANNELS)
-    for field, usual in kind.interfaces(kind.tool or ts.Tool()).items():
-        assert check_interface(usual, field) == usual
+    for field, usual in kind.default_interfaces(kind.tool or ts.Tool()).items():
+        assert validate_interface(usual, field) == usual
 
 
 @EVERY
 def test_its_experiment(name):
     kind, setting = ts.KINDS[name], {"specimen": ts.Specimen(0.04, 0.07), "protocol": ts.Protocol.ramp(0.01)}
-    if kind.gripped:
+    if kind.has_gripped_ends:
         with pytest.raises(ts.InputError, match="has no tool and is not simulated"):
             kind.experiment(**setting)
         return
     experiment = kind.experiment(**setting)
-    assert experiment.tool == kind.tool and kind.fits(experiment.tool)
+    assert experiment.tool == kind.tool and kind.allows_tool(experiment.tool)
     assert kind.experiment(**setting, friction="stick").friction == "stick"
 
 
@@ -55,15 +55,15 @@ def test_a_needle_without_a_flat_face_is_not_bonded(tool, friction):
     ("lubricated_compression", 0.9, 0.1), ("uniaxial_tension", 1.2, 0.2), ("simple_shear", -0.3, -0.3)])
 def test_strain_under_load(name, abscissa, strain):
     kind = ts.KINDS[name]
-    assert kind.strain(np.array([abscissa])) == pytest.approx([strain])
-    assert kind.abscissa(kind.strain(abscissa)) == pytest.approx(abscissa)
+    assert kind.compute_nominal_strain(np.array([abscissa])) == pytest.approx([strain])
+    assert kind.compute_stretch_or_shear_strain(kind.compute_nominal_strain(abscissa)) == pytest.approx(abscissa)
 
 
 @pytest.mark.parametrize("name", HOMOGENEOUS)
 def test_stress_is_against_the_strain(name):
     """At small strain the modulus is 3 mu in tension and compression, and mu in shear."""
     kind, law, values = ts.KINDS[name], ts.find_law("neo_hooke"), {"C10": 500.0}
-    small = kind.abscissa(np.array([1e-6]))
+    small = kind.compute_stretch_or_shear_strain(np.array([1e-6]))
     modulus = 1000.0 if name == "simple_shear" else 3000.0
     assert kind.sign * kind.closed_form.stress(law, small, values) == pytest.approx(modulus * 1e-6, rel=1e-4)
     assert kind.closed_form.slope(law, small, values) == pytest.approx(modulus, rel=1e-4)

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.recording.formats import long_text
-from tissue_sim.recording.formats.columns import read_blocks
-from tissue_sim.recording.formats.long_text import split_long
+from tissue_sim.recording.formats.columns import read_recordings_from_columns
+from tissue_sim.recording.formats.long_text import split_off_trailing_numbers
 from tissue_sim.recording.formats.machines import read_table
 from tissue_sim.recording.formats.native import read_native
 
@@ -20,7 +20,8 @@ COLUMNS = {"time": "Time", "displacement": {"name": "Displacement", "unit": "mm"
 PLACES = {"time": {"column": 1, "unit": "s"}, "displacement": {"column": 2, "unit": "mm"},
           "force": {"column": 3, "unit": "N"}}
 READERS = {"native": read_native, "table": read_table,
-           "columns": lambda path: read_blocks(path, COLUMNS), "places": lambda path: read_blocks(path, PLACES)}
+           "columns": lambda path: read_recordings_from_columns(path, COLUMNS),
+           "places": lambda path: read_recordings_from_columns(path, PLACES)}
 ROWS = [f"{0.5 * i},{0.25 * i:.3f},{0.1 * i**2:.5f}" for i in range(16)]
 ROWS_OF_DECIMALS = [row.replace(f"{0.5 * i},", f"{0.5 * i:.1f},", 1) for i, row in enumerate(ROWS)]
 #: The cells are separated by semicolons, the thousands by commas.
@@ -82,8 +83,8 @@ def both(reader, text, folder, beginning=8):
 ])
 @pytest.mark.parametrize("reader", ["columns", "places", "table"])
 def test_a_plain_end_gives_the_same_recording(reader, text, tmp_path):
-    numbers = long_text.PlainEnd.numbers
-    with mock.patch.object(long_text.PlainEnd, "numbers", autospec=True, side_effect=numbers) as read:
+    numbers = long_text.TrailingNumberLines.parse_columns
+    with mock.patch.object(long_text.TrailingNumberLines, "parse_columns", autospec=True, side_effect=numbers) as read:
         at_once, cell_by_cell = both(reader, text, tmp_path)
     assert at_once == cell_by_cell and read.called and len(at_once[0][0]["force"]) == len(ROWS)
 
@@ -99,9 +100,10 @@ def test_separators_that_do_not_make_groups_of_three_are_refused_as_ever(cell, t
 def test_the_plain_end_is_what_is_read(tmp_path):
     text = "# made by hand\n" + foreign(ROWS, header="time [s],displacement [mm],force [N]")
     with mock.patch.object(long_text, "_SETTINGS", long_text.LongTextSettings(beginning=4)):
-        beginning, end = split_long(text)
-        assert beginning.count("\n") == 4 and (end.cells, end.delimiter, end.marks) == (3, ",", ".")
-        np.testing.assert_allclose(end.numbers([2, 0], "."), [[0.1 * i**2, 0.5 * i] for i in range(2, 16)], atol=1e-12)
+        beginning, end = split_off_trailing_numbers(text)
+        assert beginning.count("\n") == 4 and (end.cell_count, end.delimiter, end.marks) == (3, ",", ".")
+        np.testing.assert_allclose(end.parse_columns([2, 0], "."), [[0.1 * i**2, 0.5 * i] for i in range(2, 16)],
+                                   atol=1e-12)
     at_once, cell_by_cell = both("native", text, tmp_path)
     assert at_once == cell_by_cell
     np.testing.assert_allclose(cell_by_cell[0][0]["force"], [0.1 * i**2 for i in range(16)], atol=1e-12)
@@ -187,4 +189,4 @@ def test_damage_anywhere_changes_neither_recording_nor_sentence(data, tmp_path_f
 
 
 def test_a_short_text_is_whole():
-    assert split_long(foreign(ROWS)) == (foreign(ROWS), None)
+    assert split_off_trailing_numbers(foreign(ROWS)) == (foreign(ROWS), None)

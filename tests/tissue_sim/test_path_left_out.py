@@ -10,7 +10,7 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
 
 #: Length of a step, s.
@@ -98,8 +98,8 @@ def minimum_jerk(keys, counts):
 
 def test_friction_of_nodes_that_hardly_slip_may_turn(monkeypatch):
     """The tool turns round slowly: Newton's method converges, and the tool is not pressed again from above."""
-    mesh = needle_solid(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
-                        around=2)
+    mesh = create_needle_mesh(0.030, 0.020, RADIUS, HEX8P0, smallest=0.45 * RADIUS, growth=2.4, largest=3.0 * RADIUS,
+                              around=2)
     simulator = ts.Simulator(model(0.3), solver="solid", mesh=mesh, inertia="off")
     restarts, press_again = [], SolidSolver.lift_off
     monkeypatch.setattr(SolidSolver, "lift_off", lambda solver: restarts.append(press_again(solver)))

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 
 import tissue_sim as ts
 from tissue_sim.experiment.protocol import HOLD_STEPS
-from tissue_sim.experiment.protocol_text import parse_protocol, write_protocol
-from tissue_sim.experiment.segments import EXAMPLE, KINDS, Repeat, Segment
+from tissue_sim.experiment.protocol_text import format_protocol, parse_protocol
+from tissue_sim.experiment.segments import EXAMPLE, KINDS, ProtocolRepeat, ProtocolSegment
 
 
 def corners(text: str, **options) -> list[tuple[str, float, float, int]]:
@@ -154,16 +154,16 @@ def test_sampling_that_cannot_be():
 
 _AMOUNTS = st.floats(1e-9, 1e6)
 _SEGMENTS = st.sampled_from(list(KINDS)).flatmap(lambda kind: st.builds(
-    Segment, st.just(kind),
+    ProtocolSegment, st.just(kind),
     _AMOUNTS | st.just(0.0) if kind == "unload" else _AMOUNTS if KINDS[kind][1] else _AMOUNTS | st.none(),
     st.none() if kind == "hold" else _AMOUNTS | st.none()))
-_STEPS = st.lists(_SEGMENTS | st.builds(Repeat, st.integers(1, 10**6),
+_STEPS = st.lists(_SEGMENTS | st.builds(ProtocolRepeat, st.integers(1, 10**6),
                                         st.lists(_SEGMENTS, min_size=1, max_size=3).map(tuple)), min_size=1, max_size=5)
 
 
 @given(_STEPS)
 def test_text_of_a_protocol_gives_it_back(steps):
-    assert parse_protocol(write_protocol(steps)) == tuple(steps)
+    assert parse_protocol(format_protocol(steps)) == tuple(steps)
 
 
 _PIECES = st.sampled_from([*KINDS, "repeat", "2", "3", "10", "0.5", "-1", "1e9", "mm", "um", "s", "h", "mm/s", "m/s",

@@ -16,7 +16,7 @@ from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.file import MaterialFile, write_material_file
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose
 
 SOFT = ts.Material("neo_hooke", {"C10": 200.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -63,7 +63,7 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     """All of them, with the tissue's own bulk modulus: forces on motions that spare the base are those of the whole
     solid, its weight among them. With a softer one the pressures that bear the weight stay what they are."""
     of, rng = model(), np.random.default_rng(0)
-    mesh = needle_solid(0.025, 0.02, 6e-3, element, smallest=4e-3, growth=2.5, largest=15e-3, around=2)
+    mesh = create_needle_mesh(0.025, 0.02, 6e-3, element, smallest=4e-3, growth=2.5, largest=15e-3, around=2)
     solver = make_solver(of, mesh=mesh)
     standing = solver.field_sample()
     basis = rng.normal(size=(*mesh.nodes.shape, 5)) * 1e-4

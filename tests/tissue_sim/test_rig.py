@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 import tissue_sim as ts
 from tissue_sim.recording.recording import Recording
-from tissue_sim.rig.backlash import move_nut
+from tissue_sim.rig.backlash import compute_nut_motion
 from tissue_sim.rig.rig import Rig
 
 #: Radius, m.
@@ -56,7 +56,7 @@ ELASTIC = compression()
 class TestIdeal:
     @pytest.mark.parametrize("rig", [Rig(), Rig(seed=3), Rig(step_loss_depth=5e-3), Rig(noise_correlation_time=1.0)])
     def test_returns_the_recording_itself(self, rig):
-        assert rig.ideal
+        assert rig.is_ideal
         assert rig.measure(ELASTIC) is ELASTIC and rig.apply(ELASTIC) is ELASTIC and rig.read(ELASTIC) is ELASTIC
 
     @pytest.mark.parametrize("field", ["contact_offset", "displacement_gain", "backlash", "step_loss", "compliance",
@@ -65,7 +65,7 @@ class TestIdeal:
                                        "displacement_resolution"])
     def test_every_effect_alone_changes_the_recording(self, field):
         rig = Rig(**{field: 0.7 if field == "sampling_rate" else 1e-3})
-        assert not rig.ideal
+        assert not rig.is_ideal
         measured = rig.measure(ELASTIC)
         assert len(measured) != len(ELASTIC) or any(
             (measured.channel(name) != ELASTIC.channel(name)).any() for name in ("force", "displacement"))
@@ -238,7 +238,7 @@ class TestMotion:
     @given(st.lists(st.integers(-20, 20), min_size=1, max_size=40), st.integers(1, 10))
     def test_play_is_never_exceeded_and_the_history_is_one_that_was(self, steps, play):
         screw = np.cumsum(steps).astype(float)
-        nut, since = move_nut(screw, float(play))
+        nut, since = compute_nut_motion(screw, float(play))
         assert (nut >= screw).all() and (nut <= screw + play).all()
         assert (since <= np.arange(screw.size)).all() and (np.diff(since) >= 0).all()
         np.testing.assert_allclose(np.interp(since, np.arange(screw.size), screw), nut, atol=1e-9)
@@ -318,7 +318,7 @@ class TestSensor:
         friction = Rig(sampling_rate=10.0, guide_friction=0.04).measure(ideal).force - dense.force
         np.testing.assert_allclose(friction[np.arange(0, 1001, 10)][[0, 1, 40, 41, 60, 61]],
                                    [0, 0.04, 0.04, 0, 0, -0.04], atol=1e-12)
-        assert Rig(sampling_rate=10.0).readings(TIME) == 1001 and Rig().readings(TIME) == 91
+        assert Rig(sampling_rate=10.0).count_readings(TIME) == 1001 and Rig().count_readings(TIME) == 91
         sparse = Rig(sampling_rate=0.3).measure(ideal)
         np.testing.assert_allclose(sparse.time, np.arange(31) / 0.3)
 

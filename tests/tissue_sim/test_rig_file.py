@@ -49,7 +49,7 @@ def test_units_and_spelling(tmp_path):
                     encoding="utf-8")
     assert load_rig(path) == Rig(latency=0.05, contact_offset=1e-3)
     path.write_text('{"schema": "tissue_sim/rig/1"}', encoding="utf-8")
-    assert load_rig(path).ideal
+    assert load_rig(path).is_ideal
 
 
 @pytest.mark.parametrize(("text", "field", "words"), [

@@ -5,13 +5,13 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.errors import InputError
-from tissue_sim.recording.cleaning import clean
-from tissue_sim.recording.control import find_control
-from tissue_sim.recording.measures import MEASURES, convert_measures
+from tissue_sim.recording.cleaning import remove_outliers_and_saturation
+from tissue_sim.recording.control import analyse_control_and_creep
+from tissue_sim.recording.measures import MEASURES, convert_to_stretch_and_nominal
 from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.outliers import find_outliers
-from tissue_sim.recording.preload import estimate_load_at_zero
-from tissue_sim.recording.saturation import find_last_digit
+from tissue_sim.recording.preload import estimate_load_at_zero_displacement
+from tissue_sim.recording.saturation import find_quantization_step
 
 TIME = np.arange(126) * 0.2
 WAY = 1e-4 * TIME
@@ -40,23 +40,25 @@ class TestOutliers:
     @pytest.mark.parametrize("samples", [[0], [0, 1], [1], [60], [59, 60, 61], [124], [125], [123, 124, 125]])
     @pytest.mark.parametrize("value", [-5.0, 50.0, 9999.0])
     def test_wrong_forces_are_left_out_wherever_they_are(self, samples, value):
-        rest, found = clean(recording(load=changed(FORCE, samples, value)))
-        assert found.samples == tuple(sample + 1 for sample in samples)
+        rest, found = remove_outliers_and_saturation(recording(load=changed(FORCE, samples, value)))
+        assert found.left_out_sample_numbers == tuple(sample + 1 for sample in samples)
         assert len(rest) == TIME.size - len(samples)
-        assert f"{value:.4g} N" in found.remarks[0]
+        assert f"{value:.4g} N" in found.finding_sentences[0]
 
     @pytest.mark.parametrize("samples", [[0], [0, 1, 2], [60], [60, 61], [125], [124, 125]])
     @pytest.mark.parametrize("value", [-0.7e-3, 9e-3, 9.999])
     def test_wrong_displacements_are_left_out_wherever_they_are(self, samples, value):
-        assert clean(recording(way=changed(WAY, samples, value)))[1].samples == tuple(each + 1 for each in samples)
+        _, found = remove_outliers_and_saturation(recording(way=changed(WAY, samples, value)))
+        assert found.left_out_sample_numbers == tuple(each + 1 for each in samples)
 
     def test_lost_values_of_several_places(self):
         load = FORCE.copy()
         load[[20, 60, 61, 62, 100]] = [9999.0, 0.0, 0.0, 0.0, -40.0]
-        assert clean(recording(load=load))[1].samples == (21, 61, 62, 63, 101)
+        assert remove_outliers_and_saturation(recording(load=load))[1].left_out_sample_numbers == (21, 61, 62, 63, 101)
 
     def test_a_lost_row(self):
-        assert clean(recording(changed(WAY, 60, 0.0), changed(FORCE, 60, 0.0)))[1].samples == (61,)
+        assert remove_outliers_and_saturation(recording(changed(WAY, 60, 0.0),
+                                         changed(FORCE, 60, 0.0)))[1].left_out_sample_numbers == (61,)
 
     @pytest.mark.parametrize("seed", range(20))
     def test_clean_recordings_lose_no_sample(self, seed):
@@ -64,7 +66,7 @@ class TestOutliers:
         for way in (WAY, np.clip(WAY - 1e-3, 0, None), WAY.max() - np.abs(2 * WAY - WAY.max()),
                     np.minimum(np.floor(TIME / 5) * 5e-4, WAY.max())):
             for load in (force(way), force(way) + rng.normal(0, 0.1, TIME.size), np.round(force(way) / 0.3) * 0.3):
-                assert clean(recording(way, load))[1].samples == ()
+                assert remove_outliers_and_saturation(recording(way, load))[1].left_out_sample_numbers == ()
 
     def test_ruptures_punctures_and_starts_from_rest_are_none(self):
         torn = FORCE.copy()
@@ -73,34 +75,34 @@ class TestOutliers:
         step = changed(np.full(TIME.size, 2e-3), 0, 0.0)
         relaxing = changed(4.0 + np.exp(-TIME), 0, 0.0) + 0.1 * NOISE
         for way, load in ((WAY, torn), (WAY, pierced), (step, relaxing)):
-            assert clean(recording(way, load))[1].samples == ()
+            assert remove_outliers_and_saturation(recording(way, load))[1].left_out_sample_numbers == ()
 
     def test_a_file_of_outliers_is_refused_with_their_numbers(self):
         load = FORCE.copy()
         load[5::8] = 100.0
         with pytest.raises(InputError, match=r"outliers \(samples 6, 14"):
-            clean(recording(load=load))
+            remove_outliers_and_saturation(recording(load=load))
 
     def test_samples_that_are_listed_are_left_out_and_others_are_named(self):
-        rest, found = clean(recording(load=changed(FORCE, [60, 80], 50.0)), leave_out=[61, 3])
-        assert found.samples == (3, 61) and len(rest) == TIME.size - 2
+        rest, found = remove_outliers_and_saturation(recording(load=changed(FORCE, [60, 80], 50.0)), leave_out=[61, 3])
+        assert found.left_out_sample_numbers == (3, 61) and len(rest) == TIME.size - 2
         assert found.suspected[0].samples == (81,)
-        assert "sample 81 kept" in found.contradictions[0]
+        assert "sample 81 kept" in found.fit_contradictions[0]
 
     @pytest.mark.parametrize("way", [changed(WAY, 0, 5e-3) + 1e-3, changed(WAY, [0, 1], 9.999)])
     def test_a_channel_counts_from_its_value_at_a_wrong_first_sample(self, way):
-        rest, found = clean(recording(way=way), zeroed=["displacement"])
-        assert rest.displacement[0] == pytest.approx(WAY[len(found.samples)], abs=1e-7)
+        rest, found = remove_outliers_and_saturation(recording(way=way), zeroed=["displacement"])
+        assert rest.displacement[0] == pytest.approx(WAY[len(found.left_out_sample_numbers)], abs=1e-7)
 
     def test_a_wrong_first_force_keeps_the_zero_of_the_displacement(self):
-        rest, _ = clean(recording(load=changed(FORCE, 0, 9999.0)), zeroed=["displacement"])
+        rest, _ = remove_outliers_and_saturation(recording(load=changed(FORCE, 0, 9999.0)), zeroed=["displacement"])
         assert rest.displacement[0] == WAY[1]
 
     @pytest.mark.parametrize("late", [1, 5])
     def test_a_wrong_first_displacement_before_a_late_start(self, late):
         way = np.clip(WAY - WAY[late], 0.0, None)
-        rest, _ = clean(recording(way=changed(way, 0, 5e-3) + 1e-3, load=force(way) + 0.1 * NOISE),
-                        zeroed=["displacement"])
+        rest, _ = remove_outliers_and_saturation(
+            recording(way=changed(way, 0, 5e-3) + 1e-3, load=force(way) + 0.1 * NOISE), zeroed=["displacement"])
         assert rest.displacement[0] == pytest.approx(0.0, abs=2e-6)
 
 
@@ -108,21 +110,21 @@ class TestSaturation:
     @pytest.mark.parametrize(("sign", "limit"), [(1, 5.0), (1, 6.5), (-1, 6.0)])
     def test_a_force_at_its_limit_is_cut_off(self, sign, limit):
         load = sign * np.minimum(FORCE, limit)
-        rest, found = clean(recording(load=load))
+        rest, found = remove_outliers_and_saturation(recording(load=load))
         assert found.saturation[0].level == sign * limit
-        assert found.samples[0] == int(np.argmax(limit <= FORCE)) + 1
-        assert "a saturated sensor" in found.remarks[0]
+        assert found.left_out_sample_numbers[0] == int(np.argmax(limit <= FORCE)) + 1
+        assert "a saturated sensor" in found.finding_sentences[0]
         assert np.abs(rest.force).max() < limit
 
     def test_a_displacement_at_its_limit_is_cut_off(self):
-        _, found = clean(recording(way=np.minimum(WAY, 2e-3)))
-        assert found.saturation[0].channel == "displacement" and found.samples[0] == 101
+        _, found = remove_outliers_and_saturation(recording(way=np.minimum(WAY, 2e-3)))
+        assert found.saturation[0].channel == "displacement" and found.left_out_sample_numbers[0] == 101
 
     def test_coarse_sensors_holds_and_air_are_none(self):
         hold = np.minimum(WAY, 2e-3)
         air = np.clip(WAY - 1e-3, 0, None)
         for way, load in ((WAY, np.round(FORCE / 0.3) * 0.3), (hold, force(hold)), (WAY, force(air))):
-            assert clean(recording(way, load))[1].saturation == ()
+            assert remove_outliers_and_saturation(recording(way, load))[1].saturation == ()
 
 
 STRETCH = 1 + 0.5 * TIME / TIME[-1]
@@ -137,7 +139,7 @@ def stress_recording(nominal, stress, strain=None, *, stretch=STRETCH, digits=4)
     scale = 10.0 ** (digits - 1 - np.floor(np.log10(np.abs(values).max())))
     printed = ts.Recording({"time": TIME, "stretch": np.round(motion, 5),
                             "nominal stress": np.round(values * scale) / scale})
-    return convert_measures(printed, {"nominal stress": stress} | ({"stretch": strain} if strain else {}))
+    return convert_to_stretch_and_nominal(printed, {"nominal stress": stress} | ({"stretch": strain} if strain else {}))
 
 
 class TestSaturationOfStress:
@@ -146,19 +148,21 @@ class TestSaturationOfStress:
     @pytest.mark.parametrize("digits", [4, 6])
     def test_a_force_at_its_limit_does_not_give_a_constant_stress_and_is_cut_off(self, stress, strain, digits):
         limit = 1.4e4
-        rest, found = clean(stress_recording(np.minimum(NOMINAL, limit), stress, strain, digits=digits))
-        assert abs(found.samples[0] - (int(np.argmax(limit <= NOMINAL)) + 1)) <= 1 and found.samples[-1] == TIME.size
+        rest, found = remove_outliers_and_saturation(
+            stress_recording(np.minimum(NOMINAL, limit), stress, strain, digits=digits))
+        first, last = found.left_out_sample_numbers[0], found.left_out_sample_numbers[-1]
+        assert abs(first - (int(np.argmax(limit <= NOMINAL)) + 1)) <= 1 and last == TIME.size
         assert found.saturation[0].level == pytest.approx(limit, rel=2e-3)
-        assert "nominal stress that follows from the" in found.remarks[0]
+        assert "nominal stress that follows from the" in found.finding_sentences[0]
         assert rest.channel("nominal stress").max() < limit * 1.001
 
     @pytest.mark.parametrize("stress", ["true", "second_piola_kirchhoff"])
     def test_a_constant_column_of_stress_is_cut_off(self, stress):
         limit = 0.7 * MEASURES[stress].invert(NOMINAL, STRETCH).max()
         stated = np.minimum(MEASURES[stress].invert(NOMINAL, STRETCH), limit)
-        _, found = clean(stress_recording(MEASURES[stress].convert(stated, STRETCH), stress))
-        assert found.samples[0] == int(np.argmax(stated >= limit * (1 - 1e-3))) + 1
-        assert f"the {MEASURES[stress].title} stays at" in found.remarks[0]
+        _, found = remove_outliers_and_saturation(stress_recording(MEASURES[stress].convert(stated, STRETCH), stress))
+        assert found.left_out_sample_numbers[0] == int(np.argmax(stated >= limit * (1 - 1e-3))) + 1
+        assert f"the {MEASURES[stress].title} stays at" in found.finding_sentences[0]
 
     @pytest.mark.parametrize("digits", [2, 3, 4, 6])
     @pytest.mark.parametrize("noise", [0.0, 20.0])
@@ -166,14 +170,15 @@ class TestSaturationOfStress:
         peak = 1.2e4 * (1 - (STRETCH - 1.35) ** 2 / 0.35**2) + noise / 20.0 * (NOMINAL - 2e4 * (STRETCH - STRETCH**-2))
         for nominal in (NOMINAL, peak):
             for stress in ("true", "second_piola_kirchhoff"):
-                assert clean(stress_recording(nominal, stress, digits=digits))[1].saturation == ()
+                _, found = remove_outliers_and_saturation(stress_recording(nominal, stress, digits=digits))
+                assert found.saturation == ()
 
     def test_the_last_digit_of_a_column_in_any_unit(self):
         column = np.round(np.random.default_rng(6).normal(0.0, 30.0, 100), 3)
-        assert find_last_digit(column) == pytest.approx(1e-3)
-        assert find_last_digit(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
-        assert find_last_digit(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
-        assert find_last_digit(np.full(5, 3.0)) == 0.0
+        assert find_quantization_step(column) == pytest.approx(1e-3)
+        assert find_quantization_step(4.4482216152605 * column) == pytest.approx(4.4482216152605e-3, rel=1e-4)
+        assert find_quantization_step(np.random.default_rng(6).normal(0.0, 30.0, 100)) < 1e-4
+        assert find_quantization_step(np.full(5, 3.0)) == 0.0
 
 
 class TestControl:
@@ -181,7 +186,7 @@ class TestControl:
         time = np.arange(0.0, 200.0)
         way = np.where(time > 0, 2.8e-3 * (1 + 0.6 * (1 - np.exp(-time / 20))), 0.0)
         load = np.where(time > 0, 0.3, 0.0) + 0.001 * np.random.default_rng(1).normal(size=time.size)
-        found = find_control(way, load, time)
+        found = analyse_control_and_creep(way, load, time)
         assert (found.quantity, found.pattern, found.loading) == ("force", "creep", 2)
         assert found.creep == pytest.approx(0.56, abs=0.06)
         assert "viscoelastic.terms[0].g" in found.sentence
@@ -190,24 +195,24 @@ class TestControl:
         time = np.arange(0.0, 240.0)
         way = 6e-4 * (np.floor(time / 60) + np.clip((time % 60) / 5, 0, 1))
         relaxed = 1 - 0.4 * (1 - np.exp(-(time % 60) / 15))
-        found = find_control(way, force(way) * relaxed, time)
+        found = analyse_control_and_creep(way, force(way) * relaxed, time)
         assert found.pattern == "staircase" and found.relaxation == pytest.approx(0.35, abs=0.06)
         assert not found.is_elastic and "relaxes in holds by up to" in found.sentence
-        assert find_control(way, force(way), time).is_elastic
+        assert analyse_control_and_creep(way, force(way), time).is_elastic
 
     def test_a_fast_ramp_before_a_hold_is_elastic_and_a_slow_one_is_not(self):
         time = np.arange(0.0, 120.0, 0.5)
         for duration, is_elastic in ((1.0, True), (30.0, False)):
             way = 2e-3 * np.clip(time / duration, 0, 1)
             load = force(way) * (1 - 0.4 * (1 - np.exp(-np.clip(time - duration, 0, None) / 15)))
-            assert find_control(way, load, time).is_elastic == is_elastic
+            assert analyse_control_and_creep(way, load, time).is_elastic == is_elastic
 
     @pytest.mark.parametrize("phase", [0.0, 0.2])
     def test_an_oscillation_with_its_loss_factor(self, phase):
         time = np.arange(0.0, 5.0, 0.02)
         way = 1e-3 + 2e-4 * np.sin(2 * np.pi * time)
         load = 2.0 + 0.4 * np.sin(2 * np.pi * time + phase)
-        found = find_control(way, load, time)
+        found = analyse_control_and_creep(way, load, time)
         assert found.pattern == "oscillation" and found.frequency == pytest.approx(1.0, rel=0.01)
         assert found.loss_factor == pytest.approx(np.tan(phase), abs=0.01)
         assert found.is_elastic == (phase == 0.0)
@@ -228,20 +233,20 @@ class TestControl:
 class TestPreload:
     @pytest.mark.parametrize("shift", [0.1e-3, 0.4e-3, 1e-3])
     def test_a_displacement_zeroed_at_a_preload(self, shift):
-        found = estimate_load_at_zero(WAY, force(WAY + shift) + NOISE)
+        found = estimate_load_at_zero_displacement(WAY, force(WAY + shift) + NOISE)
         assert found.load == pytest.approx(float(force(np.array([shift]))[0]), abs=0.02)
         assert found.shift == pytest.approx(shift, rel=0.15)
 
     @pytest.mark.parametrize("offset", [-0.3, -1.0])
     def test_a_load_against_the_direction_of_loading(self, offset):
-        found = estimate_load_at_zero(WAY, FORCE + offset + NOISE)
+        found = estimate_load_at_zero_displacement(WAY, FORCE + offset + NOISE)
         assert found.load == pytest.approx(offset, abs=0.02)
         assert found.fraction < 0 and found.shift < 0
 
     def test_loads_that_start_from_zero_or_elsewhere_are_none(self):
-        assert estimate_load_at_zero(WAY, FORCE) is None
-        assert estimate_load_at_zero(WAY + 1e-3, force(WAY + 1e-3)) is None
-        assert estimate_load_at_zero(WAY, np.full(WAY.size, 2.0)) is None
+        assert estimate_load_at_zero_displacement(WAY, FORCE) is None
+        assert estimate_load_at_zero_displacement(WAY + 1e-3, force(WAY + 1e-3)) is None
+        assert estimate_load_at_zero_displacement(WAY, np.full(WAY.size, 2.0)) is None
 
 
 def test_the_loading_from_rest_before_creep_is_kept():
@@ -265,23 +270,24 @@ class TestFirstSample:
 
     def test_creep_is_recognised_where_the_recording_begins_in_the_hold(self):
         load = np.full(self.HELD.size, 2.0) + 0.1 * NOISE[:self.HELD.size]
-        assert find_control(self.CREPT[1:], load).pattern == "creep"
+        assert analyse_control_and_creep(self.CREPT[1:], load).pattern == "creep"
 
     def test_air_at_an_even_speed_is_no_creep(self):
         way = 1e-3 + WAY
-        assert find_control(way, 2.0 + force(way - 2e-3) + NOISE).creep == 0.0
+        assert analyse_control_and_creep(way, 2.0 + force(way - 2e-3) + NOISE).creep == 0.0
 
     def test_a_hold_below_the_last_digit_of_the_load_is_no_creep(self):
         way = np.concatenate([WAY[:40], np.full(30, WAY[39]), WAY[40:]])
-        assert find_control(way, np.round(force(way) / 0.4) * 0.4).creep == 0.0
+        assert analyse_control_and_creep(way, np.round(force(way) / 0.4) * 0.4).creep == 0.0
 
     def test_a_step_away_from_a_single_first_sample_does_not_show_the_zero(self):
         way, load = self.CREPT - 8e-3 * (self.CREPT == 0), np.where(self.CREPT > 0, 2.0, 0.0)
         with pytest.raises(InputError, match="the zero of the displacement is not known"):
-            clean(recording(way - way[0], load, np.arange(float(way.size))), zeroed=["displacement"])
+            remove_outliers_and_saturation(recording(way - way[0], load, np.arange(float(way.size))),
+                                           zeroed=["displacement"])
 
 
 def test_a_coarse_force_hides_no_preload():
     load = np.round(force(WAY + 0.2e-3) / 0.5) * 0.5
-    assert estimate_load_at_zero(WAY, load).load == pytest.approx(force(np.array([0.2e-3]))[0], rel=0.3)
-    assert estimate_load_at_zero(WAY, np.round(force(WAY) / 0.5) * 0.5) is None
+    assert estimate_load_at_zero_displacement(WAY, load).load == pytest.approx(force(np.array([0.2e-3]))[0], rel=0.3)
+    assert estimate_load_at_zero_displacement(WAY, np.round(force(WAY) / 0.5) * 0.5) is None

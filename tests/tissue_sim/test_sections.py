@@ -6,8 +6,13 @@ from solid_meshes import block as solid_block
 
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.sections import cut_tetrahedra, cut_triangles, intersect_triangles
-from tissue_sim.mesh.solid import block_mesh, needle_solid
-from tissue_sim.mesh.subdivision import side_edges, side_triangles, surface_triangles, tetrahedra
+from tissue_sim.mesh.solid import create_block_mesh, create_needle_mesh
+from tissue_sim.mesh.subdivision import (
+    find_face_edges,
+    subdivide_face_into_triangles,
+    subdivide_into_tetrahedra,
+    triangulate_surface_faces,
+)
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 
 SIZES = np.array([0.05, 0.03, 0.02])
@@ -19,15 +24,15 @@ class Tetrahedron:
 
     reference_nodes = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1), (.5, 0, 0), (.5, .5, 0), (0, .5, 0),
                                 (0, 0, .5), (.5, 0, .5), (0, .5, .5)])
-    faces = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (2, 0, 3, 6, 7, 9)])
+    face_nodes = np.array([(0, 2, 1, 6, 5, 4), (0, 1, 3, 4, 8, 7), (1, 2, 3, 5, 9, 8), (2, 0, 3, 6, 7, 9)])
 
 
 def block(element):
-    return block_mesh(*(np.linspace(-0.5 * size, 0.5 * size, 4) for size in SIZES), element)
+    return create_block_mesh(*(np.linspace(-0.5 * size, 0.5 * size, 4) for size in SIZES), element)
 
 
 def cells_of(mesh):
-    return mesh.connectivity[:, tetrahedra(mesh.element)].reshape(-1, 4)
+    return mesh.connectivity[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4)
 
 
 def normals(points, triangles):
@@ -46,10 +51,10 @@ def test_neighbours_divide_their_common_side_alike(element):
         turns = [_renumbered(element, order) for order in ([1, 2, 0, 3], [2, 0, 1, 3], [0, 2, 3, 1], [3, 1, 0, 2])]
         turned = np.array([each[turns[k]] for each, k in zip(mesh.connectivity, rng.integers(
             0, 4, len(mesh.connectivity)), strict=True)])
-        cells = turned[:, tetrahedra(element)].reshape(-1, 4)
+        cells = turned[:, subdivide_into_tetrahedra(element)].reshape(-1, 4)
     sides = np.sort(np.concatenate([np.delete(cells, k, axis=1) for k in range(4)]), axis=1)
     _, times = np.unique(sides, axis=0, return_counts=True)
-    outside = sum(map(len, mesh.faces.values())) * len(side_triangles(element))
+    outside = sum(map(len, mesh.faces.values())) * len(subdivide_face_into_triangles(element))
     assert (times == 1).sum() == outside and times.max() == 2
 
 
@@ -63,16 +68,16 @@ def _renumbered(element, order):
 @pytest.mark.parametrize(("element", "volume"), [*((each, 8.0) for each in (HEX8P0, HEX27P1)), (Tetrahedron(), 1 / 6)],
                          ids=[HEX8P0.name, HEX27P1.name, "tetrahedron of ten nodes"])
 def test_tetrahedra_fill_an_element_and_triangles_its_sides(element, volume):
-    places, cells = element.reference_nodes, tetrahedra(element)
+    places, cells = element.reference_nodes, subdivide_into_tetrahedra(element)
     sizes = np.linalg.det(places[cells[:, 1:]] - places[cells[:, :1]]) / 6.0
     assert (sizes > 0.0).all() and sizes.sum() == pytest.approx(volume)
     assert np.unique(cells).size == len(places), "every node is a corner"
-    sides = surface_triangles(element, element.faces)
+    sides = triangulate_surface_faces(element, element.face_nodes)
     flux = np.einsum("ti,ti->", normals(places, sides), places[sides].mean(axis=1)) / 3.0
     assert flux == pytest.approx(volume), "outward normals: the flux of the place through the sides"
-    for side in element.faces:
-        assert np.unique(side[side_triangles(element)]).size == side.size
-        assert len(side_edges(element)) == (len(side) - (1 if len(side) == 9 else 0))
+    for side in element.face_nodes:
+        assert np.unique(side[subdivide_face_into_triangles(element)]).size == side.size
+        assert len(find_face_edges(element)) == (len(side) - (1 if len(side) == 9 else 0))
 
 
 @every_element
@@ -82,7 +87,7 @@ def test_neighbours_on_one_lattice_divide_their_common_sides_alike(element):
                                     cells[:, [0, 1, 2]]]), axis=1)
     alone = np.unique(sides, axis=0, return_counts=True)[1] == 1
     mesh = block(element)
-    outside = surface_triangles(element, np.concatenate(list(mesh.faces.values())))
+    outside = triangulate_surface_faces(element, np.concatenate(list(mesh.faces.values())))
     assert alone.sum() == len(outside), "only those of the surface are there once"
 
 
@@ -105,13 +110,14 @@ def test_section_of_a_block_has_the_exact_area_and_linear_values(element, normal
     middle = [0.0, 0.0, 0.5 * (mesh.nodes[:, 2].max() + mesh.nodes[:, 2].min())]
     nodes = mesh.nodes - middle
     crossings, triangles = cut_tetrahedra(cells_of(mesh), nodes @ normal - distance)
-    points = crossings.interpolate(nodes)
+    points = crossings.interpolate_nodal_values(nodes)
     np.testing.assert_allclose(points @ normal, distance, atol=1e-15)
     pieces = normals(points, triangles)
     assert (pieces @ normal > -1e-18).all(), "all turn upwards"
     assert np.linalg.norm(pieces.sum(axis=0)) == pytest.approx(area_of_box(normal, distance), rel=1e-12)
     slope = np.array([3.0, -7.0, 11.0])
-    np.testing.assert_allclose(crossings.interpolate(nodes @ slope + 2.0), points @ slope + 2.0, rtol=1e-12)
+    np.testing.assert_allclose(crossings.interpolate_nodal_values(nodes @ slope + 2.0), points @ slope + 2.0,
+                               rtol=1e-12)
 
 
 @every_element
@@ -125,35 +131,36 @@ def test_section_along_the_sides_of_elements_is_there_once(element, axis):
         heights = mesh.nodes[:, axis] - place
         heights[abs(heights) < 1e-12] = 0.0
         crossings, triangles = cut_tetrahedra(cells_of(mesh), heights)
-        areas = np.linalg.norm(normals(crossings.interpolate(mesh.nodes), triangles), axis=1)
+        areas = np.linalg.norm(normals(crossings.interpolate_nodal_values(mesh.nodes), triangles), axis=1)
         assert areas.sum() == pytest.approx(expected)
 
 
 @every_element
 def test_a_clipped_surface_and_the_section_close_the_body(element):
     """Below the plane the outward areas of surface and section add up to nothing, and enclose the volume."""
-    mesh = needle_solid(0.04, 0.07, 8e-3, element, smallest=3e-3, growth=2.2, largest=20e-3, around=2, centre=(6e-3, 0))
+    mesh = create_needle_mesh(0.04, 0.07, 8e-3, element, smallest=3e-3, growth=2.2, largest=20e-3, around=2,
+                              centre=(6e-3, 0))
     normal = np.array([0.3, -0.9, 0.2]) / np.linalg.norm([0.3, -0.9, 0.2])
     heights = (mesh.nodes - [6e-3, 0.0, -0.02]) @ normal
-    outside = surface_triangles(element, np.concatenate(list(mesh.faces.values())))
+    outside = triangulate_surface_faces(element, np.concatenate(list(mesh.faces.values())))
     crossings, below, above = cut_triangles(outside, heights)
-    points = crossings.extend(mesh.nodes)
-    np.testing.assert_allclose(crossings.interpolate(heights), 0.0, atol=1e-16)
+    points = crossings.append_interpolated_values(mesh.nodes)
+    np.testing.assert_allclose(crossings.interpolate_nodal_values(heights), 0.0, atol=1e-16)
     both = normals(points, below).sum(axis=0) + normals(points, above).sum(axis=0)
     np.testing.assert_allclose(both, 0.0, atol=1e-15)
     ends, triangles = cut_tetrahedra(cells_of(mesh), heights)
-    cut = normals(ends.interpolate(mesh.nodes), triangles)
+    cut = normals(ends.interpolate_nodal_values(mesh.nodes), triangles)
     np.testing.assert_allclose(normals(points, below).sum(axis=0) + cut.sum(axis=0), 0.0, atol=1e-12)
     assert np.linalg.norm(cut.sum(axis=0)) == pytest.approx(np.linalg.norm(cut, axis=1).sum())
     # The line in which the surface meets the plane runs around the section.
     line = intersect_triangles(outside, heights)
-    segments = line.interpolate(mesh.nodes).reshape(-1, 2, 3)
+    segments = line.interpolate_nodal_values(mesh.nodes).reshape(-1, 2, 3)
     corners, counts = np.unique(segments.reshape(-1, 3).round(9), axis=0, return_counts=True)
     assert len(corners) > 10 and (counts == 2).all()
 
 
 def test_clipping_at_nodes_leaves_no_slivers():
-    mesh = block_mesh(*(np.linspace(-1.0, 1.0, 3) for _ in range(3)), HEX8P0)
-    outside = surface_triangles(HEX8P0, np.concatenate(list(mesh.faces.values())))
+    mesh = create_block_mesh(*(np.linspace(-1.0, 1.0, 3) for _ in range(3)), HEX8P0)
+    outside = triangulate_surface_faces(HEX8P0, np.concatenate(list(mesh.faces.values())))
     _, below, above = cut_triangles(outside, mesh.nodes[:, 0])
     assert len(below) == len(above) == len(outside) // 2

@@ -6,7 +6,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from tissue_sim.recording.segmentation import Reversals, count_cycles, label_motion, number_runs
+from tissue_sim.recording.segmentation import (
+    ReversalDetector,
+    label_motion,
+    label_reloads_and_cycles,
+    number_repeated_runs,
+)
 
 CYCLES = "ramp 5mm @0.5mm/s; hold 20s; unload 1mm; hold 5s; reload; unload"
 
@@ -22,7 +27,7 @@ def moved(protocol, step=0.05):
 def test_labels_are_those_of_the_protocol(noise):
     known, time, displacement = moved(CYCLES)
     displacement = displacement + noise * np.random.default_rng(1).standard_normal(time.size)
-    labels, cycles = count_cycles(label_motion(time, displacement))
+    labels, cycles = label_reloads_and_cycles(label_motion(time, displacement))
     stated = np.searchsorted(known.time, time).clip(0, known.time.size - 1)
     # Of a noisy motion the corners are found to within a few samples.
     near = np.abs(time[:, None] - known.time[np.flatnonzero(known.segment[1:] != known.segment[:-1])]).min(axis=1)
@@ -38,16 +43,16 @@ def test_reversals_one_by_one_are_the_turns_of_the_labels(turns):
     ends = np.concatenate([[0.0], np.cumsum([way * (-1) ** i for i, way in enumerate(turns)])])
     time = np.arange(ends.size * 20 - 19) / 20.0
     displacement = np.interp(time, np.arange(ends.size), ends)
-    reversals = Reversals(0.05e-3)
+    reversals = ReversalDetector(0.05e-3)
     for index, value in enumerate(displacement.tolist()):
-        reversals.add(index, value)
-    ways = [direction for direction, *_ in reversals.branches(time.size - 1)]
+        reversals.add_sample(index, value)
+    ways = [direction for direction, *_ in reversals.list_branches(time.size - 1)]
     labels = label_motion(time, displacement, 0.025e-3)
-    runs = list(dict.fromkeys(number_runs(labels).tolist()))
+    runs = list(dict.fromkeys(number_repeated_runs(labels).tolist()))
     assert [1 if run.startswith("ramp") else -1 for run in runs] == ways
 
 
 def test_a_short_stop_is_no_hold_of_a_hand():
     _, time, displacement = moved("ramp 5mm @1mm/s; hold 0.5s; unload 2mm @1mm/s; hold 3s; unload @1mm/s", 0.02)
     labels = label_motion(time, displacement, 0.025e-3, shortest_hold=1.0)
-    assert list(dict.fromkeys(number_runs(labels).tolist())) == ["ramp", "unload", "hold", "unload 2"]
+    assert list(dict.fromkeys(number_repeated_runs(labels).tolist())) == ["ramp", "unload", "hold", "unload 2"]

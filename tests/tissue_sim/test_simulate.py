@@ -269,7 +269,7 @@ class TestFields:
     def test_linear_field_reaches_the_nodes_unchanged(self, accurate):
         fields = accurate.fields
         mesh = fields.mesh
-        shapes, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
+        shapes, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
         linear = 3.0 + mesh.nodes @ np.array([2.0, -5.0])
         at_points = np.einsum("qa,ea->eq", shapes, linear[mesh.connectivity])
         np.testing.assert_allclose(extrapolate(mesh, at_points), linear, rtol=1e-12)

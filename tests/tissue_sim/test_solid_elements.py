@@ -8,7 +8,7 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import SOLID_ELEMENTS, block_mesh
+from tissue_sim.mesh.solid import SOLID_ELEMENTS, create_block_mesh
 from tissue_sim.pose import Pose
 
 LAWS = {"reduced_polynomial_2": {"C10": 1404.9, "C20": 699.4}, "mooney_rivlin": {"C10": 600.0, "C01": 700.0},
@@ -104,7 +104,7 @@ def test_equal_stretches_have_the_tangent_of_ones_that_are_nearly_equal(element)
 
 
 def test_an_element_inside_out_is_named():
-    mesh = block_mesh([0.0, 0.01, 0.02], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
+    mesh = create_block_mesh([0.0, 0.01, 0.02], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
     mesh.nodes[mesh.connectivity[1, 0]] += [0.02, 0.0, 0.0]
     with pytest.raises(ts.InputError, match="element 1 of the mesh is turned inside out or has no volume"):
         SolidSolver(mesh, ts.Material("neo_hooke", {"C10": 1500.0}), {"base": "xyz"}, mesh.sets["top"],
@@ -116,7 +116,7 @@ def test_lanes_that_are_left_over_change_nothing():
     material = ts.Material("neo_hooke", {"C10": 1500.0}, ts.Bulk("bulk_ratio", 1e3))
     found = []
     for x in (np.linspace(0.0, 0.03, 4), np.array([0.0, 0.01, 0.02, 0.025, 0.03])):
-        mesh = block_mesh(x, [0.0, 0.01], [-0.01, 0.0], HEX27P1)
+        mesh = create_block_mesh(x, [0.0, 0.01], [-0.01, 0.0], HEX27P1)
         tissue = SolidSolver(mesh, material, {"base": "xyz"}, mesh.sets["top"], start=Pose.at_depth(0.0))
         step = tissue.step(Pose.at_depth(1e-3))
         assert step.status is StepStatus.CONVERGED

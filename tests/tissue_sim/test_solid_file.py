@@ -14,7 +14,7 @@ import tissue_sim as ts
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import MESSAGE_LIMITS
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid_file import read_file_mesh, read_solid, solid_from_file
+from tissue_sim.mesh.solid_file import convert_file_mesh, read_file_mesh, read_solid_mesh
 from tissue_sim.mesh.tetrahedra import TET15P1
 
 #: Of our corners of a hexahedron the order of VTK, and of our 27 nodes.
@@ -68,7 +68,7 @@ def inp(folder, kind="tetra", first=101, nodes_from=11, more="", change=None):
 
 def volume(mesh):
     points, weights = mesh.element.quadrature
-    _, slopes = mesh.element.shape_functions(points)
+    _, slopes = mesh.element.evaluate_shape_functions(points)
     return (np.linalg.det(np.einsum("eai,qaj->eqij", mesh.nodes[mesh.connectivity], slopes)) * weights).sum()
 
 
@@ -89,7 +89,7 @@ def check_block(mesh, order):
 def test_formats_and_elements(tmp_path, format, kind):
     mesh = read_file_mesh(write(tmp_path, kind, format))
     for order in (1, 2):
-        check_block(solid_from_file(mesh, order), order)
+        check_block(convert_file_mesh(mesh, order), order)
 
 
 def test_one_process_reads_one_mesh_after_the_other(tmp_path):
@@ -101,7 +101,7 @@ def test_one_process_reads_one_mesh_after_the_other(tmp_path):
 
 @pytest.mark.parametrize("kind", ["tetra", "tetra10", "hexahedron", "hexahedron20"])
 def test_abaqus(tmp_path, kind):
-    mesh = read_solid(inp(tmp_path, kind))
+    mesh = read_solid_mesh(inp(tmp_path, kind))
     check_block(mesh, 2)
     assert not mesh.regions, "a set of all elements is no region"
 
@@ -115,8 +115,8 @@ def test_middles_of_curved_edges_are_kept(tmp_path, kind, close):
 
     path = write(tmp_path, kind, change=bulge)
     exact = 0.02 * 0.01 * 0.015 * (1.0 + 0.2 * 2.0 / 3.0)
-    assert volume(read_solid(path)) == pytest.approx(exact, rel=close)
-    assert volume(read_solid(path, order=1)) < 0.98 * exact
+    assert volume(read_solid_mesh(path)) == pytest.approx(exact, rel=close)
+    assert volume(read_solid_mesh(path, order=1)) < 0.98 * exact
 
 
 def sides_of(points, cells, kind, where):
@@ -140,14 +140,14 @@ def test_physical_groups_name_sides_and_regions(tmp_path):
                                                 np.full(left.sum(), 1), np.full((~left).sum(), 2)]},
                 field_data={"glued": [1, 2], "dome": [2, 2], "soft": [3, 3], "stiff": [4, 3]}
                 ).write(path, file_format="gmsh22", binary=False)
-    mesh = read_solid(path, base="glued", top="dome")
+    mesh = read_solid_mesh(path, base="glued", top="dome")
     assert np.ptp(mesh.nodes[mesh.sets["base"], 0]) == 0.0 and len(mesh.faces["base"]) == len(glued)
     assert (mesh.nodes[mesh.sets["top"], 2] == 0.0).all()
     assert set(mesh.regions) == {"soft", "stiff"}
     middles = mesh.nodes[mesh.connectivity].mean(axis=1)[:, 0]
     assert middles[mesh.regions["soft"]].max() < middles[mesh.regions["stiff"]].min()
     with pytest.raises(ts.InputError, match="named 'glue'; did you mean 'glued'") as caught:
-        read_solid(path, base="glue")
+        read_solid_mesh(path, base="glue")
     assert caught.value.field == "mesh_base"
 
 
@@ -160,8 +160,8 @@ def test_sets_and_surfaces_of_abaqus_name_sides_and_regions(tmp_path):
     more = ["*NSET, NSET=Glued", ", ".join(map(str, on_side)), "*ELSET, ELSET=HALF, GENERATE", "101, 106, 1",
             "*SURFACE, NAME=Floor, TYPE=ELEMENT", *(f"{number}, S{side}" for number, side in beneath)]
     path = inp(tmp_path, more="\n".join(more))
-    assert np.ptp(read_solid(path, base="GLUED").nodes[read_solid(path, base="glued").sets["base"], 0]) == 0.0
-    mesh = read_solid(path, base="Floor")
+    assert np.ptp(read_solid_mesh(path, base="GLUED").nodes[read_solid_mesh(path, base="glued").sets["base"], 0]) == 0.0
+    mesh = read_solid_mesh(path, base="Floor")
     assert np.ptp(mesh.nodes[mesh.sets["base"], 2]) < 1e-15 and len(mesh.faces["base"]) == len(beneath)
     assert mesh.regions["HALF"].tolist() == list(range(6))
 
@@ -173,7 +173,7 @@ def test_cell_data_of_vtk_names_regions_and_sides(tmp_path):
     meshio.Mesh(points, [("quad", glued), ("hexahedron", cells)],
                 cell_data={"part": [np.full(len(glued), 7), np.arange(len(cells)) % 2],
                            "glue": [np.ones(len(glued), int), np.zeros(len(cells), int)]}).write(path)
-    mesh = read_solid(path, base="glue")
+    mesh = read_solid_mesh(path, base="glue")
     assert np.ptp(mesh.nodes[mesh.sets["base"], 0]) == 0.0
     assert {name: places.tolist() for name, places in mesh.regions.items()} == {"part:0": [0, 2], "part:1": [1, 3]}
 
@@ -183,7 +183,7 @@ def test_what_looks_up_is_the_top_of_a_dome(tmp_path):
         x, y, z = mesh.points.T
         mesh.points[:, 2] += (1.0 + z / 15.0) * (4.0 - 0.03 * ((x - 10.0) ** 2 + (y - 5.0) ** 2))
 
-    mesh = read_solid(write(tmp_path, "hexahedron", change=dome))
+    mesh = read_solid_mesh(write(tmp_path, "hexahedron", change=dome))
     assert len(mesh.faces["top"]) == 2 and mesh.nodes[:, 2].max() == 0.0
 
 
@@ -218,7 +218,7 @@ def twice(points, rows):
 @pytest.mark.parametrize(("change", "more", "expected"), [
     (turn, "", "element 104 is turned inside out"), (turn_all, "", "all elements are turned inside out, element 101"),
     (flatten, "", "element 10[0-9] is (degenerate|turned inside out)"),
-    (repeat, "", "element 104 is degenerate: it has a node twice"),
+    (repeat, "", "element 104 is degenerate: it has a node twice; remove this element"),
     (no_number, "", "node 15 has a coordinate that is not finite"),
     (stranger, "", "element 104 has the node 999, which is not in the file"),
     (twice, "", "elements 104 and 106 have the same corners"),
@@ -240,7 +240,7 @@ def twice(points, rows):
 ])
 def test_a_bad_mesh_is_refused_with_the_number_in_its_file(tmp_path, change, more, expected):
     with pytest.raises(ts.InputError, match=expected) as caught:
-        read_solid(inp(tmp_path, change=change, more=more))
+        read_solid_mesh(inp(tmp_path, change=change, more=more))
     assert "mesh.inp" in str(caught.value) and len(str(caught.value)) <= MESSAGE_LIMITS.message
 
 
@@ -294,7 +294,7 @@ def test_what_has_no_volume_or_cannot_stand(tmp_path):
     turned *= np.sign(np.linalg.det(turned))
     meshio.Mesh(points @ turned.T, [("tetra", cells)]).write(tmp_path / "b.vtu")
     with pytest.raises(ts.InputError, match="no side of the mesh lies in its lowest plane"):
-        read_solid(tmp_path / "b.vtu")
+        read_solid_mesh(tmp_path / "b.vtu")
 
 
 @pytest.mark.parametrize("ending", [".msh", ".vtu", ".vtk", ".inp"])

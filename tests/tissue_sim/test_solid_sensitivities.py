@@ -13,7 +13,7 @@ from tissue_sim.fem.solid import discretisation
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.mesh.hexahedra import HEX8P0
 from tissue_sim.mesh.mesh_mapping import RingedCylinder, map_cylinder
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.parameters import parameter, parameter_values, with_values
 
 STUDY = {"C10": 1404.9, "C20": 699.4}
@@ -56,8 +56,9 @@ class Gel(ts.ContactLaw):
 
 
 def solid_mesh(centre=(0.0, 0.0), interfaces=()):
-    return needle_solid(0.04, 0.05, 8e-3, HEX8P0, smallest=4e-3, growth=2.5, largest=30e-3, around=2, centre=centre,
-                        interfaces=np.cumsum(interfaces))
+    return create_needle_mesh(0.04, 0.05, 8e-3, HEX8P0, smallest=4e-3, growth=2.5, largest=30e-3, around=2,
+                              centre=centre,
+                              interfaces=np.cumsum(interfaces))
 
 
 def model(tool=FLAT, friction="bonded", way=(0.0, 1.5, 3.0), approach=None, specimen=None, laws=(), base="bonded",
@@ -72,7 +73,7 @@ def model(tool=FLAT, friction="bonded", way=(0.0, 1.5, 3.0), approach=None, spec
 def mesh_of(of):
     """Return a mesh with boundaries on the interfaces of layers, and a lateral region if the material has one."""
     if of.experiment.tool.is_plate:
-        return needle_solid(0.04, 0.05, 0.024, HEX8P0, smallest=9e-3, growth=2.2, largest=20e-3, around=2)
+        return create_needle_mesh(0.04, 0.05, 0.024, HEX8P0, smallest=9e-3, growth=2.2, largest=20e-3, around=2)
     mesh = solid_mesh((5e-3, 0.0) if of.experiment.approach else (0.0, 0.0), [
         layer.thickness for layer in of.material.layers])
     middle = mesh.nodes[mesh.connectivity].mean(axis=1)

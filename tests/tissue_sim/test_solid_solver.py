@@ -10,7 +10,7 @@ import tissue_sim as ts
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.solid import needle_solid
+from tissue_sim.mesh.solid import create_needle_mesh
 from tissue_sim.pose import Pose, between, motion
 
 PHANTOM = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e4))
@@ -24,8 +24,8 @@ def model(tool=FLAT, friction="bonded", material=PHANTOM, depth=5e-3, **changes)
 
 
 def coarse(element=HEX8P0, centre=(0.0, 0.0), smallest=2.4e-3, around=2):
-    return needle_solid(0.04, 0.07, 8e-3, element, smallest=smallest, growth=2.2, largest=20e-3, around=around,
-                        centre=centre)
+    return create_needle_mesh(0.04, 0.07, 8e-3, element, smallest=smallest, growth=2.2, largest=20e-3, around=around,
+                              centre=centre)
 
 
 def stepped(solver, *poses, **options):

@@ -13,7 +13,7 @@ from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.touch import touch
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
-from tissue_sim.mesh.side_points import SidePoints
+from tissue_sim.mesh.side_points import FaceInterpolation
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 from tissue_sim.pose import Pose, turned
 
@@ -32,19 +32,19 @@ def test_points_of_a_side_are_those_of_its_element(element):
     mesh = block([0.0, 1.0], [0.0, 1.5], [-1.0, 0.0], element)
     bent = mesh.nodes + 0.05 * np.cos(4.0 * mesh.nodes[:, [1, 2, 0]])
     sides = mesh.faces["top"]
-    points = SidePoints(element, bent[sides])
+    points = FaceInterpolation(element, bent[sides])
     rng = np.random.default_rng(0)
     places = rng.uniform(size=(len(sides), 6, 2))
-    found = points.at(np.arange(len(sides)), places)
+    found = points.interpolate_positions(np.arange(len(sides)), places)
     for side, own in zip(sides, found, strict=True):
         of = next(each for each in mesh.connectivity if np.isin(side, each).all())
-        face = next(each for each in element.faces if set(of[each]) == set(side))
+        face = next(each for each in element.face_nodes if set(of[each]) == set(side))
         corners = element.reference_nodes[face[element.face_corners]]
         # A point of the reference side that is as near to each corner as the point found is: by Newton's method.
         for point in own:
             guess, flat = np.full(2, 0.4), np.stack([corners[1] - corners[0], corners[-1] - corners[0]])
             for _ in range(30):
-                values, slopes = element.shape_functions((corners[0] + guess @ flat)[None])
+                values, slopes = element.evaluate_shape_functions((corners[0] + guess @ flat)[None])
                 missed = values[0] @ bent[of] - point
                 guess -= np.linalg.lstsq((flat @ slopes[0].T @ bent[of]).T, missed, rcond=None)[0]
             assert np.abs(missed).max() < 1e-12
@@ -115,8 +115,8 @@ def test_a_ball_touches_a_curved_top(element):
     sides = mesh.faces["top"]
     line = np.linspace(0.0, 1.0, 101)
     lattice = np.stack(np.meshgrid(line, line), axis=-1).reshape(1, -1, 2)
-    points = np.concatenate([SidePoints(element, mesh.nodes[sides[[k]]]).at(np.array([0]), lattice)[0]
-                             for k in range(len(sides))])
+    faces = [FaceInterpolation(element, mesh.nodes[sides[[k]]]) for k in range(len(sides))]
+    points = np.concatenate([face.interpolate_positions(np.array([0]), lattice)[0] for face in faces])
     squares = ((points[:, :2] - place) ** 2).sum(axis=1)
     points, squares = points[squares < RADIUS**2], squares[squares < RADIUS**2]
     expected = (points[:, 2] + np.sqrt(RADIUS**2 - squares)).max() - RADIUS

@@ -5,7 +5,7 @@ import pytest
 
 from tissue_sim.recording.failure import find_failure
 from tissue_sim.recording.outliers import find_outliers
-from tissue_sim.recording.preload import estimate_load_at_zero
+from tissue_sim.recording.preload import estimate_load_at_zero_displacement
 from tissue_sim.recording.resolution import find_rounding_step
 from tissue_sim.recording.saturation import find_saturation
 
@@ -62,7 +62,7 @@ def test_the_load_at_zero_is_judged_before_the_load_relaxes(preload):
     way = 4e-3 * (number + np.minimum(within / 8.0, 1.0))
     relaxed = 1.0 - 0.35 * (1 - np.exp(-np.maximum(time - 4.0, 0.0) / 6.0))
     load = (60.0 * way + preload) * relaxed + np.random.default_rng(1).normal(0.0, 1e-3, time.size)
-    found = estimate_load_at_zero(way, load)
+    found = estimate_load_at_zero_displacement(way, load)
     assert (found is not None) == (preload > 0)
     assert found is None or found.load == pytest.approx(preload, rel=0.1)
 

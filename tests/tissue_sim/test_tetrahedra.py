@@ -39,7 +39,7 @@ def inf_sup(mesh):
     """The number of Chapelle and Bathe (Comput. Struct. 47 (1993) 537), over all pressures but the constant one: how
     well displacements that vanish on the surface can change what pressures resist, each measured in its own norm."""
     element, batches = mesh.element, ElementBatches(mesh)
-    _, slopes = element.shape_functions(element.quadrature[0])
+    _, slopes = element.evaluate_shape_functions(element.quadrature[0])
     X, numbers, count = mesh.nodes[mesh.connectivity], mesh.connectivity, len(mesh.nodes)
     jacobian = np.einsum("eai,qaj->eqij", X, slopes)
     gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
@@ -89,7 +89,7 @@ def jumps(solver):
     """Root mean square of the jump of the mean pressure from element to element, over that of the pressures."""
     mesh, weights = solver.mesh, solver.batches.weights
     mean = solver.field_sample().pressures[:, 0] / np.sqrt(weights.sum(axis=1))
-    sides = np.sort(mesh.connectivity[:, mesh.element.faces[:, mesh.element.face_corners]], axis=-1)
+    sides = np.sort(mesh.connectivity[:, mesh.element.face_nodes[:, mesh.element.face_corners]], axis=-1)
     owners = np.repeat(np.arange(len(mean)), sides.shape[1])
     _, inverse = np.unique(sides.reshape(len(owners), -1), axis=0, return_inverse=True)
     order = np.argsort(inverse.ravel(), kind="stable")

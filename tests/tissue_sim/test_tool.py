@@ -34,7 +34,7 @@ def test_rounded_edge(edge, angle, away):
 @pytest.mark.parametrize("edge", [0.0, 1e-3])
 def test_outline_lies_on_the_surface(edge):
     profile = ts.Tool("flat", 8e-3, edge).profile
-    outline = profile.outline(20e-3)
+    outline = profile.sample_outline(20e-3)
     assert abs(profile.gap(outline)).max() < 1e-12
     assert outline[0, 0] == pytest.approx(0, abs=1e-15) and outline[-1] == pytest.approx([8e-3, 20e-3])
 
@@ -79,7 +79,7 @@ def test_gap_is_a_distance(tool, one, other):
 
 @given(tool=tools())
 def test_outline_has_no_gap(tool):
-    outline = tool.profile.outline(15e-3)
+    outline = tool.profile.sample_outline(15e-3)
     below = outline[outline[:, 1] < 15e-3 - 1e-9]
     assert len(below) > 1 and abs(tool.profile.gap(below)).max() < 1e-11
 
@@ -87,7 +87,7 @@ def test_outline_has_no_gap(tool):
 @given(tool=tools())
 def test_deepest_point_is_on_the_axis(tool):
     """The frame of a tool: nothing of it is below z = 0, and on the axis it begins there."""
-    outline = tool.profile.outline(15e-3)
+    outline = tool.profile.sample_outline(15e-3)
     assert outline[0, 0] == pytest.approx(0.0, abs=1e-9) and outline[0, 1] == pytest.approx(outline[:, 1].min())
     assert outline[0, 1] == pytest.approx(0.0, abs=1e-12)
 

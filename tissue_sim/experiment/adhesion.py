@@ -13,7 +13,7 @@ from tissue_sim.parameters import parameter
 
 @dataclass(frozen=True)
 class Adhesion(ContactLaw):
-    """Attraction between the tool and tissue that has touched the tool.
+    """Contact law: attraction between the tool and tissue that has touched the tool.
 
     The traction is p = force / face (1 - gap / length) for 0 <= gap <= length, a linear cohesive law.
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter
 from tissue_sim.pose import Pose, Screw, Vector
+from tissue_sim.public_names import OldName
 
 
 @dataclass(frozen=True)
@@ -36,17 +37,20 @@ class Approach:
                              field="approach.angle")
 
     def pose(self, displacement: float) -> Pose:
-        """Pose of the tool at a displacement from its first touch, m."""
+        """Return the pose of the tool at a displacement, m, from its first touch, positive into the tissue."""
         sine, cosine = math.sin(self.angle), math.cos(self.angle)
         half = 0.5 * self.angle
         return Pose((self.offset + sine * displacement, 0.0, -cosine * displacement),
                     (math.cos(half), 0.0, -math.sin(half), 0.0))
 
+    #: Old name.
+    against = OldName("direction_against_motion")
+
     @property
-    def against(self) -> Vector:
+    def direction_against_motion(self) -> Vector:
         """Unit vector opposite to the tool's direction of motion, in the frame of the scene."""
         return -math.sin(self.angle), 0.0, math.cos(self.angle)
 
     def resistance(self, wrench: Screw) -> float:
-        """Component of a force on the tool opposite to its direction of motion, N."""
-        return sum(one * other for one, other in zip(self.against, wrench, strict=False))
+        """Return the component of a wrench's force opposite to the tool's direction of motion, N."""
+        return sum(one * other for one, other in zip(self.direction_against_motion, wrench, strict=False))

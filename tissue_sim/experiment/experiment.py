@@ -12,7 +12,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.adhesion import Adhesion
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.experiment.contact_law import ContactLaw
-from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, check_interface
+from tissue_sim.experiment.interfaces import AS_TOOL, LARGEST_FRICTION, validate_interface
 from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.frozen_mapping import read_only
@@ -22,7 +22,7 @@ from tissue_sim.public_names import OldName
 from tissue_sim.specimen import Specimen
 
 
-def _declare_friction(symbol: str, key: str, default: str | None) -> Any:
+def _declare_friction_parameter(symbol: str, key: str, default: str | None) -> Any:
     return parameter(symbol, "1", key=key, bounds=(0.0, LARGEST_FRICTION), absent=0.0, words={"frictionless": 0.0},
                      default=default)
 
@@ -57,9 +57,9 @@ class Experiment:
     specimen: Specimen
     protocol: Protocol
     tool: Tool = field(default_factory=Tool)
-    friction: str | float = _declare_friction("mu", "friction", "bonded")
-    friction_base: str | float = _declare_friction("mu_base", "friction_base", None)
-    friction_wall: str | float = _declare_friction("mu_wall", "friction_wall", "frictionless")
+    friction: str | float = _declare_friction_parameter("mu", "friction", "bonded")
+    friction_base: str | float = _declare_friction_parameter("mu_base", "friction_base", None)
+    friction_wall: str | float = _declare_friction_parameter("mu_wall", "friction_wall", "frictionless")
     adhesion: Adhesion | None = None
     tilt: float = parameter("delta", "m", key="tilt_mm", factor=1e-3, bounds=(0.0, 1.0), absent=0.0, default=0.0)
     slip: float | None = parameter("s", "1", key="slip", bounds=(0.0, 1.0), absent=0.0, default=None)
@@ -68,14 +68,14 @@ class Experiment:
 
     def __post_init__(self):
         if not isinstance(self.tool, Tool):
-            raise InputError(f"must be one Tool; got {_describe_type(self.tool)}. An experiment has one tool: make one "
-                             "experiment for each.", field="tool")
+            raise InputError(f"must be one Tool; got {_describe_value_type(self.tool)}. An experiment has one tool: "
+                             "make one experiment for each.", field="tool")
         given = self.contact_laws.values() if isinstance(self.contact_laws, Mapping) else self.contact_laws
         object.__setattr__(self, "contact_laws", read_only({law.name: law for law in given}))
         if self.friction_base is None:
             object.__setattr__(self, "friction_base", self._choose_base_interface())
         for name in ("friction", "friction_base", "friction_wall"):
-            object.__setattr__(self, name, check_interface(getattr(self, name), name))
+            object.__setattr__(self, name, validate_interface(getattr(self, name), name))
         if self.friction_wall == "bonded":
             raise InputError("must not be 'bonded': tissue meets the shaft during the test. Use 'stick', "
                              "'frictionless' or a coefficient of friction", field="friction_wall")
@@ -128,7 +128,7 @@ class Experiment:
             self.with_free_faces()
 
     def _choose_base_interface(self) -> str:
-        """Interface of the base if none is stated."""
+        """Return the interface of the base if the experiment does not state one."""
         if not self.tool.is_plate or not self.specimen.is_flat:
             return "bonded"
         return self.friction if isinstance(self.friction, str) else AS_TOOL
@@ -152,7 +152,7 @@ class Experiment:
         return Pose.at_depth(displacement) if self.approach is None else self.approach.pose(displacement)
 
     def resistance(self, wrench: Screw) -> float:
-        """Force that a load cell on the tool's stage measures, N: the component opposite to the tool's motion.
+        """Return the force that a load cell on the stage measures, N: the component opposite to the tool's motion.
 
         Args:
             wrench: force and torque on the tool, N and N m. For an upright tool the result is the force along z.
@@ -189,7 +189,7 @@ class Experiment:
                 and self.specimen.is_prism and not self.specimen.specific_weight and not self.contact_laws)
 
 
-def _describe_type(value: object) -> str:
+def _describe_value_type(value: object) -> str:
     """Description of a value's type for messages: ``list of 2``, ``str``."""
     name = type(value).__name__
     return f"{name} of {len(value)}" if isinstance(value, list | tuple | set | dict) else name

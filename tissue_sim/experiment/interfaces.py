@@ -16,7 +16,7 @@ AS_TOOL = "as_tool"
 LARGEST_FRICTION = 10.0
 
 
-def check_interface(value: str | float, name: str) -> str | float:
+def validate_interface(value: str | float, name: str) -> str | float:
     """Check an interface and return it; a coefficient of friction of 0 becomes ``"frictionless"``.
 
     Args:

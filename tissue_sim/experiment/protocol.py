@@ -9,7 +9,8 @@ import numpy as np
 
 from tissue_sim.errors import InputError, require_length
 from tissue_sim.experiment.protocol_text import parse_protocol
-from tissue_sim.experiment.segments import Leg, expand_legs, protocol_error
+from tissue_sim.experiment.segments import MotionLeg, expand_legs, protocol_error
+from tissue_sim.public_names import OldName
 
 #: Tool speed of the reference study, m/s.
 STUDY_SPEED = 0.248e-3
@@ -65,7 +66,8 @@ class Protocol:
             raise InputError(f"time and displacement must be two lists of the same length; got {self.time.shape} and "
                              f"{self.displacement.shape}.", field="protocol")
         if not (np.isfinite(self.time).all() and np.isfinite(self.displacement).all()):
-            raise InputError("time and displacement must be finite", field="protocol")
+            raise InputError("time and displacement must be finite; remove samples that are not finite "
+                             "numbers", field="protocol")
         if (np.diff(self.time) <= 0).any():
             raise InputError("must increase from sample to sample.", field="protocol.time")
         for name, kind, words in (("segment", "U", "names"), ("cycle", "iu", "whole numbers")):
@@ -80,7 +82,10 @@ class Protocol:
         array.flags.writeable = False
         object.__setattr__(self, name, array)
 
-    def at(self, samples: np.ndarray) -> Protocol:
+    #: Old name.
+    at = OldName("interpolate_motion")
+
+    def interpolate_motion(self, samples: np.ndarray) -> Protocol:
         """Interpolate the motion at fractional sample numbers.
 
         Args:
@@ -102,7 +107,7 @@ class Protocol:
             (array([0., 1., 2.]), array([0.   , 0.001, 0.002]))
         """
         require_length(depth, "protocol.depth")
-        _require_sampling(points, speed)
+        _require_valid_sampling(points, speed)
         displacement = np.linspace(0.0, depth, points)
         return cls(displacement / speed, displacement)
 
@@ -128,7 +133,7 @@ class Protocol:
             >>> float(protocol.time[-1]), float(protocol.displacement.max())
             (5.0, 0.002)
         """
-        _require_sampling(points, speed)
+        _require_valid_sampling(points, speed)
         if points > MOST_SAMPLES:
             raise InputError(f"must be at most {MOST_SAMPLES}; got {points}.", field="protocol.points")
         time: list[float] = []
@@ -163,8 +168,8 @@ class Protocol:
         return {name: values for name in ("segment", "cycle") if (values := getattr(self, name)) is not None}
 
 
-def _sample_leg(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndarray, np.ndarray]:
-    """Sample a leg; its start is left out.
+def _sample_leg(leg: MotionLeg, now: float, points: int, step: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return displacements and times of the samples of a leg, without the sample at its start.
 
     Args:
         leg: straight line of displacement against time.
@@ -182,22 +187,22 @@ def _sample_leg(leg: Leg, now: float, points: int, step: float) -> tuple[np.ndar
         samples = np.linspace(leg.start, leg.end, points)[1:]
         since = np.abs(samples - leg.start) / leg.speed
     else:
-        since = _hold_sample_times(leg.duration, step)
+        since = _compute_hold_sample_times(leg.duration, step)
         samples = np.full(since.size, leg.end)
     if (np.diff(now + since, prepend=now) <= 0).any():
         raise protocol_error(position, f"this {leg.segment.kind} is too short: its samples coincide at {now:g} s")
     return samples, since
 
 
-def _hold_sample_times(duration: float, step: float) -> np.ndarray:
-    """Times of the samples of a hold, s, the last one equal to `duration`; see `Protocol.parse`."""
+def _compute_hold_sample_times(duration: float, step: float) -> np.ndarray:
+    """Return the times of the samples of a hold, s, from its start; the last one equals `duration`."""
     first = min(max(step / duration, 1e-9), HOLD_STEPS.largest_first)
     count = math.ceil(math.log1p((HOLD_STEPS.growth - 1) / first) / math.log(HOLD_STEPS.growth))
     growth = HOLD_STEPS.growth ** np.arange(1, count + 1) - 1
     return duration * (growth / growth[-1])
 
 
-def _require_sampling(points: int, speed: float) -> None:
+def _require_valid_sampling(points: int, speed: float) -> None:
     require_length(speed, "protocol.speed")
     if points < 2:
         raise InputError(f"must be at least 2; got {points}.", field="protocol.points")

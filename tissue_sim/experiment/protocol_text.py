@@ -9,7 +9,8 @@ from decimal import Decimal
 from typing import Any
 
 from tissue_sim.errors import nearest
-from tissue_sim.experiment.segments import KINDS, Repeat, Segment, protocol_error
+from tissue_sim.experiment.segments import KINDS, ProtocolRepeat, ProtocolSegment, protocol_error
+from tissue_sim.public_names import old_names
 
 #: Unit -> factor to m.
 _LENGTHS = {"mm": "0.001", "um": "0.000001", "m": "1"}
@@ -30,8 +31,10 @@ _BLANKS = re.compile(r"\s*")
 #: Largest number of characters of the text that a message quotes.
 _QUOTED = 16
 
+__getattr__ = old_names(__name__, {"write_protocol": "format_protocol"})
 
-def parse_protocol(text: str) -> tuple[Segment | Repeat, ...]:
+
+def parse_protocol(text: str) -> tuple[ProtocolSegment | ProtocolRepeat, ...]:
     """Parse the text of a protocol.
 
     Segments are separated by ``;``, and ``repeat N ( ... )`` repeats the segments in its brackets N times. A segment is
@@ -41,16 +44,16 @@ def parse_protocol(text: str) -> tuple[Segment | Repeat, ...]:
     Raises:
         InputError: a syntax error, with its position (column, and line if there are several) and an example.
     """
-    return _Reader(text).read()
+    return _ProtocolParser(text).read_whole_text()
 
 
-def write_protocol(steps: Sequence[Segment | Repeat]) -> str:
-    """Write the text of a protocol, in mm and s with every digit; `parse_protocol` returns the same steps."""
-    return "; ".join(f"repeat {step.times} ({write_protocol(step.segments)})" if isinstance(step, Repeat)
-                     else _write(step) for step in steps)
+def format_protocol(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> str:
+    """Return the text of a protocol, in mm and s with every digit; `parse_protocol` of this text returns the steps."""
+    return "; ".join(f"repeat {step.times} ({format_protocol(step.segments)})" if isinstance(step, ProtocolRepeat)
+                     else _format_segment(step) for step in steps)
 
 
-def _write(segment: Segment) -> str:
+def _format_segment(segment: ProtocolSegment) -> str:
     def format_milli(value: float) -> str:
         return f"{Decimal(repr(float(value))) * 1000:g}mm"
 
@@ -59,13 +62,13 @@ def _write(segment: Segment) -> str:
     return f"{segment.kind}{amount}{'' if segment.speed is None else f' @{format_milli(segment.speed)}/s'}"
 
 
-class _Reader:
+class _ProtocolParser:
     """Parser that reads a text from left to right; `at` is the index of the next character."""
 
     def __init__(self, text: str):
         self.text, self.at = text, 0
 
-    def read(self) -> tuple[Segment | Repeat, ...]:
+    def read_whole_text(self) -> tuple[ProtocolSegment | ProtocolRepeat, ...]:
         steps = self.read_steps()
         if self.at < len(self.text):
             raise self._make_error(self.at, "this bracket closes nothing; take it out")
@@ -73,17 +76,17 @@ class _Reader:
 
     def read_steps(self, repeated: bool = False) -> tuple[Any, ...]:
         """Read steps up to the end, or up to a closing bracket, which is not consumed."""
-        steps: list[Segment | Repeat] = []
+        steps: list[ProtocolSegment | ProtocolRepeat] = []
         while True:
             if steps and self.is_at_end():
                 return tuple(steps)
-            steps.append(self.step(repeated))
+            steps.append(self.read_step(repeated))
             if self.is_at_end():
                 return tuple(steps)
             if not self.match_sign_and_advance(";"):
                 raise self._make_error(self.at, "expected ';' between two segments")
 
-    def step(self, repeated: bool) -> Segment | Repeat:
+    def read_step(self, repeated: bool) -> ProtocolSegment | ProtocolRepeat:
         """Read a segment or a repeat; `repeated`: inside a repeat, where no other repeat is allowed."""
         self.skip_blanks()
         start = self.at
@@ -92,14 +95,14 @@ class _Reader:
             return self.read_segment(start, word)
         if repeated:
             raise self._make_error(start, "a repeat must not be inside of another repeat; write one of them out")
-        return self.repeat(start)
+        return self.read_repeat(start)
 
-    def read_segment(self, start: int, word: str | None) -> Segment:
-        """Read the rest of a segment whose first word is known and begins at `start`."""
+    def read_segment(self, start: int, word: str | None) -> ProtocolSegment:
+        """Read amount and speed of a segment; its first word `word` begins at index `start` of the text."""
         if word is None:
             raise self._make_error(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
-            raise self._make_error(start, f"unknown segment {_quote_shortened(word)}"
+            raise self._make_error(start, f"unknown segment {_quote_shortened_text(word)}"
                                           f"{nearest(word, (*KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
         amount = self.read_amount(quantity, needed=needed, zero=word == "unload", after=word)
@@ -109,10 +112,10 @@ class _Reader:
             if word == "hold":
                 raise self._make_error(sign, "a hold has no speed; remove it")
             speed = self.read_amount("speed", needed=True, zero=False, after="@")
-        return Segment(word, amount, speed, position=self.describe_position(start))
+        return ProtocolSegment(word, amount, speed, position=self.describe_position(start))
 
-    def repeat(self, start: int) -> Repeat:
-        """Read the rest of a repeat that begins at `start`."""
+    def read_repeat(self, start: int) -> ProtocolRepeat:
+        """Read number and segments of a repeat; its word ``repeat`` begins at index `start` of the text."""
         self.skip_blanks()
         at = self.at
         count = self.match_and_advance(_NUMBER)
@@ -125,7 +128,7 @@ class _Reader:
         segments = self.read_steps(repeated=True)
         if not self.match_sign_and_advance(")"):
             raise self._make_error(start, "the brackets of this repeat are not closed; add ')'")
-        return Repeat(int(count), segments)
+        return ProtocolRepeat(int(count), segments)
 
     def read_amount(self, quantity: str, *, needed: bool, zero: bool, after: str) -> float | None:
         """Read a number with its unit; returns the value in SI, or None if there is no number."""
@@ -142,21 +145,22 @@ class _Reader:
         if unit is None:
             comma = self.text[at:at + 1] == ","
             problem = ("the decimal mark must be a point, not a comma" if comma
-                       else f"{_quote_shortened(number)} has no unit")
+                       else f"{_quote_shortened_text(number)} has no unit")
             raise self._make_error(at, f"{problem}; expected a {quantity} such as {_EXAMPLES[quantity]}")
         entry = units.get(unit.replace("µ", "u").replace("μ", "u"))
         if entry is None:
-            raise self._make_error(at, f"{_quote_shortened(unit)} is not a unit of {quantity}; use "
+            raise self._make_error(at, f"{_quote_shortened_text(unit)} is not a unit of {quantity}; use "
                                        f"{', '.join(list(units)[:5])}")
         value = _convert_to_si(number, *entry)
         if not (0 < value < math.inf or (zero and value == 0)):
             remedy = "; use retract for a height above the touch" if quantity == "length" else ""
-            raise self._make_error(start, f"{_quote_shortened(number)} is not a finite {quantity} above zero{remedy}")
+            raise self._make_error(start,
+                                   f"{_quote_shortened_text(number)} is not a finite {quantity} above zero{remedy}")
         self.skip_blanks()
         return value
 
     def is_at_end(self) -> bool:
-        """Whether the text, or the bracket, ends here."""
+        """Return whether the text or the bracket ends at the present position."""
         self.skip_blanks()
         return self.at == len(self.text) or self.text[self.at] == ")"
 
@@ -178,18 +182,18 @@ class _Reader:
         self.match_and_advance(_BLANKS)
 
     def describe_position(self, at: int) -> str:
-        """Column, and line if there are several, of an index of the text."""
+        """Return the column (from 1), and the line of a text with several lines, of an index of the text."""
         column = f"column {at - self.text.rfind(chr(10), 0, at)}"
         return f"line {1 + self.text.count(chr(10), 0, at)}, {column}" if "\n" in self.text.strip() else column
 
     def _make_error(self, at: int, problem: str):
         """Error at an index of the text."""
         rest = self.text[at:].strip()
-        found = f"at {_quote_shortened(rest)}" if rest else "at the end"
+        found = f"at {_quote_shortened_text(rest)}" if rest else "at the end"
         return protocol_error(f"{self.describe_position(at)}, {found}", problem)
 
 
-def _quote_shortened(text: str) -> str:
+def _quote_shortened_text(text: str) -> str:
     return repr(text if len(text) <= _QUOTED else f"{text[:_QUOTED]}...")
 
 

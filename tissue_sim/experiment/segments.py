@@ -18,7 +18,7 @@ EXAMPLE = "ramp 10mm @0.248mm/s; hold 60s; unload"
 
 
 @dataclass(frozen=True)
-class Segment:
+class ProtocolSegment:
     """One segment of the tool's motion.
 
     Attributes:
@@ -36,16 +36,16 @@ class Segment:
 
 
 @dataclass(frozen=True)
-class Repeat:
+class ProtocolRepeat:
     """Segments that are repeated `times` times."""
 
     times: int
-    segments: tuple[Segment, ...]
+    segments: tuple[ProtocolSegment, ...]
 
 
 @dataclass(frozen=True)
-class Leg:
-    """Straight line of displacement against time.
+class MotionLeg:
+    """Part of a protocol in which the displacement is linear in time.
 
     Attributes:
         segment: segment that the leg belongs to.
@@ -55,7 +55,7 @@ class Leg:
         cycle: number of the load cycle, from 1; a cycle begins where the tool turns into the tissue again.
     """
 
-    segment: Segment
+    segment: ProtocolSegment
     start: float
     end: float
     speed: float
@@ -63,7 +63,7 @@ class Leg:
     cycle: int
 
 
-def expand_legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg]:
+def expand_legs(steps: Sequence[ProtocolSegment | ProtocolRepeat], speed: float) -> Iterator[MotionLeg]:
     """Return the legs of a protocol, one for each segment, with repeats expanded.
 
     Args:
@@ -77,16 +77,16 @@ def expand_legs(steps: Sequence[Segment | Repeat], speed: float) -> Iterator[Leg
     for segment in _expand_repeats(steps):
         speed = speed if segment.speed is None else segment.speed
         if segment.kind == "approach" and not begun:
-            here = -_start_of_approach(segment)
+            here = -_find_approach_start(segment)
         begun = True
-        end = _find_end(segment, here, deepest)
+        end = _find_end_displacement(segment, here, deepest)
         if end > here and withdrawn:
             cycle, withdrawn = cycle + 1, False
         withdrawn = withdrawn or end < here
         if segment.kind == "hold":
-            yield Leg(segment, here, end, 0.0, segment.amount or 0.0, cycle)
+            yield MotionLeg(segment, here, end, 0.0, segment.amount or 0.0, cycle)
         else:
-            yield Leg(segment, here, end, speed, abs(end - here) / speed, cycle)
+            yield MotionLeg(segment, here, end, speed, abs(end - here) / speed, cycle)
         here, deepest = end, max(deepest, end)
 
 
@@ -96,21 +96,21 @@ def protocol_error(position: str, problem: str) -> InputError:
     return InputError(f"{position + ': ' if position else ''}{problem}{example}", field="protocol")
 
 
-def _expand_repeats(steps: Sequence[Segment | Repeat]) -> Iterator[Segment]:
+def _expand_repeats(steps: Sequence[ProtocolSegment | ProtocolRepeat]) -> Iterator[ProtocolSegment]:
     for step in steps:
-        for _ in range(step.times if isinstance(step, Repeat) else 1):
-            yield from step.segments if isinstance(step, Repeat) else (step,)
+        for _ in range(step.times if isinstance(step, ProtocolRepeat) else 1):
+            yield from step.segments if isinstance(step, ProtocolRepeat) else (step,)
 
 
-def _start_of_approach(segment: Segment) -> float:
+def _find_approach_start(segment: ProtocolSegment) -> float:
     if segment.amount is None:
         raise protocol_error(segment.position, "the first approach needs the height above the touch at which it "
                                                "starts, such as approach 2mm")
     return segment.amount
 
 
-def _find_end(segment: Segment, here: float, deepest: float) -> float:
-    """Displacement at the end of a segment, m; `here`: at its start, `deepest`: largest so far."""
+def _find_end_displacement(segment: ProtocolSegment, here: float, deepest: float) -> float:
+    """Return the displacement at the end of a segment, m; `here`: at its start, `deepest`: largest so far."""
     kind, amount = segment.kind, segment.amount
     match kind:
         case "hold":

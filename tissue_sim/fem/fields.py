@@ -38,6 +38,6 @@ def extrapolate(mesh: Any, values: np.ndarray) -> np.ndarray:
     """
     nodes = mesh.connectivity.ravel()
     nodal = (np.repeat(values, mesh.connectivity.shape[1]) if values.shape[1] == 1
-             else values @ mesh.element.from_quadrature.T)
+             else values @ mesh.element.quadrature_extrapolation_matrix.T)
     times = np.bincount(nodes, minlength=len(mesh.nodes))
     return np.bincount(nodes, nodal.ravel(), len(mesh.nodes)) / np.maximum(times, 1)

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.elements import Element
+from tissue_sim.mesh.elements import QuadrilateralElement
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,24 +26,24 @@ class Mesh:
             at the edge.
     """
 
-    element: Element
+    element: QuadrilateralElement
     nodes: np.ndarray
     connectivity: np.ndarray
     sets: dict[str, np.ndarray] = field(default_factory=dict)
 
-    def edges(self, name: str) -> np.ndarray:
+    def select_edges(self, name: str) -> np.ndarray:
         """Return the element edges with all nodes in a set, as node numbers, shape (m, nodes of an edge).
 
         The first and the last number of a row are the ends of the edge.
         """
-        sides = self.connectivity[:, np.array(self.element.edges)].reshape(-1, self.element.order + 1)
+        sides = self.connectivity[:, np.array(self.element.edge_nodes)].reshape(-1, self.element.order + 1)
         return sides[np.isin(sides, self.sets[name]).all(axis=1)]
 
-    def stretched(self, factor: float) -> Mesh:
-        """Return the mesh with its height multiplied by this factor."""
+    def scale_height(self, factor: float) -> Mesh:
+        """Return a copy of the mesh with all heights z multiplied by `factor`."""
         return replace(self, nodes=self.nodes * [1.0, factor])
 
-    def moved(self, r: tuple[np.ndarray, np.ndarray], z: tuple[np.ndarray, np.ndarray]) -> Mesh:
+    def move_mesh_lines(self, r: tuple[np.ndarray, np.ndarray], z: tuple[np.ndarray, np.ndarray]) -> Mesh:
         """Return the mesh with moved mesh lines; positions between the stated lines are interpolated linearly.
 
         Args:
@@ -121,7 +121,7 @@ def growing_line(length: float, smallest: float, growth: float, largest: float) 
     return points
 
 
-def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
+def structured_mesh(r: np.ndarray, z: np.ndarray, element: QuadrilateralElement) -> Mesh:
     """Create a structured mesh from element boundaries.
 
     Args:
@@ -147,7 +147,7 @@ def structured_mesh(r: np.ndarray, z: np.ndarray, element: Element) -> Mesh:
     return Mesh(element, nodes, connectivity, {name: members.copy() for name, members in sets.items()})
 
 
-def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], element: Element, *,
+def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], element: QuadrilateralElement, *,
                   grading: tuple[float, float] = (1.0, 1.0)) -> Mesh:
     """Create the mesh of a cylinder with small elements at the side and both ends, where bonded corners are singular.
 
@@ -168,7 +168,8 @@ def cylinder_mesh(radius: float, height: float, elements: tuple[int, int], eleme
     return structured_mesh(r, z, element)
 
 
-def needle_mesh(radius: float, height: float, face_radius: float, element: Element, *, smallest: float, growth: float,
+def needle_mesh(radius: float, height: float, face_radius: float, element: QuadrilateralElement, *, smallest: float,
+                growth: float,
                 largest: float) -> Mesh:
     """Create the mesh of a cylinder under a flat needle with small elements at the edge of the needle's face.
 
@@ -192,7 +193,8 @@ def needle_mesh(radius: float, height: float, face_radius: float, element: Eleme
     return replace(mesh, sets={**mesh.sets, "face": top[distance <= slack], "free": top[distance >= -slack]})
 
 
-def tip_mesh(radius: float, height: float, contact_radius: float, element: Element, *, smallest: float, growth: float,
+def tip_mesh(radius: float, height: float, contact_radius: float, element: QuadrilateralElement, *, smallest: float,
+             growth: float,
              largest: float) -> Mesh:
     """Create the mesh of a cylinder under a pointed or round tip: uniform elements in contact, growing ones outside.
 

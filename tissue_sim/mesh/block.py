@@ -8,8 +8,14 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import Grading
-from tissue_sim.mesh.section import Section, quarter_circle, side_of_box
-from tissue_sim.mesh.solid import SolidMesh, block_mesh, extrude_section, ring_radii, with_tool_sets
+from tissue_sim.mesh.section import PlanarMesh, make_quarter_circle, make_rectangle_side
+from tissue_sim.mesh.solid import (
+    SolidMesh,
+    add_tool_node_sets,
+    compute_ring_radii,
+    create_block_mesh,
+    extrude_section_to_mesh,
+)
 
 
 @dataclass(frozen=True)
@@ -45,8 +51,9 @@ def block_under_plate(length: float, width: float, height: float, grading: Gradi
     """
     grading = replace(grading, smallest=_MESH.edge_size * grading.smallest,
                       growth=max(grading.growth, _MESH.edge_growth))
-    x, y, z = (grading.line_between(size) for size in (length, width, height))
-    return block_mesh(x - 0.5 * length, y - 0.5 * width, grading.with_interfaces(z - height, height), grading.element)
+    x, y, z = (grading.divide_line_from_both_ends(size) for size in (length, width, height))
+    return create_block_mesh(x - 0.5 * length, y - 0.5 * width, grading.insert_interface_heights(z - height, height),
+                             grading.element)
 
 
 def block_under_tool(length: float, width: float, height: float, grading: Grading) -> SolidMesh:
@@ -70,17 +77,17 @@ def block_under_tool(length: float, width: float, height: float, grading: Gradin
     reach = max(_MESH.box * radius, distances.min())
     half_widths = np.where(distances < _MESH.near * reach, distances, reach)
     low, high = centre - half_widths[:, 0], centre + half_widths[:, 1]
-    section = Section(grading.element.order)
-    section.add_disc(centre, radius, ring_radii(grading, radius), grading.around)
-    outward = grading.line(float(half_widths.max()) - radius)
+    section = PlanarMesh(grading.element.order)
+    section.add_disc(centre, radius, compute_ring_radii(grading, radius), grading.around)
+    outward = grading.divide_line(float(half_widths.max()) - radius)
     for quarter in range(4):
-        section.add_ring(quarter_circle(quarter, radius, centre), side_of_box(quarter, low, high, centre),
+        section.add_ring(make_quarter_circle(quarter, radius, centre), make_rectangle_side(quarter, low, high, centre),
                          outward / outward[-1], grading.around)
     last = min(max(outward[-1] - outward[-2], grading.smallest) * grading.growth, grading.largest)
     parts = []
     for axis in range(2):
         sides = replace(grading, smallest=last)
-        before, after = (sides.line(float(distance - box)) if distance > box else np.zeros(1)
+        before, after = (sides.divide_line(float(distance - box)) if distance > box else np.zeros(1)
                          for distance, box in zip(distances[axis], half_widths[axis], strict=True))
         within = np.interp(np.linspace(0.0, 1.0, grading.around + 1), [0.0, 0.5, 1.0],
                            [low[axis], centre[axis], high[axis]])
@@ -89,5 +96,6 @@ def block_under_tool(length: float, width: float, height: float, grading: Gradin
         for j, y in enumerate(parts[1]):
             if (i, j) != (1, 1) and x.size > 1 and y.size > 1:
                 section.add_rectangle(x, y)
-    mesh = extrude_section(section, grading.with_interfaces(-grading.line(height)[::-1], height), grading.element)
-    return with_tool_sets(mesh, radius, grading.centre)
+    mesh = extrude_section_to_mesh(section, grading.insert_interface_heights(-grading.divide_line(height)[::-1],
+                                                                             height), grading.element)
+    return add_tool_node_sets(mesh, radius, grading.centre)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.solid import SolidMesh, with_surface
+from tissue_sim.mesh.solid import SolidMesh, create_mesh_with_surface_sets
 from tissue_sim.mesh.solid_element import SolidElement
 from tissue_sim.mesh.tetrahedra import Tetrahedron
 
@@ -29,13 +29,13 @@ class SharedNodeSettings:
 _SHARED = SharedNodeSettings()
 
 
-def join_at_corners(element: SolidElement, corners: np.ndarray,
-                    positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def merge_shared_nodes(element: SolidElement, corners: np.ndarray,
+                       positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return nodes and connectivity of elements that share nodes if they share the corners of an edge or face.
 
     Args:
         element: element type.
-        corners: numbers of the corners in the order of `SolidElement.corners`, shape (elements, corners).
+        corners: numbers of the corners in the order of `SolidElement.corner_nodes`, shape (elements, corners).
         positions: coordinates of the nodes of each element, m, shape (elements, nodes of the element, 3).
 
     Returns:
@@ -46,7 +46,7 @@ def join_at_corners(element: SolidElement, corners: np.ndarray,
         InputError: two elements have different positions of the middle of a shared edge or face.
     """
     # A node is identified by the corners on which it depends: two for an edge, those of a face, all for the interior.
-    depends = element.corner_weights > _SHARED.min_weight
+    depends = element.corner_function_values > _SHARED.min_weight
     keys = np.sort(np.where(depends, corners[:, None], -1), axis=-1).reshape(-1, corners.shape[1])
     _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     nodes, connectivity = positions.reshape(-1, 3)[first], numbers.reshape(len(corners), -1)
@@ -70,25 +70,27 @@ def split_hexahedra(mesh: SolidMesh, element: Tetrahedron) -> SolidMesh:
         element: element type of the tetrahedra.
     """
     given = mesh.element
-    corners = mesh.connectivity[:, given.corners]
-    sides = given.faces[:, given.face_corners]
-    local = {node: index for index, node in enumerate(given.corners.tolist())}
+    corners = mesh.connectivity[:, given.corner_nodes]
+    sides = given.face_nodes[:, given.face_corners]
+    local = {node: index for index, node in enumerate(given.corner_nodes.tolist())}
     sides = np.vectorize(local.get)(sides)
-    cut = np.array([_split(each, sides) for each in corners])  # indices of the element's corners, (elements, 6, 4)
-    vertices = given.reference_nodes[given.corners][cut]
+    cut = np.array([_split_hexahedron(each, sides)
+                    for each in corners])  # indices of the element's corners, (elements, 6, 4)
+    vertices = given.reference_nodes[given.corner_nodes][cut]
     is_inverted = np.linalg.det(vertices[..., 1:, :] - vertices[..., :1, :]) < 0.0
     cut[is_inverted] = cut[is_inverted][:, [0, 2, 1, 3]]
-    vertices = given.reference_nodes[given.corners][cut]
-    inside = np.einsum("nc,etci->etni", element.corner_weights, vertices)
-    values, _ = given.shape_functions(inside.reshape(-1, 3))
+    vertices = given.reference_nodes[given.corner_nodes][cut]
+    inside = np.einsum("nc,etci->etni", element.corner_function_values, vertices)
+    values, _ = given.evaluate_shape_functions(inside.reshape(-1, 3))
     positions = np.einsum("etng,egi->etni", values.reshape(*inside.shape[:-1], -1), mesh.nodes[mesh.connectivity])
     if element.order == 1:  # straight edges
-        positions = np.einsum("nc,etci->etni", element.corner_weights, positions[:, :, element.corners])
+        positions = np.einsum("nc,etci->etni", element.corner_function_values, positions[:, :, element.corner_nodes])
     numbers = np.take_along_axis(corners[:, None], cut, axis=2).reshape(-1, 4)
-    return with_surface(element, *join_at_corners(element, numbers, positions.reshape(-1, element.nodes, 3)))
+    nodes, connectivity = merge_shared_nodes(element, numbers, positions.reshape(-1, element.node_count, 3))
+    return create_mesh_with_surface_sets(element, nodes, connectivity)
 
 
-def _split(corners: np.ndarray, sides: np.ndarray) -> list[list[int]]:
+def _split_hexahedron(corners: np.ndarray, sides: np.ndarray) -> list[list[int]]:
     """Return the six tetrahedra of a hexahedron as indices of its corners; `corners` are their node numbers."""
     lowest = int(np.argmin(corners))
     found = []

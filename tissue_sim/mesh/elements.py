@@ -34,8 +34,8 @@ def evaluate_lagrange(x: np.ndarray, order: int) -> tuple[np.ndarray, np.ndarray
 
 
 @dataclass(frozen=True)
-class Element:
-    """Quadrilateral with tensor-product Lagrange polynomials.
+class QuadrilateralElement:
+    """Quadrilateral element type with tensor-product Lagrange polynomials.
 
     Attributes:
         name: name in the notation of the literature, such as ``Q9/P-1``.
@@ -50,7 +50,7 @@ class Element:
     boundary_nodes: int
 
     @property
-    def nodes(self) -> int:
+    def node_count(self) -> int:
         """Number of nodes of the element."""
         return (self.order + 1) ** 2
 
@@ -63,8 +63,8 @@ class Element:
         return np.array([*corners, (0, -1), (1, 0), (0, 1), (-1, 0), (0, 0)], dtype=float)
 
     @property
-    def edges(self) -> tuple[tuple[int, ...], ...]:
-        """Nodes of each edge in order; the first and the last are its ends."""
+    def edge_nodes(self) -> tuple[tuple[int, ...], ...]:
+        """Node numbers in the element along each edge, in order; the first and the last are the ends of the edge."""
         if self.order == 1:
             return (0, 1), (1, 2), (2, 3), (3, 0)
         return (0, 4, 1), (1, 5, 2), (2, 6, 3), (3, 7, 0)
@@ -77,12 +77,12 @@ class Element:
         return points, np.array([v * u for u in w for v in w])
 
     @cached_property
-    def from_quadrature(self) -> np.ndarray:
+    def quadrature_extrapolation_matrix(self) -> np.ndarray:
         """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
-        shapes, _ = self.shape_functions(self.quadrature[0])
+        shapes, _ = self.evaluate_shape_functions(self.quadrature[0])
         return np.linalg.inv(shapes)
 
-    def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 2) at reference points (q, 2)."""
         (vx, sx), (vy, sy) = (evaluate_lagrange(points[:, axis], self.order) for axis in range(2))
         indices = np.rint((self.reference_nodes + 1.0) * 0.5 * self.order).astype(int)
@@ -92,8 +92,8 @@ class Element:
 
 #: Nine-node quadrilateral with three discontinuous pressures, the standard element (Bathe, Finite Element Procedures,
 #: 2014, section 4.4.3).
-Q9P1 = Element("Q9/P-1", order=2, pressure_modes=3, boundary_nodes=8)
+Q9P1 = QuadrilateralElement("Q9/P-1", order=2, pressure_modes=3, boundary_nodes=8)
 #: Four-node quadrilateral with one pressure (mean dilatation), for verification and benchmarks.
-Q4P0 = Element("Q4/P0", order=1, pressure_modes=1, boundary_nodes=4)
+Q4P0 = QuadrilateralElement("Q4/P0", order=1, pressure_modes=1, boundary_nodes=4)
 #: Elements by name.
 ELEMENTS = {element.name: element for element in (Q9P1, Q4P0)}

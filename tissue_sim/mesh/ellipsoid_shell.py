@@ -8,11 +8,11 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import O_GRID, Grading
-from tissue_sim.mesh.section import Curve, Section, quarter_circle
-from tissue_sim.mesh.solid import SolidMesh, extrude_section, ring_radii, with_tool_sets
+from tissue_sim.mesh.section import Curve, PlanarMesh, make_quarter_circle
+from tissue_sim.mesh.solid import SolidMesh, add_tool_node_sets, compute_ring_radii, extrude_section_to_mesh
 
 
-def ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, grading: Grading) -> SolidMesh:
+def mesh_ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, grading: Grading) -> SolidMesh:
     """Create the mesh of the upper half of an ellipsoidal shell with rings of elements around a circle.
 
     The apex of the outer surface is the origin and the inner surface is the base. A plane section in the unit disc, in
@@ -31,29 +31,31 @@ def ellipsoid_shell(semi_axes: tuple[float, float, float], thickness: float, gra
     radius = O_GRID.plate_ring * min(a, b) if grading.radius is None else grading.radius
     centre = np.array(grading.centre)
 
-    def to_disc(points: np.ndarray) -> np.ndarray:
+    def map_to_unit_disc(points: np.ndarray) -> np.ndarray:
         """Map (x, y) of points on the outer surface, m, shape (..., 2), to the unit disc."""
         scaled = points / [a, b]
         sine = np.hypot(scaled[..., 0], scaled[..., 1])[..., None]
         return scaled * np.where(sine > 0.0, 2.0 / np.pi * np.arcsin(np.minimum(sine, 1.0)) / np.where(
             sine > 0.0, sine, 1.0), 2.0 / np.pi)
 
-    def circle(quarter: int) -> Curve:
-        return lambda t: to_disc(quarter_circle(quarter, radius, centre)(t))
+    def make_circle_curve(quarter: int) -> Curve:
+        return lambda t: map_to_unit_disc(make_quarter_circle(quarter, radius, centre)(t))
 
     angles = np.linspace(0.0, 2.0 * np.pi, 73)
     if (np.hypot(*((centre + radius * np.stack([np.cos(angles), np.sin(angles)], axis=-1)) / [a, b]).T) >= 1.0).any():
         raise InputError(f"the circle of radius {radius:g} m about ({centre[0]:g}, {centre[1]:g}) m must be inside the "
                          "rim of the shell", field="centre")
-    section = Section(grading.element.order)
-    section.add_disc(centre, radius, ring_radii(grading, radius), grading.around, through=to_disc)
-    outward = grading.line(0.25 * np.pi * (max(a, b) + c) - radius)
+    section = PlanarMesh(grading.element.order)
+    section.add_disc(centre, radius, compute_ring_radii(grading, radius), grading.around, through=map_to_unit_disc)
+    outward = grading.divide_line(0.25 * np.pi * (max(a, b) + c) - radius)
     for quarter in range(4):
-        section.add_ring(circle(quarter), quarter_circle(quarter, 1.0), outward / outward[-1], grading.around)
-    flat = extrude_section(section, grading.with_interfaces(-grading.line(thickness)[::-1], thickness),
-                           grading.element)
+        section.add_ring(make_circle_curve(quarter), make_quarter_circle(quarter, 1.0), outward / outward[-1],
+                         grading.around)
+    flat = extrude_section_to_mesh(section,
+                                   grading.insert_interface_heights(-grading.divide_line(thickness)[::-1], thickness),
+                                   grading.element)
     u, v, z = flat.nodes.T
     angle, theta = np.arctan2(v, u), 0.5 * np.pi * np.minimum(np.hypot(u, v), 1.0)
     nodes = np.column_stack([(a + z) * np.sin(theta) * np.cos(angle), (b + z) * np.sin(theta) * np.sin(angle),
                              (c + z) * np.cos(theta) - c])
-    return with_tool_sets(replace(flat, nodes=nodes, depths=flat.element_depths), radius, grading.centre)
+    return add_tool_node_sets(replace(flat, nodes=nodes, depths=flat.element_depths), radius, grading.centre)

@@ -30,7 +30,7 @@ O_GRID = OGridSettings()
 
 @dataclass(frozen=True)
 class Grading:
-    """Sizes of elements away from the edge of a tool's face, or from the edges of the specimen under a plate.
+    """Sizes of elements: smallest at the edge of the tool's face, or of a specimen under a plate, growing from there.
 
     Attributes:
         element: element type; a mesh from a file uses its own shape of element with the same order.
@@ -54,16 +54,16 @@ class Grading:
     interfaces: tuple[float, ...] = ()
     least: int = 1
 
-    def line(self, length: float) -> np.ndarray:
-        """Divide a line of this length, m, into growing intervals; return coordinates from 0."""
+    def divide_line(self, length: float) -> np.ndarray:
+        """Divide a line of `length`, m, into intervals that grow from its start; return their boundaries from 0, m."""
         return growing_line(length, self.smallest, self.growth, self.largest)
 
-    def line_between(self, length: float) -> np.ndarray:
-        """Divide a line of this length, m, with small intervals at both ends; return coordinates from 0."""
-        half = self.line(0.5 * length)
+    def divide_line_from_both_ends(self, length: float) -> np.ndarray:
+        """Divide a line of `length`, m, with small intervals at both ends; return their boundaries from 0, m."""
+        half = self.divide_line(0.5 * length)
         return np.concatenate([half, length - half[-2::-1]])
 
-    def with_interfaces(self, heights: np.ndarray, height: float) -> np.ndarray:
+    def insert_interface_heights(self, heights: np.ndarray, height: float) -> np.ndarray:
         """Add the interfaces to the heights of element boundaries.
 
         Args:

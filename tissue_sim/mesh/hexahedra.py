@@ -17,7 +17,7 @@ class Hexahedron(SolidElement):
     """Hexahedron with tensor-product Lagrange polynomials; nodes are numbered along x first, then y, then z."""
 
     @cached_property
-    def _indices(self) -> np.ndarray:
+    def _lattice_indices(self) -> np.ndarray:
         """Index of each node along x, y and z, shape (nodes, 3)."""
         line = np.arange(self.order + 1)
         return np.array([(i, j, k) for k in line for j in line for i in line])
@@ -25,15 +25,15 @@ class Hexahedron(SolidElement):
     @cached_property
     def reference_nodes(self) -> np.ndarray:
         """Reference coordinates in [-1, 1]^3, shape (nodes, 3)."""
-        return np.linspace(-1.0, 1.0, self.order + 1)[self._indices]
+        return np.linspace(-1.0, 1.0, self.order + 1)[self._lattice_indices]
 
     @cached_property
-    def corners(self) -> np.ndarray:
+    def corner_nodes(self) -> np.ndarray:
         """Indices of the corner nodes, shape (8,)."""
         return np.flatnonzero(np.abs(self.reference_nodes).all(axis=1))
 
     @cached_property
-    def faces(self) -> np.ndarray:
+    def face_nodes(self) -> np.ndarray:
         """Nodes of each face, shape (6, nodes of a face), in the order -x, +x, -y, +y, -z, +z.
 
         Nodes are numbered along two directions, the first varying faster; the cross product of the directions points
@@ -57,12 +57,12 @@ class Hexahedron(SolidElement):
         return np.array([0, side - 1, side**2 - 1, side**2 - side])
 
     @cached_property
-    def face_middles(self) -> np.ndarray:
+    def face_edge_midpoints(self) -> np.ndarray:
         """Indices of the midpoints of the edges among the nodes of a face, shape (4,); empty for order 1."""
         return np.array([1, 5, 7, 3] if self.order == 2 else [], dtype=np.intp)
 
     @cached_property
-    def face_weights(self) -> np.ndarray:
+    def face_area_fractions(self) -> np.ndarray:
         """Weights of Simpson's rule (order 2) or of the trapezoidal rule (order 1)."""
         line = np.array([1.0, 4.0, 1.0]) / 6.0 if self.order == 2 else np.array([0.5, 0.5])
         return np.outer(line, line).ravel()
@@ -71,24 +71,24 @@ class Hexahedron(SolidElement):
     def quadrature(self) -> tuple[np.ndarray, np.ndarray]:
         """Gauss points, shape (q, 3), and weights, shape (q,), with order + 1 points in each direction."""
         x, w = leggauss(self.order + 1)
-        return x[self._indices], w[self._indices].prod(axis=1)
+        return x[self._lattice_indices], w[self._lattice_indices].prod(axis=1)
 
     @cached_property
-    def from_quadrature(self) -> np.ndarray:
+    def quadrature_extrapolation_matrix(self) -> np.ndarray:
         """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
-        return np.linalg.inv(self.shape_functions(self.quadrature[0])[0])
+        return np.linalg.inv(self.evaluate_shape_functions(self.quadrature[0])[0])
 
-    def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
         values, slopes = zip(*(evaluate_lagrange(points[:, axis], self.order) for axis in range(3)), strict=True)
-        factors = [(values[axis][:, self._indices[:, axis]], slopes[axis][:, self._indices[:, axis]])
+        factors = [(values[axis][:, self._lattice_indices[:, axis]], slopes[axis][:, self._lattice_indices[:, axis]])
                    for axis in range(3)]
         (vx, sx), (vy, sy), (vz, sz) = factors
         return vx * vy * vz, np.stack([sx * vy * vz, vx * sy * vz, vx * vy * sz], axis=-1)
 
-    def corner_functions(self, points: np.ndarray) -> np.ndarray:
-        """Return the values of the trilinear functions in the order of `corners`, shape (q, 8)."""
-        signs = self.reference_nodes[self.corners]
+    def evaluate_corner_functions(self, points: np.ndarray) -> np.ndarray:
+        """Return the values of the trilinear functions in the order of `corner_nodes`, shape (q, 8)."""
+        signs = self.reference_nodes[self.corner_nodes]
         return (0.5 * (1.0 + signs * points[:, None])).prod(axis=-1)
 
 

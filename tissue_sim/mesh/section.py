@@ -18,7 +18,7 @@ Point = tuple[float, float] | np.ndarray
 Curve = Callable[[np.ndarray], np.ndarray]
 
 
-class Section:
+class PlanarMesh:
     """Plane mesh of quadrilaterals, assembled from patches; coincident nodes are merged.
 
     Args:
@@ -31,15 +31,15 @@ class Section:
         self._quads: list[np.ndarray] = []
         self._count = 0
 
-    def add(self, mapping: _Map, first: np.ndarray, second: np.ndarray) -> None:
-        """Add a patch of elements.
+    def add_patch(self, mapping: _Map, first: np.ndarray, second: np.ndarray) -> None:
+        """Add a patch of quadrilaterals that is the image of a rectangular grid.
 
         Args:
             mapping: map of the unit square to the plane.
             first: element boundaries along the first coordinate, from 0 to 1.
             second: element boundaries along the second coordinate, from 0 to 1.
         """
-        s, t = (self._with_middles(line) for line in (first, second))
+        s, t = (self._insert_midpoint_heights(line) for line in (first, second))
         grid = mapping(*np.meshgrid(s, t))  # [t, s]
         numbers = np.arange(s.size * t.size).reshape(t.size, s.size) + self._count
         order = self._order
@@ -50,8 +50,8 @@ class Section:
 
     def add_rectangle(self, x: np.ndarray, y: np.ndarray) -> None:
         """Add a rectangle with these element boundaries along x and y, ascending, m."""
-        self.add(lambda s, t: np.stack([_interpolate_line(x, s), _interpolate_line(y, t)], axis=-1),
-                 np.linspace(0, 1, x.size), np.linspace(0, 1, y.size))
+        self.add_patch(lambda s, t: np.stack([_interpolate_line(x, s), _interpolate_line(y, t)], axis=-1),
+                       np.linspace(0, 1, x.size), np.linspace(0, 1, y.size))
 
     def add_disc(self, centre: Point, radius: float, rings: np.ndarray, around: int,
                  through: Callable[[np.ndarray], np.ndarray] = lambda points: points) -> None:
@@ -66,14 +66,14 @@ class Section:
         """
         core, origin, line = rings[0] * radius, np.asarray(centre), np.linspace(0, 1, around + 1)
 
-        def square(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+        def map_core(s: np.ndarray, t: np.ndarray) -> np.ndarray:
             # Uniform angles along the sides of the core.
             return through(origin + core * _map_to_rounded_square(*(
                 np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * each - 1.0)) for each in (s, t))))
 
-        self.add(square, line, line)
+        self.add_patch(map_core, line, line)
         for quarter in range(4):
-            self.add_ring(_make_core_side(quarter, core, origin), quarter_circle(quarter, radius, centre),
+            self.add_ring(_make_core_side(quarter, core, origin), make_quarter_circle(quarter, radius, centre),
                           (rings - rings[0]) / (1.0 - rings[0]), around, through)
 
     def add_ring(self, near: Curve, far: Curve, fractions: np.ndarray, around: int,
@@ -87,14 +87,14 @@ class Section:
             around: number of elements along the curves.
             through: map applied to all points, shape (..., 2).
         """
-        def mapping(s: np.ndarray, t: np.ndarray) -> np.ndarray:
+        def interpolate_between_curves(s: np.ndarray, t: np.ndarray) -> np.ndarray:
             fraction = s[..., None]
             return through((1.0 - fraction) * near(t) + fraction * far(t))
 
-        self.add(mapping, fractions, np.linspace(0, 1, around + 1))
+        self.add_patch(interpolate_between_curves, fractions, np.linspace(0, 1, around + 1))
 
-    def extrude(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Extrude the section to hexahedra.
+    def extrude_to_hexahedra(self, z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Extrude the plane mesh along z to hexahedra.
 
         Args:
             z: heights of the element boundaries, base first, m.
@@ -102,30 +102,30 @@ class Section:
         Returns:
             Nodes, m, shape (n, 3), and node numbers of the hexahedra.
         """
-        plane, quads = _merge(np.concatenate(self._nodes), np.array(self._quads))
-        heights = self._with_middles(z)
+        plane, quads = _merge_coincident_points(np.concatenate(self._nodes), np.array(self._quads))
+        heights = self._insert_midpoint_heights(z)
         count, order = len(plane), self._order
         nodes = np.concatenate([np.column_stack([plane, np.full(count, height)]) for height in heights])
         connectivity = np.concatenate([np.concatenate([quads + (k + m) * count for m in range(order + 1)], axis=1)
                                        for k in range(0, heights.size - 1, order)])
         return nodes, connectivity
 
-    def _with_middles(self, line: np.ndarray) -> np.ndarray:
+    def _insert_midpoint_heights(self, line: np.ndarray) -> np.ndarray:
         if self._order == 1:
             return line
         return np.sort(np.concatenate([line, 0.5 * (line[1:] + line[:-1])]))
 
 
-def quarter_circle(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
-    """Return a quarter of a circle, counter-clockwise; quarter 0 is centred on +x."""
-    def curve(t: np.ndarray) -> np.ndarray:
+def make_quarter_circle(quarter: int, radius: float, centre: Point = (0.0, 0.0)) -> Curve:
+    """Return a curve [0, 1] -> (x, y), m: a quarter of a circle, counter-clockwise; quarter 0 is centred on +x."""
+    def evaluate_curve(t: np.ndarray) -> np.ndarray:
         angle = 0.25 * np.pi * (2.0 * t - 1.0) + 0.5 * np.pi * quarter
         return np.asarray(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=-1)
 
-    return curve
+    return evaluate_curve
 
 
-def side_of_box(quarter: int, low: Point, high: Point, centre: Point) -> Curve:
+def make_rectangle_side(quarter: int, low: Point, high: Point, centre: Point) -> Curve:
     """Return a side of a rectangle, counter-clockwise; the middle of the curve is at the coordinate of `centre`.
 
     Args:
@@ -139,14 +139,14 @@ def side_of_box(quarter: int, low: Point, high: Point, centre: Point) -> Curve:
     first, last = (low, high) if quarter in (0, 3) else (high, low)
     line = np.array([first[1 - across], centre[1 - across], last[1 - across]])
 
-    def curve(t: np.ndarray) -> np.ndarray:
+    def evaluate_curve(t: np.ndarray) -> np.ndarray:
         along, fixed = np.interp(t, [0.0, 0.5, 1.0], line), np.full_like(t, end)
         return np.stack([along, fixed] if across else [fixed, along], axis=-1)
 
-    return curve
+    return evaluate_curve
 
 
-def _merge(points: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _merge_coincident_points(points: np.ndarray, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Merge coincident points; return the remaining points and the connectivity `numbers` in terms of them."""
     from scipy.spatial import cKDTree
 
@@ -170,12 +170,12 @@ def _map_to_rounded_square(u: np.ndarray, v: np.ndarray) -> np.ndarray:
 
 
 def _make_core_side(quarter: int, core: float, centre: np.ndarray) -> Curve:
-    """Return a side of the core of a disc."""
+    """Return a curve [0, 1] -> (x, y), m: side `quarter` of the rounded square that is the core of a disc."""
     angle = 0.5 * np.pi * quarter
 
-    def curve(t: np.ndarray) -> np.ndarray:
+    def evaluate_curve(t: np.ndarray) -> np.ndarray:
         side = _map_to_rounded_square(np.ones_like(t), np.sqrt(2.0) * np.sin(0.25 * np.pi * (2.0 * t - 1.0)))
         return centre + core * np.stack([np.cos(angle) * side[..., 0] - np.sin(angle) * side[..., 1],
                                          np.sin(angle) * side[..., 0] + np.cos(angle) * side[..., 1]], axis=-1)
 
-    return curve
+    return evaluate_curve

@@ -16,7 +16,7 @@ _CORNERS = {3: ((0, 1), (0, 2), (0, 3)), 1: ((0, 3), (1, 3), (2, 3)), 2: ((0, 2)
 
 
 @dataclass(frozen=True, eq=False)
-class Crossings:
+class EdgeCrossings:
     """Points at which edges between nodes cross a plane.
 
     Attributes:
@@ -27,17 +27,17 @@ class Crossings:
     ends: np.ndarray
     share: np.ndarray
 
-    def interpolate(self, values: np.ndarray) -> np.ndarray:
-        """Interpolate values at the nodes, shape (nodes, ...), linearly to the points, shape (m, ...)."""
+    def interpolate_nodal_values(self, values: np.ndarray) -> np.ndarray:
+        """Interpolate nodal values, shape (nodes, ...), linearly to the crossing points, shape (m, ...)."""
         first, second = values[self.ends[:, 0]], values[self.ends[:, 1]]
         return first + self.share.reshape(-1, *(1,) * (values.ndim - 1)) * (second - first)
 
-    def extend(self, values: np.ndarray) -> np.ndarray:
-        """Return the values at the nodes followed by those at the points, shape (nodes + m, ...)."""
-        return np.concatenate([values, self.interpolate(values)])
+    def append_interpolated_values(self, values: np.ndarray) -> np.ndarray:
+        """Return the nodal values followed by the values at the crossing points, shape (nodes + m, ...)."""
+        return np.concatenate([values, self.interpolate_nodal_values(values)])
 
 
-def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
+def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
     """Return the section of tetrahedra at height zero.
 
     Args:
@@ -56,25 +56,25 @@ def cut_tetrahedra(cells: np.ndarray, heights: np.ndarray) -> tuple[Crossings, n
         nodes = np.take_along_axis(cells[cut], order, axis=1)
         ends = nodes[:, np.array(of_nodes)]
         numbers = before + np.arange(ends.shape[0] * ends.shape[1]).reshape(ends.shape[:2])
-        odd = _is_odd(order)
+        odd = _is_odd_permutation(order)
         numbers[odd] = numbers[odd][:, ::-1]
         pairs.append(ends.reshape(-1, 2))
         corners += [numbers[:, [0, k, k + 1]] for k in range(1, len(of_nodes) - 1)]
         before += numbers.size
     crossings, point = _find_crossings(np.concatenate(pairs), heights)
-    return crossings, _without_degenerate(point[np.concatenate(corners)])
+    return crossings, _remove_degenerate_triangles(point[np.concatenate(corners)])
 
 
-def intersect_triangles(triangles: np.ndarray, heights: np.ndarray) -> Crossings:
+def intersect_triangles(triangles: np.ndarray, heights: np.ndarray) -> EdgeCrossings:
     """Return the line segments at which triangles cross height zero, as pairs of successive points, 2 k points."""
-    _, pairs = _cut_triangles(triangles, heights)
+    _, pairs = _find_cut_triangles(triangles, heights)
     crossings, number = _find_crossings(pairs, heights)
     lines = number.reshape(-1, 2)
     lines = lines[lines[:, 0] != lines[:, 1]].ravel()
-    return Crossings(crossings.ends[lines], crossings.share[lines])
+    return EdgeCrossings(crossings.ends[lines], crossings.share[lines])
 
 
-def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray, np.ndarray]:
+def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray, np.ndarray]:
     """Cut triangles at height zero into triangles below and above.
 
     Args:
@@ -87,7 +87,7 @@ def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings
     """
     nodes = len(heights)
     count = (heights[triangles] > 0.0).sum(axis=1)
-    turned, pairs = _cut_triangles(triangles, heights)
+    turned, pairs = _find_cut_triangles(triangles, heights)
     crossings, number = _find_crossings(pairs, heights)
     p, q = (nodes + number).reshape(-1, 2).T
     # A crossing at a node is replaced by the node.
@@ -100,10 +100,10 @@ def cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[Crossings
     twice = np.concatenate([tip_is_above, tip_is_above])
     below = np.concatenate([triangles[count == 0], tip[~tip_is_above], rest[twice]])
     above = np.concatenate([triangles[count == 3], tip[tip_is_above], rest[~twice]])
-    return crossings, _without_degenerate(below), _without_degenerate(above)
+    return crossings, _remove_degenerate_triangles(below), _remove_degenerate_triangles(above)
 
 
-def _cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _find_cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the triangles that cross height zero, and their crossing edges.
 
     Returns:
@@ -122,23 +122,23 @@ def _cut_triangles(triangles: np.ndarray, heights: np.ndarray) -> tuple[np.ndarr
     return turned, pairs.reshape(-1, 2)
 
 
-def _find_crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[Crossings, np.ndarray]:
+def _find_crossings(pairs: np.ndarray, heights: np.ndarray) -> tuple[EdgeCrossings, np.ndarray]:
     """Return the distinct crossing points between pairs of nodes, and the number of the point of each pair."""
     low, high = heights[pairs[:, 0]], heights[pairs[:, 1]]
     ends = np.where((low == 0.0)[:, None], pairs[:, :1], pairs)
     _, first, number = np.unique(ends[:, 0].astype(np.int64) * len(heights) + ends[:, 1], return_index=True,
                                  return_inverse=True)
     share = (-low / np.where(low == 0.0, 1.0, high - low))[first]
-    return Crossings(ends[first], share), number.reshape(-1)
+    return EdgeCrossings(ends[first], share), number.reshape(-1)
 
 
-def _is_odd(order: np.ndarray) -> np.ndarray:
+def _is_odd_permutation(order: np.ndarray) -> np.ndarray:
     """Return whether each permutation, shape (n, k), is odd."""
     first, second = np.triu_indices(order.shape[1], 1)
     return (order[:, first] > order[:, second]).sum(axis=1) % 2 == 1
 
 
-def _without_degenerate(triangles: np.ndarray) -> np.ndarray:
+def _remove_degenerate_triangles(triangles: np.ndarray) -> np.ndarray:
     """Remove triangles in which a corner occurs twice."""
     a, b, c = triangles.T
     return triangles[(a != b) & (b != c) & (c != a)]

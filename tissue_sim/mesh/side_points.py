@@ -12,8 +12,8 @@ _DEGREE = 4
 _HALF_STEP = 1e-4
 
 
-class SidePoints:
-    """Faces of elements as polynomial maps of the unit square.
+class FaceInterpolation:
+    """Faces of elements in 3D as polynomial maps from the unit square to positions.
 
     Args:
         element: element type.
@@ -28,14 +28,14 @@ class SidePoints:
     """
 
     def __init__(self, element: SolidElement, nodes: np.ndarray):
-        corners = element.reference_nodes[element.faces[0][element.face_corners]]
+        corners = element.reference_nodes[element.face_nodes[0][element.face_corners]]
         # For a triangle one edge of the square is collapsed to one corner.
         corners = corners if len(corners) == 4 else corners[[0, 0, 1, 2]]
         line = np.linspace(0.0, 1.0, _DEGREE + 1)
         u, v = (each.ravel() for each in np.meshgrid(line, line, indexing="ij"))
         self.squares = np.stack([u, v], axis=-1)
         reference = np.stack([(1 - u) * (1 - v), u * (1 - v), u * v, (1 - u) * v], axis=-1) @ corners
-        values = element.shape_functions(reference)[0][:, element.faces[0]]
+        values = element.evaluate_shape_functions(reference)[0][:, element.face_nodes[0]]
         self.lattice = np.einsum("qn,mni->mqi", values, nodes)
         self.middles = self.lattice[:, len(u) // 2]
         self.radii = np.linalg.norm(self.lattice - self.middles[:, None], axis=-1).max(axis=1)
@@ -46,8 +46,8 @@ class SidePoints:
         powers = np.linalg.inv(np.vander(line, increasing=True))
         self._factors = np.einsum("ai,bj,mijd->mabd", powers, powers, grid, optimize=True)
 
-    def at(self, sides: np.ndarray, places: np.ndarray) -> np.ndarray:
-        """Return points on some faces, m, shape (k, q, 3).
+    def interpolate_positions(self, sides: np.ndarray, places: np.ndarray) -> np.ndarray:
+        """Return positions on faces, m, shape (k, q, 3).
 
         Args:
             sides: numbers of the faces, shape (k,).
@@ -57,11 +57,11 @@ class SidePoints:
         products = (u[..., :, None] * v[..., None, :]).reshape(*places.shape[:2], -1)
         return products @ self._factors[sides].reshape(len(sides), -1, 3)
 
-    def normal(self, side: int, place: np.ndarray) -> np.ndarray:
-        """Return the outward unit normal at a position on the square of a face, shape (3,)."""
+    def compute_unit_normal(self, side: int, place: np.ndarray) -> np.ndarray:
+        """Return the outward unit normal of face `side` at the position `place` in the unit square, shape (3,)."""
         # The normal is undefined on the collapsed edge of a triangle: keep a distance from the edges.
         u, v = np.clip(place, 2.0 * _HALF_STEP, 1.0 - 2.0 * _HALF_STEP)
         around = np.array([[[u - _HALF_STEP, v], [u + _HALF_STEP, v], [u, v - _HALF_STEP], [u, v + _HALF_STEP]]])
-        left, right, below, above = self.at(np.array([side]), around)[0]
+        left, right, below, above = self.interpolate_positions(np.array([side]), around)[0]
         normal = np.cross(right - left, above - below)
         return normal / np.linalg.norm(normal)

@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.mesh.grading import O_GRID, Grading
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1, Hexahedron
-from tissue_sim.mesh.section import Section, quarter_circle
+from tissue_sim.mesh.section import PlanarMesh, make_quarter_circle
 from tissue_sim.mesh.solid_element import SolidElement
 from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1
 
@@ -33,7 +33,7 @@ class SolidMesh:
             of the top under the flat face of the needle, and ``free``, the rest of the top; both include the nodes at
             the edge.
         faces: element faces on the surface by the names ``base``, ``top`` and ``side``, as node numbers, shape (m,
-            nodes of a face); see `SolidElement.faces`.
+            nodes of a face); see `SolidElement.face_nodes`.
         regions: disjoint sets of element numbers by name, which may have separate materials.
         depths: depth of the centre of each element below the top, m, shape (elements,); None: computed from z.
     """
@@ -46,8 +46,8 @@ class SolidMesh:
     regions: dict[str, np.ndarray] = field(default_factory=dict)
     depths: np.ndarray | None = None
 
-    def stretched(self, factor: float) -> SolidMesh:
-        """Return the mesh with its height multiplied by this factor."""
+    def scale_height(self, factor: float) -> SolidMesh:
+        """Return a copy of the mesh with all heights z multiplied by `factor`."""
         return replace(self, nodes=self.nodes * [1.0, 1.0, factor],
                        depths=None if self.depths is None else factor * self.depths)
 
@@ -61,17 +61,17 @@ class SolidMesh:
     @property
     def node_areas(self) -> np.ndarray:
         """Tributary area of each node on the surface, m2, shape (n,)."""
-        return self.areas(*self.faces)
+        return self.compute_node_areas(*self.faces)
 
-    def areas(self, *names: str) -> np.ndarray:
+    def compute_node_areas(self, *names: str) -> np.ndarray:
         """Return the tributary area of each node on the named parts of the surface, m2, shape (n,)."""
         areas = np.zeros(len(self.nodes))
         for name in names:
             faces = self.faces[name]
-            np.add.at(areas, faces, self._compute_side_areas(faces)[:, None] * self.element.face_weights)
+            np.add.at(areas, faces, self._compute_face_areas(faces)[:, None] * self.element.face_area_fractions)
         return areas
 
-    def _compute_side_areas(self, faces: np.ndarray) -> np.ndarray:
+    def _compute_face_areas(self, faces: np.ndarray) -> np.ndarray:
         """Return the areas of faces, for curved faces of the plane projection with the largest area, m2, shape (m,).
 
         The area is half of the norm of the contour integral of x cross dx, computed with Simpson's rule, which is exact
@@ -79,15 +79,15 @@ class SolidMesh:
         """
         start = self.nodes[faces[:, self.element.face_corners]]
         end = np.roll(start, -1, axis=1)
-        middles = self.element.face_middles
+        middles = self.element.face_edge_midpoints
         middle = self.nodes[faces[:, middles]] if middles.size else 0.5 * (start + end)
         contour = (np.cross(start, 4.0 * middle - 3.0 * start - end) + 4.0 * np.cross(middle, end - start)
                    + np.cross(end, start - 4.0 * middle + 3.0 * end)).sum(axis=1) / 6.0
         return 0.5 * np.linalg.norm(contour, axis=1)
 
 
-def block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray, z: Sequence[float] | np.ndarray,
-               element: Hexahedron) -> SolidMesh:
+def create_block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray, z: Sequence[float] | np.ndarray,
+                      element: Hexahedron) -> SolidMesh:
     """Create the mesh of a rectangular block.
 
     Args:
@@ -98,18 +98,18 @@ def block_mesh(x: Sequence[float] | np.ndarray, y: Sequence[float] | np.ndarray,
 
     Examples:
         >>> from tissue_sim.mesh.hexahedra import HEX8P0
-        >>> cube = block_mesh([0.0, 0.01], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
+        >>> cube = create_block_mesh([0.0, 0.01], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
         >>> cube.nodes.shape, sorted(cube.sets)
         ((8, 3), ['base', 'side', 'top'])
     """
-    section = Section(element.order)
+    section = PlanarMesh(element.order)
     section.add_rectangle(np.asarray(x, dtype=float), np.asarray(y, dtype=float))
-    return extrude_section(section, z, element)
+    return extrude_section_to_mesh(section, z, element)
 
 
-def cylinder_solid(radius: float, height: float, element: Hexahedron, *, around: int, inward: Sequence[float] |
-                   np.ndarray, outward: Sequence[float] | np.ndarray, z: Sequence[float] | np.ndarray,
-                   face_radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> SolidMesh:
+def create_cylinder_mesh(radius: float, height: float, element: Hexahedron, *, around: int, inward: Sequence[float] |
+                         np.ndarray, outward: Sequence[float] | np.ndarray, z: Sequence[float] | np.ndarray,
+                         face_radius: float, centre: tuple[float, float] = (0.0, 0.0)) -> SolidMesh:
     """Create the O-grid of a cylinder: rings of elements around a circle on its top, and a square core.
 
     Args:
@@ -129,17 +129,17 @@ def cylinder_solid(radius: float, height: float, element: Hexahedron, *, around:
     if np.hypot(*centre) + face_radius >= radius:
         raise InputError(f"the circle of radius {face_radius:g} m about ({centre[0]:g}, {centre[1]:g}) m must be "
                          f"inside the cylinder of radius {radius:g} m", field="centre")
-    section = Section(element.order)
+    section = PlanarMesh(element.order)
     section.add_disc(centre, face_radius, np.asarray(inward, dtype=float), around)
     for quarter in range(4):
-        section.add_ring(quarter_circle(quarter, face_radius, centre), quarter_circle(quarter, radius),
+        section.add_ring(make_quarter_circle(quarter, face_radius, centre), make_quarter_circle(quarter, radius),
                          np.asarray(outward, dtype=float), around)
-    return with_tool_sets(extrude_section(section, z, element), face_radius, centre)
+    return add_tool_node_sets(extrude_section_to_mesh(section, z, element), face_radius, centre)
 
 
-def needle_solid(radius: float, height: float, face_radius: float, element: Hexahedron, *, smallest: float,
-                 growth: float, largest: float, around: int, centre: tuple[float, float] = (0.0, 0.0),
-                 interfaces: Sequence[float] | np.ndarray = ()) -> SolidMesh:
+def create_needle_mesh(radius: float, height: float, face_radius: float, element: Hexahedron, *, smallest: float,
+                       growth: float, largest: float, around: int, centre: tuple[float, float] = (0.0, 0.0),
+                       interfaces: Sequence[float] | np.ndarray = ()) -> SolidMesh:
     """Create the mesh of a cylinder under a flat needle with small elements at the edge of the needle's face.
 
     Args:
@@ -154,11 +154,12 @@ def needle_solid(radius: float, height: float, face_radius: float, element: Hexa
         centre: (x, y) of the centre of the face, m.
         interfaces: depths of required element boundaries, ascending, m.
     """
-    return graded_cylinder(radius, height, Grading(element, smallest, growth, largest, around, radius=face_radius,
-                                                   centre=centre, interfaces=tuple(interfaces)))
+    return create_graded_cylinder_mesh(radius, height,
+                                       Grading(element, smallest, growth, largest, around, radius=face_radius,
+                                                               centre=centre, interfaces=tuple(interfaces)))
 
 
-def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh:
+def create_graded_cylinder_mesh(radius: float, height: float, grading: Grading) -> SolidMesh:
     """Create the O-grid of a cylinder under a needle, or under a plate with a circle inside the top as its edge.
 
     Args:
@@ -171,19 +172,21 @@ def graded_cylinder(radius: float, height: float, grading: Grading) -> SolidMesh
         face, factor = O_GRID.plate_ring * radius, O_GRID.plate_ring
         grading = replace(grading, growth=_PLATE_GROWTH, smallest=0.6 * factor * grading.smallest,
                           largest=0.3 * factor * grading.largest)
-    outward, z = grading.line(radius - face), -grading.line(height)[::-1]
-    return cylinder_solid(radius, height, grading.element, around=grading.around, inward=ring_radii(grading, face),
-                          outward=outward / outward[-1], z=grading.with_interfaces(z, height), face_radius=face,
-                          centre=grading.centre)
+    outward, z = grading.divide_line(radius - face), -grading.divide_line(height)[::-1]
+    return create_cylinder_mesh(radius, height, grading.element, around=grading.around,
+                                inward=compute_ring_radii(grading, face),
+                          outward=outward / outward[-1], z=grading.insert_interface_heights(z, height),
+                                face_radius=face,
+                                centre=grading.centre)
 
 
-def ring_radii(grading: Grading, radius: float) -> np.ndarray:
+def compute_ring_radii(grading: Grading, radius: float) -> np.ndarray:
     """Return the radii of the ring boundaries from the core to a circle of this radius, m, as fractions of it."""
-    inward = grading.line((1.0 - O_GRID.core) * radius)
+    inward = grading.divide_line((1.0 - O_GRID.core) * radius)
     return 1.0 - inward[::-1] / radius
 
 
-def with_tool_sets(mesh: SolidMesh, radius: float, centre: tuple[float, float]) -> SolidMesh:
+def add_tool_node_sets(mesh: SolidMesh, radius: float, centre: tuple[float, float]) -> SolidMesh:
     """Return the mesh with the node sets ``face`` (top inside a circle, m, in projection along z) and ``free``."""
     top = mesh.sets["top"]
     distance = np.hypot(*(mesh.nodes[top, :2] - np.array(centre)).T) - radius
@@ -191,12 +194,12 @@ def with_tool_sets(mesh: SolidMesh, radius: float, centre: tuple[float, float]) 
     return replace(mesh, sets={**mesh.sets, "face": top[distance <= slack], "free": top[distance >= -slack]})
 
 
-def extrude_section(section: Section, z: Sequence[float] | np.ndarray, element: Hexahedron) -> SolidMesh:
+def extrude_section_to_mesh(section: PlanarMesh, z: Sequence[float] | np.ndarray, element: Hexahedron) -> SolidMesh:
     """Extrude a section to hexahedra with these heights of element boundaries, base first, m."""
-    return with_surface(element, *section.extrude(np.asarray(z, dtype=float)))
+    return create_mesh_with_surface_sets(element, *section.extrude_to_hexahedra(np.asarray(z, dtype=float)))
 
 
-def with_surface(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray) -> SolidMesh:
+def create_mesh_with_surface_sets(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray) -> SolidMesh:
     """Create a mesh and name its surface: ``top`` and ``base`` at the extreme heights, ``side`` for the rest.
 
     Args:
@@ -204,7 +207,7 @@ def with_surface(element: SolidElement, nodes: np.ndarray, connectivity: np.ndar
         nodes: coordinates, m, shape (n, 3).
         connectivity: node numbers, shape (elements, nodes of the element).
     """
-    sides = connectivity[:, element.faces].reshape(-1, element.faces.shape[1])
+    sides = connectivity[:, element.face_nodes].reshape(-1, element.face_nodes.shape[1])
     _, first, times = np.unique(np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
     outer = sides[np.sort(first[times == 1])]
     heights = nodes[outer, 2]

@@ -24,7 +24,7 @@ class SolidElement(ABC):
     pressure_modes: int
 
     @property
-    def nodes(self) -> int:
+    def node_count(self) -> int:
         """Number of nodes of the element."""
         return len(self.reference_nodes)
 
@@ -35,12 +35,12 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
-    def corners(self) -> np.ndarray:
+    def corner_nodes(self) -> np.ndarray:
         """Numbers of the nodes that are vertices."""
 
     @property
     @abstractmethod
-    def faces(self) -> np.ndarray:
+    def face_nodes(self) -> np.ndarray:
         """Nodes of each face, shape (faces, nodes of a face); corners are counter-clockwise viewed from outside."""
 
     @property
@@ -50,7 +50,7 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
-    def face_middles(self) -> np.ndarray:
+    def face_edge_midpoints(self) -> np.ndarray:
         """Indices of the edge midpoints among the nodes of a face, from each of `face_corners` to the next.
 
         The array is empty for elements with straight edges.
@@ -58,7 +58,7 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
-    def face_weights(self) -> np.ndarray:
+    def face_area_fractions(self) -> np.ndarray:
         """Fraction of the area of a face that belongs to each of its nodes, positive, shape (nodes of a face,)."""
 
     @property
@@ -68,18 +68,18 @@ class SolidElement(ABC):
 
     @property
     @abstractmethod
-    def from_quadrature(self) -> np.ndarray:
+    def quadrature_extrapolation_matrix(self) -> np.ndarray:
         """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q)."""
 
     @abstractmethod
-    def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
 
     @abstractmethod
-    def corner_functions(self, points: np.ndarray) -> np.ndarray:
+    def evaluate_corner_functions(self, points: np.ndarray) -> np.ndarray:
         """Return the values (q, corners) of the lowest-order shape functions, one for each corner."""
 
     @cached_property
-    def corner_weights(self) -> np.ndarray:
+    def corner_function_values(self) -> np.ndarray:
         """Values of the corner functions at the nodes, shape (nodes, corners)."""
-        return self.corner_functions(self.reference_nodes)
+        return self.evaluate_corner_functions(self.reference_nodes)

@@ -14,15 +14,15 @@ from tissue_sim.atomic_write import write_bytes
 from tissue_sim.bounded import bounded
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import read_bytes
-from tissue_sim.mesh.element_conversion import join_at_corners
-from tissue_sim.mesh.formats.checks import require_size, require_sound, solid_cells
-from tissue_sim.mesh.formats.content import FACES, SIDES, Cells, MeshContent
+from tissue_sim.mesh.element_conversion import merge_shared_nodes
+from tissue_sim.mesh.formats.checks import require_specimen_size, require_valid_mesh, select_volume_cells
+from tissue_sim.mesh.formats.content import FACES, SIDES, CellBlock, MeshContent
 from tissue_sim.mesh.formats.inp import read_inp
 from tissue_sim.mesh.formats.through_meshio import read_through_meshio
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.mesh.solid_element import SolidElement
-from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1, ten_node_functions
+from tissue_sim.mesh.tetrahedra import TET8P0, TET15P1, evaluate_ten_node_functions
 
 #: Size of the largest accepted file, bytes.
 LARGEST_MESH = 100_000_000
@@ -39,7 +39,7 @@ _HEXAHEDRON = np.array([
     (0, -1, -1), (1, 0, -1), (0, 1, -1), (-1, 0, -1), (0, -1, 1), (1, 0, 1), (0, 1, 1), (-1, 0, 1),
     (-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0),
     (-1, 0, 0), (1, 0, 0), (0, -1, 0), (0, 1, 0), (0, 0, -1), (0, 0, 1), (0, 0, 0)], dtype=float)
-#: Indices of the corners in VTK order for each corner in the order of `SolidElement.corners`.
+#: Indices of the corners in VTK order for each corner in the order of `SolidElement.corner_nodes`.
 _CORNERS = {"tetra": [0, 1, 2, 3], "hexahedron": [0, 1, 3, 2, 4, 5, 7, 6]}
 #: Smallest cosine between the normal of an upward face and the vertical.
 _UPWARDS = 0.5
@@ -58,7 +58,7 @@ class FileMesh:
         digest: SHA-256 of the file.
     """
 
-    cells: Cells
+    cells: CellBlock
     points: np.ndarray
     sides: np.ndarray
     named_sides: dict[str, np.ndarray]
@@ -98,18 +98,18 @@ def read_file_mesh(path: str | Path, unit: str = "mm") -> FileMesh:
 def _read(path: Path, unit: str) -> FileMesh:
     reader = read_inp if path.suffix.lower() == ".inp" else read_through_meshio
     content = reader(path, LARGEST_MESH)
-    cells = solid_cells(content)
+    cells = select_volume_cells(content)
     points = content.points * MESH_UNITS[unit]
     # Nodes that belong only to lines and surfaces are also not part of the volume.
-    require_size(points, unit)
-    require_sound(cells, points, content.point_numbers)
+    require_specimen_size(points, unit)
+    require_valid_mesh(cells, points, content.point_numbers)
     return _name_faces_and_regions(content, cells, points)
 
 
-def _name_faces_and_regions(content: MeshContent, cells: Cells, points: np.ndarray) -> FileMesh:
+def _name_faces_and_regions(content: MeshContent, cells: CellBlock, points: np.ndarray) -> FileMesh:
     """Return the mesh with the faces of its surface and its regions, named as in the file."""
-    sides = np.array(SIDES[cells.shape])
-    all_faces = cells.corners[:, sides].reshape(-1, sides.shape[1])
+    sides = np.array(SIDES[cells.cell_shape])
+    all_faces = cells.corner_nodes[:, sides].reshape(-1, sides.shape[1])
     keys = _number_faces(all_faces, len(points))
     _, inverse, times = np.unique(keys, return_inverse=True, return_counts=True)
     outer = times[inverse] == 1
@@ -129,8 +129,8 @@ def _name_faces_and_regions(content: MeshContent, cells: Cells, points: np.ndarr
         members = [starts[number] + chosen for number, chosen in enumerate(blocks) if number in starts]
         regions[name] = np.unique(np.concatenate([np.zeros(0, dtype=np.intp), *members])).astype(np.intp)
         for block, chosen in zip(content.cells, blocks, strict=True):
-            if block.kind in FACES and len(chosen) and block.corners.shape[1] == sides.shape[1]:
-                face_keys = _number_faces(block.corners[chosen], len(points))
+            if block.kind in FACES and len(chosen) and block.corner_nodes.shape[1] == sides.shape[1]:
+                face_keys = _number_faces(block.corner_nodes[chosen], len(points))
                 at = np.minimum(np.searchsorted(outer_keys, face_keys, sorter=order), len(order) - 1)
                 found.setdefault(name, []).append(order[at[outer_keys[order[at]] == face_keys]])
     for name, rows in content.side_sets.items():
@@ -160,7 +160,7 @@ def _keep_disjoint_sets(regions: dict[str, np.ndarray], count: int) -> dict[str,
     return {name: members for name, members in parts.items() if (times[members] == 1).all()}
 
 
-def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, top: str | None = None) -> SolidMesh:
+def convert_file_mesh(mesh: FileMesh, order: int = 2, *, base: str | None = None, top: str | None = None) -> SolidMesh:
     """Convert the mesh of a file to elements of the solver and name its base and top.
 
     The mesh is translated so that the centre of the bounding box of the top is at x = y = 0 and its highest node at
@@ -177,19 +177,19 @@ def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, 
         InputError: the name does not exist, no face lies in the lowest plane, or a curved element is inverted.
     """
     cells, points = mesh.cells, mesh.points
-    element = _ELEMENTS[cells.shape][order]
-    corners = cells.corners[:, _CORNERS[cells.shape]]
-    values = _evaluate_shape_functions(cells.kind if order == 2 else cells.shape, element.reference_nodes)
-    given = cells.nodes if order == 2 else cells.corners
-    nodes, connectivity = join_at_corners(element, corners, np.einsum("ng,egi->eni", values, points[given]))
-    _require_positive_volumes(element, nodes, connectivity, cells)
+    element = _ELEMENTS[cells.cell_shape][order]
+    corners = cells.corner_nodes[:, _CORNERS[cells.cell_shape]]
+    values = _evaluate_shape_functions(cells.kind if order == 2 else cells.cell_shape, element.reference_nodes)
+    given = cells.nodes if order == 2 else cells.corner_nodes
+    nodes, connectivity = merge_shared_nodes(element, corners, np.einsum("ng,egi->eni", values, points[given]))
+    _require_positive_element_volumes(element, nodes, connectivity, cells)
     # Corners are first, in the order of the file.
     number = np.full(len(points), -1)
     number[np.unique(corners)] = np.arange(np.unique(corners).size)
     held, met = find_base_and_top(mesh, base, top)
     chosen = {"base": mesh.sides[held], "top": mesh.sides[met], "side": np.delete(mesh.sides, np.union1d(held, met), 0)}
-    nodes = nodes - find_origin(mesh, met)
-    all_faces = connectivity[:, element.faces].reshape(-1, element.faces.shape[1])
+    nodes = nodes - find_top_centre(mesh, met)
+    all_faces = connectivity[:, element.face_nodes].reshape(-1, element.face_nodes.shape[1])
     keys = _number_faces(all_faces[:, element.face_corners], len(points))
     sorter = np.argsort(keys)
     faces = {name: all_faces[sorter[np.searchsorted(keys, _number_faces(number[sides], len(points)), sorter=sorter)]]
@@ -198,7 +198,7 @@ def solid_from_file(mesh: FileMesh, order: int = 2, *, base: str | None = None, 
                      dict(mesh.regions))
 
 
-def find_origin(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
+def find_top_centre(mesh: FileMesh, met: np.ndarray) -> np.ndarray:
     """Return the centre (x, y) of the bounding box of the top and the height of its highest node, m, shape (3,)."""
     high = mesh.points[np.unique(mesh.sides[met])]
     return np.array([*(0.5 * (high.min(axis=0) + high.max(axis=0)))[:2], high[:, 2].max()])
@@ -215,9 +215,9 @@ def _evaluate_shape_functions(kind: str, positions: np.ndarray) -> np.ndarray:
         Values, shape (q, nodes of the element type).
     """
     if kind == "tetra":
-        return TET15P1.corner_functions(positions)
+        return TET15P1.evaluate_corner_functions(positions)
     if kind == "tetra10":
-        return ten_node_functions(positions)
+        return evaluate_ten_node_functions(positions)
     powers = [(i, j, k) for k in range(3) for j in range(3) for i in range(3)]
     count = {"hexahedron": 8, "hexahedron20": 20, "hexahedron27": 27}[kind]
     # At most one factor is squared in the serendipity element, none in the trilinear element.
@@ -230,8 +230,9 @@ def _evaluate_shape_functions(kind: str, positions: np.ndarray) -> np.ndarray:
     return products(positions) @ np.linalg.inv(products(_HEXAHEDRON[:count]))
 
 
-def _require_positive_volumes(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray, cells: Cells) -> None:
-    _, slopes = element.shape_functions(element.quadrature[0])
+def _require_positive_element_volumes(element: SolidElement, nodes: np.ndarray, connectivity: np.ndarray,
+                                      cells: CellBlock) -> None:
+    _, slopes = element.evaluate_shape_functions(element.quadrature[0])
     volumes = np.linalg.det(np.einsum("eai,qaj->eqij", nodes[connectivity], slopes)).min(axis=1)
     if not (volumes > 0.0).all():
         raise InputError(f"element {cells.numbers[np.argmin(volumes)]} is turned inside out by its mid-edge nodes; "
@@ -239,7 +240,7 @@ def _require_positive_volumes(element: SolidElement, nodes: np.ndarray, connecti
 
 
 def find_base_and_top(mesh: FileMesh, base: str | None, top: str | None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of the fixed faces and of the faces that the tool may touch; see `solid_from_file`."""
+    """Return the indices of the fixed faces and of the faces that the tool may touch; see `convert_file_mesh`."""
     heights = mesh.points[mesh.sides, 2]
     low, high = heights.min(), heights.max()
     slack = 1e-6 * (high - low)
@@ -276,11 +277,11 @@ def _list_known_names(mesh: FileMesh) -> str:
     return f"; the file names {', '.join(sorted(mesh.named_sides))}" if mesh.named_sides else "; the file names none"
 
 
-def read_solid(path: str | Path, unit: str = "mm", order: int = 2, *, base: str | None = None,
-               top: str | None = None) -> SolidMesh:
-    """Read the mesh of a file and convert it to elements of the solver; see `read_file_mesh` and `solid_from_file`."""
+def read_solid_mesh(path: str | Path, unit: str = "mm", order: int = 2, *, base: str | None = None,
+                    top: str | None = None) -> SolidMesh:
+    """Read the mesh of a file and convert it to solver elements; see `read_file_mesh` and `convert_file_mesh`."""
     mesh = read_file_mesh(path, unit)
     try:
-        return solid_from_file(mesh, order, base=base, top=top)
+        return convert_file_mesh(mesh, order, base=base, top=top)
     except InputError as error:
         raise error.located(file=path) from None

@@ -26,12 +26,12 @@ class DivisibleElement(Protocol):
         """Reference coordinates of a convex body, shape (nodes, 3)."""
 
     @property
-    def faces(self) -> np.ndarray:
+    def face_nodes(self) -> np.ndarray:
         """Nodes of each face, numbered in the same order with outward orientation, shape (faces, nodes of a face)."""
 
 
 @cache
-def tetrahedra(element: DivisibleElement) -> np.ndarray:
+def subdivide_into_tetrahedra(element: DivisibleElement) -> np.ndarray:
     """Subdivide an element into tetrahedra between its nodes.
 
     Returns:
@@ -40,10 +40,10 @@ def tetrahedra(element: DivisibleElement) -> np.ndarray:
     nodes = element.reference_nodes
     middle = _find_central_node(nodes)
     if middle is None:
-        cells = _triangulate(nodes)
+        cells = _triangulate_nodes(nodes)
     else:
         # From the central node to the triangles of all faces, so that neighbours divide their common face equally.
-        triangles = element.faces[:, side_triangles(element)].reshape(-1, 3)
+        triangles = element.face_nodes[:, subdivide_face_into_triangles(element)].reshape(-1, 3)
         cells = np.column_stack([np.full(len(triangles), middle), triangles])
     edges = nodes[cells[:, 1:]] - nodes[cells[:, :1]]
     volumes = np.linalg.det(edges)
@@ -54,19 +54,19 @@ def tetrahedra(element: DivisibleElement) -> np.ndarray:
 
 
 @cache
-def side_triangles(element: DivisibleElement) -> np.ndarray:
+def subdivide_face_into_triangles(element: DivisibleElement) -> np.ndarray:
     """Subdivide a face of an element into triangles between its nodes.
 
     Returns:
-        Indices among the nodes of a row of `faces`, shape (k, 3), read-only; the normals point outwards.
+        Indices among the nodes of a row of `face_nodes`, shape (k, 3), read-only; the normals point outwards.
     """
-    nodes = element.reference_nodes[element.faces[0]]
+    nodes = element.reference_nodes[element.face_nodes[0]]
     # Two coordinates are sufficient, because a reference face is plane.
     normal = np.abs(np.linalg.svd(nodes - nodes.mean(axis=0))[2][2])
     kept = np.delete(np.arange(3), int(np.argmax(normal)))
     middle = _find_central_node(nodes)
     if middle is None:
-        triangles = _triangulate(nodes[:, kept])
+        triangles = _triangulate_nodes(nodes[:, kept])
     else:
         # Triangles around the central node do not depend on the node at which the face of a neighbour begins.
         x, y = (nodes[:, kept] - nodes[middle, kept]).T
@@ -84,9 +84,9 @@ def side_triangles(element: DivisibleElement) -> np.ndarray:
 
 
 @cache
-def side_edges(element: DivisibleElement) -> np.ndarray:
-    """Return the edges around a face as indices among the nodes of a row of `faces`, shape (k, 2), read-only."""
-    triangles = side_triangles(element)
+def find_face_edges(element: DivisibleElement) -> np.ndarray:
+    """Return the edges around a face as indices among the nodes of a row of `face_nodes`, shape (k, 2), read-only."""
+    triangles = subdivide_face_into_triangles(element)
     edges = np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     different, times = np.unique(edges, axis=0, return_counts=True)
     around: np.ndarray = different[times == 1]
@@ -94,7 +94,7 @@ def side_edges(element: DivisibleElement) -> np.ndarray:
     return around
 
 
-def surface_triangles(element: DivisibleElement, sides: np.ndarray) -> np.ndarray:
+def triangulate_surface_faces(element: DivisibleElement, sides: np.ndarray) -> np.ndarray:
     """Subdivide faces of elements into triangles with outward normals.
 
     Args:
@@ -104,7 +104,7 @@ def surface_triangles(element: DivisibleElement, sides: np.ndarray) -> np.ndarra
     Returns:
         Node numbers, shape (m k, 3); the triangles of a face are successive.
     """
-    return np.take(sides, side_triangles(element), axis=1).reshape(-1, 3)
+    return np.take(sides, subdivide_face_into_triangles(element), axis=1).reshape(-1, 3)
 
 
 def _find_central_node(nodes: np.ndarray) -> int | None:
@@ -114,7 +114,7 @@ def _find_central_node(nodes: np.ndarray) -> int | None:
     return nearest if distance[nearest] < 0.1 * distance.max() else None
 
 
-def _triangulate(nodes: np.ndarray) -> np.ndarray:
+def _triangulate_nodes(nodes: np.ndarray) -> np.ndarray:
     """Return the Delaunay simplices of nodes, unique for nodes on a lattice."""
     from scipy.spatial import Delaunay
 

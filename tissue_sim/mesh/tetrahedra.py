@@ -1,7 +1,8 @@
 """Mixed displacement-pressure tetrahedra of the solid.
 
 Nodes are in the order of VTK, Abaqus and CalculiX: corners, then the midpoints of the edges 01, 12, 20, 03, 13, 23
-(quadratic elements), then the centres of the faces in the order of `Tetrahedron.faces`, then the centre of the element.
+(quadratic elements), then the centres of the faces in the order of `Tetrahedron.face_nodes`, then the centre of the
+element.
 
 A node at the centre of each face (bubble function) changes the volume of the adjacent elements independently of other
 nodes. Elements with constant pressure need this for inf-sup stability; without it they lock or their pressures
@@ -38,7 +39,7 @@ class Tetrahedron(SolidElement):
     """
 
     @cached_property
-    def _barycentric(self) -> np.ndarray:
+    def _node_barycentric_coordinates(self) -> np.ndarray:
         """Barycentric coordinates of the nodes, shape (nodes, 4)."""
         corners = np.eye(4)
         if self.order == 1:
@@ -49,15 +50,15 @@ class Tetrahedron(SolidElement):
     @cached_property
     def reference_nodes(self) -> np.ndarray:
         """Reference coordinates, shape (nodes, 3)."""
-        return self._barycentric[:, 1:]
+        return self._node_barycentric_coordinates[:, 1:]
 
     @cached_property
-    def corners(self) -> np.ndarray:
+    def corner_nodes(self) -> np.ndarray:
         """Indices of the corner nodes, shape (4,)."""
         return np.arange(4)
 
     @cached_property
-    def faces(self) -> np.ndarray:
+    def face_nodes(self) -> np.ndarray:
         """Nodes of each face: corners, midpoints of the edges from each corner to the next, centre."""
         if self.order == 1:
             return np.column_stack([_SIDES, np.arange(4, 8)])
@@ -71,12 +72,12 @@ class Tetrahedron(SolidElement):
         return np.arange(3)
 
     @cached_property
-    def face_middles(self) -> np.ndarray:
+    def face_edge_midpoints(self) -> np.ndarray:
         """Indices of the midpoints of the edges among the nodes of a face, shape (3,); empty for order 1."""
         return np.arange(3, 6) if self.order == 2 else np.zeros(0, dtype=np.intp)
 
     @cached_property
-    def face_weights(self) -> np.ndarray:
+    def face_area_fractions(self) -> np.ndarray:
         """Normalised integrals of the shape functions; positive, in contrast to those of the six-node triangle."""
         return np.repeat(*((11 / 60, 9 / 20), (3, 1)) if self.order == 1 else ((1 / 20, 2 / 15, 9 / 20), (3, 3, 1)))
 
@@ -92,67 +93,67 @@ class Tetrahedron(SolidElement):
         return np.array([point[1:] for point, _ in points]), np.array([weight for _, weight in points])
 
     @cached_property
-    def from_quadrature(self) -> np.ndarray:
+    def quadrature_extrapolation_matrix(self) -> np.ndarray:
         """Matrix that extrapolates values at the quadrature points to the nodes, shape (nodes, q).
 
         The values are fitted by a polynomial of the element's order (least squares).
         """
-        powers = _barycentric_coordinates if self.order == 1 else _quadratic_polynomials
+        powers = _compute_barycentric_coordinates if self.order == 1 else _evaluate_quadratic_polynomials
         return powers(self.reference_nodes) @ np.linalg.pinv(powers(self.quadrature[0]))
 
-    def shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def evaluate_shape_functions(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return values (q, nodes) and reference gradients (q, nodes, 3) at reference points (q, 3)."""
-        barycentric = _barycentric_coordinates(points)
+        barycentric = _compute_barycentric_coordinates(points)
         # Derivatives by the four barycentric coordinates, taken as independent, then by the reference coordinates.
-        slopes = self._basis_derivatives(barycentric)
-        values = self._basis_polynomials(barycentric) @ self._from_nodes
-        return values, np.einsum("qmk,mn->qnk", slopes[..., 1:] - slopes[..., :1], self._from_nodes)
+        slopes = self._evaluate_basis_derivatives(barycentric)
+        values = self._evaluate_basis_polynomials(barycentric) @ self._shape_function_coefficients
+        return values, np.einsum("qmk,mn->qnk", slopes[..., 1:] - slopes[..., :1], self._shape_function_coefficients)
 
-    def corner_functions(self, points: np.ndarray) -> np.ndarray:
+    def evaluate_corner_functions(self, points: np.ndarray) -> np.ndarray:
         """Return the barycentric coordinates at reference points, shape (q, 4)."""
-        return _barycentric_coordinates(points)
+        return _compute_barycentric_coordinates(points)
 
     @cached_property
-    def _from_nodes(self) -> np.ndarray:
-        """Coefficients of the shape functions in the basis `_basis_polynomials`, shape (nodes, nodes)."""
-        return np.linalg.inv(self._basis_polynomials(self._barycentric))
+    def _shape_function_coefficients(self) -> np.ndarray:
+        """Coefficients of the shape functions in the basis `_evaluate_basis_polynomials`, shape (nodes, nodes)."""
+        return np.linalg.inv(self._evaluate_basis_polynomials(self._node_barycentric_coordinates))
 
     @cached_property
-    def _factors(self) -> list[tuple[int, ...]]:
+    def _basis_factor_indices(self) -> list[tuple[int, ...]]:
         """Indices of the barycentric coordinates whose product is each polynomial of the basis."""
         sides = [tuple(side) for side in _SIDES.tolist()]
         if self.order == 1:
             return [*((i,) for i in range(4)), *sides]
         return [*((i, i) for i in range(4)), *(tuple(edge) for edge in _EDGES.tolist()), *sides, (0, 1, 2, 3)]
 
-    def _basis_polynomials(self, barycentric: np.ndarray) -> np.ndarray:
+    def _evaluate_basis_polynomials(self, barycentric: np.ndarray) -> np.ndarray:
         """Return the polynomials of the basis, shape (q, nodes)."""
-        return np.stack([barycentric[:, list(factors)].prod(axis=1) for factors in self._factors], axis=-1)
+        return np.stack([barycentric[:, list(factors)].prod(axis=1) for factors in self._basis_factor_indices], axis=-1)
 
-    def _basis_derivatives(self, barycentric: np.ndarray) -> np.ndarray:
+    def _evaluate_basis_derivatives(self, barycentric: np.ndarray) -> np.ndarray:
         """Return the derivatives of the basis by the four barycentric coordinates, shape (q, nodes, 4)."""
-        slopes = np.zeros((len(barycentric), self.nodes, 4))
-        for number, factors in enumerate(self._factors):
+        slopes = np.zeros((len(barycentric), self.node_count, 4))
+        for number, factors in enumerate(self._basis_factor_indices):
             for index, corner in enumerate(factors):
                 others = [*factors[:index], *factors[index + 1:]]
                 slopes[:, number, corner] += barycentric[:, others].prod(axis=1)
         return slopes
 
 
-def _barycentric_coordinates(points: np.ndarray) -> np.ndarray:
+def _compute_barycentric_coordinates(points: np.ndarray) -> np.ndarray:
     """Return the barycentric coordinates at reference points, shape (q, 4)."""
     return np.concatenate([1.0 - points.sum(axis=1, keepdims=True), points], axis=1)
 
 
-def _quadratic_polynomials(points: np.ndarray) -> np.ndarray:
+def _evaluate_quadratic_polynomials(points: np.ndarray) -> np.ndarray:
     """Return ten products that span the quadratic polynomials at reference points, shape (q, 10)."""
-    barycentric = _barycentric_coordinates(points)
+    barycentric = _compute_barycentric_coordinates(points)
     return np.stack([barycentric[:, i] * barycentric[:, k] for i in range(4) for k in range(i + 1)], axis=-1)
 
 
-def ten_node_functions(points: np.ndarray) -> np.ndarray:
+def evaluate_ten_node_functions(points: np.ndarray) -> np.ndarray:
     """Return the shape functions of the ten-node tetrahedron of mesh files at reference points, shape (q, 10)."""
-    barycentric = _barycentric_coordinates(points)
+    barycentric = _compute_barycentric_coordinates(points)
     return np.concatenate([barycentric * (2.0 * barycentric - 1.0), 4.0 * barycentric[:, _EDGES].prod(axis=-1)],
                           axis=1)
 

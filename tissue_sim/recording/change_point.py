@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -36,8 +36,8 @@ _CORRELATIONS = np.array([0.0, 0.15, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99])
 
 
 @dataclass(frozen=True, eq=False)
-class Part:
-    """Samples before contact and some after it.
+class LoadingWindow:
+    """Samples of a loading before contact and some samples after contact, to which a contact law is fitted.
 
     Attributes:
         time, displacement, force: s, m and N, shapes (n,).
@@ -53,28 +53,28 @@ class Part:
     step: float
     start: float
 
-    def cut_at(self, end: int) -> Part:
-        """Return the samples before index `end`."""
-        return Part(self.time[:end], self.displacement[:end], self.force[:end], self.rounding, self.step, self.start)
+    def truncate_at_index(self, end: int) -> LoadingWindow:
+        """Return the window with only the samples before index `end`."""
+        return replace(self, time=self.time[:end], displacement=self.displacement[:end], force=self.force[:end])
 
     @cached_property
-    def coarse(self) -> Part:
-        """Averaged samples for a coarse search."""
-        return self.average_to(_SETTINGS.coarse_samples)
+    def coarse_window(self) -> LoadingWindow:
+        """The window with at most `ChangePointSettings.coarse_samples` averaged samples, for the coarse search."""
+        return self.average_neighbouring_samples(_SETTINGS.coarse_samples)
 
-    def average_to(self, samples: int) -> Part:
-        """Return means of neighbouring samples, at most `samples` of them."""
+    def average_neighbouring_samples(self, samples: int) -> LoadingWindow:
+        """Return a window of at most `samples` samples, each the mean of neighbouring samples of this window."""
         each = -(-self.time.size // samples)
         if each == 1:
             return self
         starts = np.arange(0, self.time.size - each + 1, each)
         time, displacement, force = (np.add.reduceat(values[:starts[-1] + each], starts) / each
                                      for values in (self.time, self.displacement, self.force))
-        return Part(time, displacement, force, self.rounding / np.sqrt(each), each * self.step, self.start)
+        return LoadingWindow(time, displacement, force, self.rounding / np.sqrt(each), each * self.step, self.start)
 
 
 @dataclass(frozen=True, eq=False)
-class Profile:
+class LikelihoodProfile:
     """Likelihood profile of the displacement of contact.
 
     Attributes:
@@ -92,37 +92,37 @@ class Profile:
     limit: float
 
     @property
-    def at(self) -> int:
-        """Index of the best place."""
+    def best_index(self) -> int:
+        """Index of the trial displacement with the smallest sum of squares."""
         return int(np.argmin(self.least_squares))
 
     @property
-    def best(self) -> tuple[float, float]:
-        """Displacement of contact, m, and exponent of the best fit."""
-        return float(self.places[self.at]), float(self.powers[self.at])
+    def best_contact_and_exponent(self) -> tuple[float, float]:
+        """Displacement of contact, m, and exponent of the law, of the least-squares fit."""
+        return float(self.places[self.best_index]), float(self.powers[self.best_index])
 
     @property
-    def smallest_squares(self) -> float:
-        """Sum of squares of the best fit, N2."""
-        return float(self.least_squares[self.at])
+    def smallest_sum_of_squares(self) -> float:
+        """Smallest sum of squares over all trial displacements, N2."""
+        return float(self.least_squares[self.best_index])
 
     @property
-    def ratio(self) -> np.ndarray:
-        """Likelihood ratio at each place, shape (n,)."""
+    def likelihood_ratios(self) -> np.ndarray:
+        """Likelihood ratio at each trial displacement: (squares - smallest squares) / variance, shape (n,)."""
         with np.errstate(invalid="ignore", over="ignore"):
-            return (self.least_squares - self.smallest_squares) / self.variance
+            return (self.least_squares - self.smallest_sum_of_squares) / self.variance
 
     @property
-    def interval(self) -> tuple[float, float]:
-        """Displacements, m, at which the ratio crosses its limit; infinite on a side without a crossing."""
-        ratio, at = self.ratio, self.at
+    def confidence_interval(self) -> tuple[float, float]:
+        """Displacements, m, at which the ratio equals `limit`; without a crossing -inf and the last of `places`."""
+        ratio, at = self.likelihood_ratios, self.best_index
         below, above = np.flatnonzero(ratio[:at] > self.limit), np.flatnonzero(ratio[at:] > self.limit)
         return (self._interpolate_crossing(below[-1], below[-1] + 1) if below.size else -np.inf,
                 self._interpolate_crossing(at + above[0], at + above[0] - 1) if above.size else float(self.places[-1]))
 
     def _interpolate_crossing(self, out: int, inside: int) -> float:
-        """Interpolate the displacement between two places at which the ratio equals its limit, m."""
-        ratio, places = self.ratio, self.places
+        """Interpolate the displacement, m, at which the ratio equals `limit`; `out`, `inside`: neighbouring indices."""
+        ratio, places = self.likelihood_ratios, self.places
         if not np.isfinite(ratio[out]):
             return float(places[out])
         fraction = (self.limit - ratio[inside]) / (ratio[out] - ratio[inside])
@@ -130,7 +130,7 @@ class Profile:
 
 
 class ChangePointFit:
-    """Least-squares fit of the law to one part, with whitened noise.
+    """Least-squares fit of a power law of contact with zero and drift to a loading window, with whitened noise.
 
     Args:
         part: samples that are fitted.
@@ -140,20 +140,19 @@ class ChangePointFit:
         half: whether the law has one more term, whose exponent is larger by 1/2.
     """
 
-    def __init__(self, part: Part, terms: int, exponents: tuple[float, float], correlation: float = 0.0, *,
+    def __init__(self, part: LoadingWindow, terms: int, exponents: tuple[float, float], correlation: float = 0.0, *,
                  half: bool = False):
-        self.part, self.terms, self.exponents, self.half = part, terms, exponents, half
-        self.correlation = correlation
+        self.part, self.terms, self.exponents, self.half, self.correlation = part, terms, exponents, half, correlation
         self._scale = float(np.ptp(part.displacement)) or 1.0
         t = (part.time - part.time[0]) / ((part.time[-1] - part.time[0]) or 1.0)
-        base = self._whiten(np.stack([np.ones(t.size), t]))
+        base = self._whiten_noise(np.stack([np.ones(t.size), t]))
         self._base = np.linalg.qr(base.T)[0]
-        self._data = self._project(self._whiten(part.force - part.force[0])[None])[0]
+        self._data = self._remove_drift(self._whiten_noise(part.force - part.force[0])[None])[0]
         self.freedom = max(self._data.size - terms - half - 4, 1)
         self.latest = float(part.displacement[-min(terms + 4, t.size)])
 
-    def _whiten(self, rows: np.ndarray) -> np.ndarray:
-        """Return the innovations of the autoregressive process, shape (..., n); the first has an equal variance."""
+    def _whiten_noise(self, rows: np.ndarray) -> np.ndarray:
+        """Return rows with whitened noise: innovations of a first-order autoregressive process, shape (..., n)."""
         if not self.correlation:
             return rows
         new = np.empty_like(rows)
@@ -161,12 +160,12 @@ class ChangePointFit:
         new[..., 0] = np.sqrt(1 - self.correlation**2) * rows[..., 0]
         return new
 
-    def _project(self, rows: np.ndarray) -> np.ndarray:
-        """Remove the projection on zero and drift from rows, shape (m, n)."""
+    def _remove_drift(self, rows: np.ndarray) -> np.ndarray:
+        """Remove from whitened rows, shape (m, n), their projection on a constant and a drift linear in time."""
         return rows - (rows @ self._base) @ self._base.T
 
-    def _evaluate_terms(self, places: np.ndarray, powers: np.ndarray) -> list[np.ndarray]:
-        """Return the terms of the law after contact, each of shape (places * powers, n); powers: (places, m)."""
+    def _evaluate_law_terms(self, places: np.ndarray, powers: np.ndarray) -> list[np.ndarray]:
+        """Return the power-law terms, without factors at trial contacts `places` and exponents `powers` (places, m)."""
         depth = np.maximum(self.part.displacement - places[:, None], 0.0)[:, None] / self._scale
         logarithm = np.log(depth, where=depth > 0, out=np.full(depth.shape, -np.inf))
         first = np.exp(powers[:, :, None] * logarithm)
@@ -174,7 +173,7 @@ class ChangePointFit:
         columns += [first * np.sqrt(depth)] if self.half else []
         return [column.reshape(-1, depth.shape[-1]) for column in columns]
 
-    def compute_squares(self, places: np.ndarray, powers: np.ndarray, *, bounded: bool = True) -> np.ndarray:
+    def compute_sums_of_squares(self, places: np.ndarray, powers: np.ndarray, *, bounded: bool = True) -> np.ndarray:
         """Return the sums of squares, N2, shape of `powers`, (places, m); infinite if the force does not start upwards.
 
         Before the start of the motion there are no samples in the air, and a drift and a start of the law have the same
@@ -182,9 +181,10 @@ class ChangePointFit:
         """
         together = max(1, _SETTINGS.chunk_numbers // (powers.shape[1] * self._data.size))
         if places.size > together:
-            return np.concatenate([self.compute_squares(places[k:k + together], powers[k:k + together], bounded=bounded)
-                                   for k in range(0, places.size, together)])
-        columns = [self._project(self._whiten(column)) for column in self._evaluate_terms(places, powers)]
+            blocks = [slice(k, k + together) for k in range(0, places.size, together)]
+            return np.concatenate([self.compute_sums_of_squares(places[k], powers[k], bounded=bounded) for k in blocks])
+        terms = self._evaluate_law_terms(places, powers)
+        columns = [self._remove_drift(self._whiten_noise(column)) for column in terms]
         answer, coefficients = _solve_least_squares(columns, self._data)
         answer, leading = answer.reshape(powers.shape), coefficients[0].reshape(powers.shape)
         if bounded:
@@ -195,13 +195,13 @@ class ChangePointFit:
         return answer
 
     def minimize_over_exponent(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the smallest sum of squares over the exponent at each place, and the exponent; shapes (places,)."""
+        """Return at each trial contact in `places`, m, the smallest sum of squares, N2, and its exponent, (places,)."""
         low, high = self.exponents
         rows, count = np.arange(places.size), 9 if high > low else 1
         powers = np.broadcast_to(np.linspace(low, high, count), (places.size, count))
         half, found, best = (high - low) / 8, np.full(places.size, np.inf), np.full(places.size, low)
         for level in range(4 if high > low else 1):
-            squares = self.compute_squares(places, powers)
+            squares = self.compute_sums_of_squares(places, powers)
             at = squares.argmin(1)
             better = squares[rows, at] < found
             found, best = np.where(better, squares[rows, at], found), np.where(better, powers[rows, at], best)
@@ -218,15 +218,15 @@ class ChangePointFit:
                       + half * np.arange(-reach, reach + 1))
         return found, best
 
-    def search_coarsely(self) -> tuple[float, float]:
-        """Return contact, m, and exponent of the best fit of the averaged samples."""
-        coarse = ChangePointFit(self.part.coarse, self.terms, self.exponents)
+    def estimate_contact_coarsely(self) -> tuple[float, float]:
+        """Return displacement of contact, m, and exponent of the law, of the best fit of the averaged samples."""
+        coarse = ChangePointFit(self.part.coarse_window, self.terms, self.exponents)
         low, high = coarse.part.start, max(coarse.latest, coarse.part.start + coarse.part.step)
         samples = np.quantile(coarse.part.displacement, np.linspace(0, 1, 22), method="nearest").clip(low, high)
-        return coarse.refine_fit(None, np.union1d(np.linspace(low, high, 22), samples))
+        return coarse.fit_contact(None, np.union1d(np.linspace(low, high, 22), samples))
 
-    def refine_fit(self, best: tuple[float, float] | None, places: np.ndarray | None = None) -> tuple[float, float]:
-        """Return contact, m, and exponent of the best fit near an estimate.
+    def fit_contact(self, best: tuple[float, float] | None, places: np.ndarray | None = None) -> tuple[float, float]:
+        """Return displacement of contact, m, and exponent of the law, of the best fit near an estimate.
 
         The best of the trial places is refined twice between its neighbours.
 
@@ -236,7 +236,7 @@ class ChangePointFit:
         """
         if places is None:
             assert best is not None
-            step = self.part.coarse.step
+            step = self.part.coarse_window.step
             places = np.unique((best[0] + step * np.linspace(-2, 2, 9)).clip(self.part.start, self.latest))
         for level in range(3):
             squares, powers = self.minimize_over_exponent(places)
@@ -248,7 +248,7 @@ class ChangePointFit:
             places = np.linspace(places[max(at - 1, 0)], places[min(at + 1, places.size - 1)], 9)
         return answer
 
-    def compute_profile(self, best: tuple[float, float]) -> Profile:
+    def compute_likelihood_profile(self, best: tuple[float, float]) -> LikelihoodProfile:
         """Return the likelihood profile around the best fit, fine at the ends of the 95 % interval."""
         from scipy import special
 
@@ -260,8 +260,8 @@ class ChangePointFit:
             at = int(np.argmin(squares))
             variance = max(squares[at] / self.freedom, self.part.rounding**2, 1e-300)
             limit = _SETTINGS.limit_factor * float(special.fdtri(1, self.effective_degrees_of_freedom, 0.95))
-            profile = Profile(places, squares, powers, variance, limit)
-            near = np.flatnonzero(profile.ratio < 2.3 * profile.limit)
+            profile = LikelihoodProfile(places, squares, powers, variance, limit)
+            near = np.flatnonzero(profile.likelihood_ratios < 2.3 * profile.limit)
             width, wanted = places[near[-1]] - places[near[0]], []
             if near[-1] == places.size - 1 and places[-1] < latest:
                 wanted.append(places[-1] + max(width, step) * np.array([0.5, 1.0, 2.0]))
@@ -271,7 +271,7 @@ class ChangePointFit:
             gaps = np.diff(places[first:last + 1])
             fine = max(min(step / 6, width / 12), step / 50)
             # The profile is fine only at the crossings of its limit and next to the best place.
-            inside = profile.ratio[first:last + 1] <= profile.limit
+            inside = profile.likelihood_ratios[first:last + 1] <= profile.limit
             matters = inside[1:] != inside[:-1]
             matters[[k for k in (at - first - 1, at - first) if 0 <= k < gaps.size]] = True
             wide = np.flatnonzero(gaps > np.where(matters, fine, max(fine, width / 12)))
@@ -297,21 +297,21 @@ class ChangePointFit:
 
         Contact (`place`, m) and exponent (`power`) count as fitted parameters.
         """
-        self.fit_coefficients(place, power)
+        self.fit_linear_coefficients(place, power)
         design = np.vstack([self._design, *self._leading_terms_at_shifted_parameters(place, power)]).T
         return _estimate_correlation(self.part.force - self.part.force[0], design)
 
-    def compute_squares_without_contact(self) -> float:
-        """Return the sum of squares of a fit with zero and drift alone, N2."""
+    def compute_sum_of_squares_without_contact(self) -> float:
+        """Return the sum of squares, N2, of a fit of a constant and a linear drift, without a contact force."""
         return float(self._data @ self._data)
 
-    def fit_coefficients(self, place: float, power: float) -> np.ndarray:
-        """Return the coefficients: zero less the first force, drift over the part, and terms of the law, N."""
-        columns = [column[0] for column in self._evaluate_terms(np.array([place]), np.array([[power]]))]
+    def fit_linear_coefficients(self, place: float, power: float) -> np.ndarray:
+        """Return the fitted coefficients, N: zero minus first force, drift over the window, then the law's terms."""
+        columns = [column[0] for column in self._evaluate_law_terms(np.array([place]), np.array([[power]]))]
         t = (self.part.time - self.part.time[0]) / ((self.part.time[-1] - self.part.time[0]) or 1.0)
         self._design = np.stack([np.ones(t.size), t, *columns])
-        wanted = self._whiten(self.part.force - self.part.force[0])
-        return np.linalg.lstsq(self._whiten(self._design).T, wanted, rcond=None)[0]
+        wanted = self._whiten_noise(self.part.force - self.part.force[0])
+        return np.linalg.lstsq(self._whiten_noise(self._design).T, wanted, rcond=None)[0]
 
     def compute_drift_error(self, place: float, power: float, variance: float) -> float:
         """Return the standard error of the drift over the part, N; contact and exponent are fitted, too.
@@ -321,29 +321,29 @@ class ChangePointFit:
             power: exponent of the force after contact.
             variance: variance of the whitened residual, N2.
         """
-        self.fit_coefficients(place, power)
+        self.fit_linear_coefficients(place, power)
         moved = [each - self._design[2] for each in self._leading_terms_at_shifted_parameters(place, power)]
-        weighed = self._whiten(np.vstack([self._design, *moved]))
+        weighed = self._whiten_noise(np.vstack([self._design, *moved]))
         size = np.linalg.norm(weighed, axis=1).clip(1e-150)
         covariance = np.linalg.pinv((weighed / size[:, None]) @ (weighed / size[:, None]).T)
         return float(np.sqrt(max(variance * covariance[1, 1], 0.0)) / size[1])
 
     def fit_zero_without_drift(self, place: float, power: float) -> float:
-        """Return the zero less the first force, N, of a fit without drift."""
-        self.fit_coefficients(place, power)
+        """Return the fitted zero of the force minus the first force, N, of a fit without drift."""
+        self.fit_linear_coefficients(place, power)
         design = np.delete(self._design, 1, axis=0)
-        wanted = self._whiten(self.part.force - self.part.force[0])
-        return float(np.linalg.lstsq(self._whiten(design).T, wanted, rcond=None)[0][0])
+        wanted = self._whiten_noise(self.part.force - self.part.force[0])
+        return float(np.linalg.lstsq(self._whiten_noise(design).T, wanted, rcond=None)[0][0])
 
     def _leading_terms_at_shifted_parameters(self, place: float, power: float) -> list[np.ndarray]:
-        """Return the leading term at a shifted contact, and at a shifted exponent, shapes (n,)."""
+        """Return the leading power-law term at a shifted contact, and at a shifted exponent, for derivatives, (n,)."""
         shifted = place - _SETTINGS.difference_step * self._scale
-        return [self._evaluate_terms(np.array([shifted]), np.array([[power]]))[0][0],
-                self._evaluate_terms(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
+        return [self._evaluate_law_terms(np.array([shifted]), np.array([[power]]))[0][0],
+                self._evaluate_law_terms(np.array([place]), np.array([[power + _SETTINGS.difference_step]]))[0][0]]
 
-    def compute_residual(self, place: float, power: float) -> np.ndarray:
-        """Return the residual of the force without whitening, N, shape (n,)."""
-        coefficients = self.fit_coefficients(place, power)
+    def compute_force_residual(self, place: float, power: float) -> np.ndarray:
+        """Return the measured minus the fitted force, N, without whitening, shape (n,)."""
+        coefficients = self.fit_linear_coefficients(place, power)
         return self.part.force - self.part.force[0] - coefficients @ self._design
 
 
@@ -386,15 +386,15 @@ def _estimate_correlation(data: np.ndarray, design: np.ndarray) -> float:
     columns = np.column_stack([design / np.linalg.norm(design, axis=0).clip(1e-150), data])
     freedom, known = data.size - design.shape[1], design.shape[1]
 
-    def criterion(trial: float) -> float:
-        """Return -2 times the logarithm of the restricted likelihood for a trial correlation, up to a constant."""
+    def evaluate_restricted_likelihood(trial: float) -> float:
+        """Return -2 log of the restricted likelihood of a trial correlation, up to a constant; to be minimized."""
         new = np.vstack([np.sqrt(1 - trial**2) * columns[:1], columns[1:] - trial * columns[:-1]])
         size = np.abs(np.diag(np.linalg.qr(new, mode="r"))).clip(1e-150)
         return 2 * freedom * np.log(size[-1]) + 2 * float(np.log(size[:known]).sum()) - np.log(1 - trial**2)
 
     trials = _CORRELATIONS
     for _ in range(3):
-        at = int(np.argmin([criterion(trial) for trial in trials]))
+        at = int(np.argmin([evaluate_restricted_likelihood(trial) for trial in trials]))
         low, high = trials[max(at - 1, 0)], trials[min(at + 1, trials.size - 1)]
         trials = np.linspace(low, high, 5)
-    return float(trials[int(np.argmin([criterion(trial) for trial in trials]))])
+    return float(trials[int(np.argmin([evaluate_restricted_likelihood(trial) for trial in trials]))])

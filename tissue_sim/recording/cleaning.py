@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.first_sample import LOADS, estimate_first_value
-from tissue_sim.recording.measures import Measure, measures_before_conversion
+from tissue_sim.recording.first_sample import LOADS, estimate_first_sample_value
+from tissue_sim.recording.measures import StrainOrStressMeasure, get_original_measures
 from tissue_sim.recording.outliers import describe_outliers, find_outliers
 from tissue_sim.recording.recording import CHANNELS, MIN_POINTS, Recording
-from tissue_sim.recording.saturation import find_last_digit, find_saturation
-from tissue_sim.recording.screening import LeftOut, Saturation, Screening
+from tissue_sim.recording.saturation import find_quantization_step, find_saturation
+from tissue_sim.recording.screening import LeftOutSamples, Saturation, Screening
 
 #: Channels of the motion. The first one in a recording is examined, and so is the first channel of the load.
 MOTIONS = ("displacement", "stretch", "shear strain")
@@ -22,8 +22,9 @@ _PRODUCT_ERROR = 4.0
 _SHOWN = {"length": (" mm", 1e3), "force": (" N", 1.0), "stress": (" kPa", 1e-3), "ratio": ("", 1.0)}
 
 
-def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: Sequence[str] = (),
-          controlled: str | None = None) -> tuple[Recording, Screening]:
+def remove_outliers_and_saturation(recording: Recording, leave_out: Sequence[int] | None = None,
+                                   zeroed: Sequence[str] = (), controlled: str | None = None
+                                   ) -> tuple[Recording, Screening]:
     """Remove outliers and saturated samples from a recording, and report the findings.
 
     Args:
@@ -44,13 +45,13 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
     channels = {name: recording.channel(name) for name in (motion, load)}
     try:
         outliers = find_outliers(channels[motion], channels[load], is_counted=motion in zeroed)
-        found = describe_outliers(outliers, channels, format_value)
+        found = describe_outliers(outliers, channels, format_channel_value)
     except InputError:
         # A list in the campaign states that all other samples are valid.
         if leave_out is None:
             raise
         found = ()
-    suspected: tuple[LeftOut, ...] = ()
+    suspected: tuple[LeftOutSamples, ...] = ()
     if leave_out is not None:
         found, suspected = _split_stated_outliers(recording, leave_out, found)
     is_kept = np.ones(len(recording), bool)
@@ -79,18 +80,18 @@ def clean(recording: Recording, leave_out: Sequence[int] | None = None, zeroed: 
 
 
 def find_start_value(recording: Recording, screening: Screening, name: str) -> float | None:
-    """Return the motion or the load at the first sample; see `tissue_sim.recording.first_sample.estimate_first_value`.
+    """Return the motion or the load at the first sample; None if the other samples do not determine this value.
 
     Args:
         recording: recording with all samples.
-        screening: findings of `clean`.
+        screening: findings of `remove_outliers_and_saturation`.
         name: name of the channel.
     """
     partners = LOADS if name in MOTIONS else MOTIONS
     partner = next((each for each in partners if each in recording), None)
     if partner is None:
         return float(recording.channel(name)[0])
-    return estimate_first_value(recording, screening, name, partner)
+    return estimate_first_sample_value(recording, screening, name, partner)
 
 
 def _require_start_value(recording: Recording, screening: Screening, name: str) -> float:
@@ -109,7 +110,7 @@ def _require_start_value(recording: Recording, screening: Screening, name: str) 
     return found
 
 
-def count_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording:
+def subtract_start_values(recording: Recording, zeroed: Sequence[str]) -> Recording:
     """Count channels from their value at the first sample, also if the first sample is an outlier.
 
     If the other samples do not determine this value, the channels count from the first sample that is kept.
@@ -121,15 +122,15 @@ def count_from_start(recording: Recording, zeroed: Sequence[str]) -> Recording:
     named = [name for name in zeroed if name in recording]
     if not named:
         return recording
-    rest, screening = clean(recording)
+    rest, screening = remove_outliers_and_saturation(recording)
     starts = {name: find_start_value(recording, screening, name) for name in named}
     return recording.with_channels(**{
         name: recording.channel(name) - (float(rest.channel(name)[0]) if start is None else start)
         for name, start in starts.items()})
 
 
-def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOut, ...]
-               ) -> tuple[tuple[LeftOut, ...], tuple[LeftOut, ...]]:
+def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found: tuple[LeftOutSamples, ...]
+               ) -> tuple[tuple[LeftOutSamples, ...], tuple[LeftOutSamples, ...]]:
     """Return the samples that the campaign lists, and the outliers that are not listed, with reasons."""
     for number in leave_out:
         if not 1 <= number <= len(recording):
@@ -137,7 +138,7 @@ def _split_stated_outliers(recording: Recording, leave_out: Sequence[int], found
     listed = set(leave_out)
     confirmed = tuple(each for each in found if listed.issuperset(each.samples))
     others = tuple(sorted(listed - {number for each in confirmed for number in each.samples}))
-    stated = (LeftOut(others, "", "the campaign lists it in leave_out"),) if others else ()
+    stated = (LeftOutSamples(others, "", "the campaign lists it in leave_out"),) if others else ()
     return (*confirmed, *stated), tuple(each for each in found if not listed.issuperset(each.samples))
 
 
@@ -159,14 +160,14 @@ def _find_channel_saturation(recording: Recording, kept: np.ndarray, name: str, 
     values = recording.channel(name) if values is None else values
     continuing = "motion" if other in MOTIONS else "load"
     found = []
-    for run in find_saturation(values, recording.channel(other), _time_or_none(recording), rounding=rounding,
+    for run in find_saturation(values, recording.channel(other), _get_time_if_present(recording), rounding=rounding,
                                is_free=is_free):
         level = float(values[run.first])
         samples = tuple((kept[run.first:run.last + 1] + 1).tolist())
         found.append(Saturation(name, level, samples,
-                                f"the {title or name} stays at {format_value(name, level)} over {run.count} samples "
-                                f"while the {continuing} continues: a saturated sensor; samples {samples[0]} to "
-                                f"{samples[-1]} are left out"))
+                                f"the {title or name} stays at {format_channel_value(name, level)} over {run.count} "
+                                f"samples while the {continuing} continues: a saturated sensor; samples {samples[0]} "
+                                f"to {samples[-1]} are left out"))
     return tuple(found)
 
 
@@ -177,7 +178,7 @@ def _find_load_saturation(recording: Recording, kept: np.ndarray, load: str, mot
     A load cell at its limit gives a constant force, which is the nominal stress times the undeformed area. The true
     stress of such a test still follows the stretch, and the nominal stress is constant to the rounding of the columns.
     """
-    measure = measures_before_conversion(recording).get(load)
+    measure = get_original_measures(recording).get(load)
     if measure is None or "stretch" not in recording:
         return _find_channel_saturation(recording, kept, load, motion, is_free=is_free)
     stretch = recording.channel("stretch")
@@ -187,10 +188,10 @@ def _find_load_saturation(recording: Recording, kept: np.ndarray, load: str, mot
     return (_find_channel_saturation(recording, kept, load, motion, stated, measure.title, bits, is_free=is_free)
             or _find_channel_saturation(recording, kept, load, motion, None,
                                         f"nominal stress that follows from the {measure.title}",
-                                        _nominal_stress_rounding(recording, measure), is_free=is_free))
+                                        _compute_nominal_stress_rounding(recording, measure), is_free=is_free))
 
 
-def _nominal_stress_rounding(recording: Recording, measure: Measure) -> float:
+def _compute_nominal_stress_rounding(recording: Recording, measure: StrainOrStressMeasure) -> float:
     """Return the width of the interval of nominal stresses, Pa, with the same digits in the columns of the file.
 
     The width is the last digit of each column times the derivative of the nominal stress, at large stresses.
@@ -198,24 +199,24 @@ def _nominal_stress_rounding(recording: Recording, measure: Measure) -> float:
     stretch, nominal = recording.channel("stretch"), recording.channel("nominal stress")
     large = np.abs(nominal) >= 0.5 * float(np.abs(nominal).max())
     stretch, nominal = stretch[large], nominal[large]
-    strain_measure = measures_before_conversion(recording).get("stretch")
+    strain_measure = get_original_measures(recording).get("stretch")
     strain = recording.channel("stretch") if strain_measure is None else strain_measure.invert(
         recording.channel("stretch"))
-    step = find_last_digit(strain)
+    step = find_quantization_step(strain)
     strain = strain[large]
     moved = strain + step if strain_measure is None else strain_measure.convert(strain + step)
     stress = measure.invert(nominal, stretch)
-    digit = find_last_digit(measure.invert(recording.channel("nominal stress"), recording.channel("stretch")))
+    digit = find_quantization_step(measure.invert(recording.channel("nominal stress"), recording.channel("stretch")))
     return float((np.abs(measure.convert(stress + digit, stretch) - nominal)
                   + np.abs(measure.convert(stress, moved) - nominal)).max())
 
 
-def _time_or_none(recording: Recording) -> np.ndarray | None:
-    """Return the time, s, shape (n,); None for a recording without a time."""
+def _get_time_if_present(recording: Recording) -> np.ndarray | None:
+    """Return the time of a recording, s, shape (n,); None for a recording without the channel ``time``."""
     return recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
 
 
-def format_value(channel: str, value: float) -> str:
+def format_channel_value(channel: str, value: float) -> str:
     """Format a value (SI) of a channel with its unit, for sentences: ``"2.35 mm"``."""
     unit, factor = _SHOWN[CHANNELS[channel]]
     return f"{factor * value:.4g}{unit}"

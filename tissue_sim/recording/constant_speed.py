@@ -12,8 +12,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.recording import Recording
 
 
-def with_constant_speed(recording: Recording, speed: float, path: Path) -> Recording:
-    """Add the time from the path length, or the displacement since the first sample, to a recording.
+def complete_motion_from_speed(recording: Recording, speed: float, path: Path) -> Recording:
+    """Add the missing time, s, or the missing displacement, m, to a recording of a test at constant speed.
 
     Args:
         recording: recording without time or without displacement; a recording with both is returned without a change.

@@ -14,7 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.change_point import ChangePointFit, Part, Profile
+from tissue_sim.public_names import OldName
+from tissue_sim.recording.change_point import ChangePointFit, LikelihoodProfile, LoadingWindow
 from tissue_sim.recording.resolution import find_rounding_step
 from tissue_sim.recording.segmentation import label_motion
 
@@ -114,18 +115,22 @@ class Contact:
     adequate: bool = True
     drift_error: float = 0.0
 
+    #: Old names.
+    found = OldName("has_air_before_contact")
+    counted_from = OldName("subtract_contact_and_zero")
+
     @property
-    def found(self) -> bool:
-        """Whether samples in the air precede contact."""
+    def has_air_before_contact(self) -> bool:
+        """Whether the recording has samples in the air, before contact."""
         return self.status == "found"
 
     @property
     def sentence(self) -> str:
-        """Result as a sentence, in mm and N; see `in_words`."""
+        """Result as a sentence for the user, in mm and N; see `in_words`."""
         return self.in_words()
 
-    def counted_from(self, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None
-                     ) -> tuple[np.ndarray, np.ndarray]:
+    def subtract_contact_and_zero(self, displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None
+                                  ) -> tuple[np.ndarray, np.ndarray]:
         """Return the displacement from contact, m, and the force without zero and drift, N, shapes (n,).
 
         Args:
@@ -183,58 +188,61 @@ def find_contact(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
         raise InputError(f"displacement {displacement.shape}, force {force.shape} and time {time.shape} differ in "
                          "shape; give one value of each per sample", field="force")
     if displacement.size < _SETTINGS.fewest:
-        raise InputError(f"{displacement.size} samples; contact needs at least {_SETTINGS.fewest}", field="force")
-    loading = _Loading.from_arrays(time, displacement, force)
-    if (latest := loading.rises_at_once()) is not None:
+        raise InputError(f"the search for contact needs at least {_SETTINGS.fewest} samples; got "
+                         f"{displacement.size}. Record more samples", field="force")
+    loading = _FirstLoading.from_arrays(time, displacement, force)
+    if (latest := loading.find_immediate_rise()) is not None:
         return Contact("before", loading.start, (-np.inf, latest), loading.zero, noise=loading.noise, step=loading.step)
-    recorded, loading = loading, loading.averaged
+    recorded, loading = loading, loading.averaged_loading
     part, terms, chance = loading.whole, _SETTINGS.terms, 0.0
-    parts = loading.parts()
+    parts = loading.list_fit_windows()
     judged = None
     for number, part in enumerate(parts):
-        chance, noise = judged or _test_misfit(part, terms, exponents)
+        chance, noise = judged or _compute_misfit_probability(part, terms, exponents)
         has_shorter = chance > _SETTINGS.adequate and part is not parts[-1]
-        judged = _test_misfit(parts[number + 1], terms, exponents) if has_shorter else None
+        judged = _compute_misfit_probability(parts[number + 1], terms, exponents) if has_shorter else None
         # A slow misfit of the law looks like correlated noise, and a shorter part has a smaller misfit.
         if chance > _SETTINGS.adequate and (judged is None or judged[1] > _SETTINGS.smaller_residual * noise):
             break
     fitted = ChangePointFit(part, terms + 1, exponents)
-    best = fitted.refine_fit(fitted.search_coarsely())
+    best = fitted.fit_contact(fitted.estimate_contact_coarsely())
     fitted = ChangePointFit(part, terms + 1, exponents, fitted.estimate_noise_correlation(*best))
-    found = _build_contact(loading, fitted, fitted.compute_profile(best), adequate=chance > _SETTINGS.doubtful)
+    found = _build_contact(loading, fitted, fitted.compute_likelihood_profile(best),
+                           adequate=chance > _SETTINGS.doubtful)
     each = round(loading.step / recorded.step)
     index = int(np.argmax(displacement > found.displacement)) if found.index else 0
     return replace(found, index=index, step=recorded.step, air=each * found.air, loading=each * found.loading,
                    noise=found.noise * float(np.sqrt(each)))
 
 
-def _test_misfit(part: Part, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
-    """Return the probability that the misfit of a part is chance, and the standard deviation of its residual, N."""
+def _compute_misfit_probability(part: LoadingWindow, terms: int, exponents: tuple[float, float]) -> tuple[float, float]:
+    """Return the p value of the misfit of the law in a window, and the standard deviation of its residual, N."""
     from scipy import special
 
-    part = part.coarse
+    part = part.coarse_window
     fitted = ChangePointFit(part, terms, exponents)
-    best = fitted.search_coarsely()
+    best = fitted.estimate_contact_coarsely()
     richer = ChangePointFit(part, terms + 2, exponents, half=True)
     fitted = ChangePointFit(part, terms, exponents, richer.estimate_noise_correlation(*best))
-    best = fitted.refine_fit(best)
+    best = fitted.fit_contact(best)
     place, power = np.array([best[0]]), np.array([[best[1]]])
     larger = ChangePointFit(part, terms + 2, exponents, fitted.correlation, half=True)
-    least, more = (fit.compute_squares(place, power, bounded=False)[0, 0] for fit in (fitted, larger))
+    least, more = (fit.compute_sums_of_squares(place, power, bounded=False)[0, 0] for fit in (fitted, larger))
     ratio = max(least - more, 0.0) / 3 / max(more / larger.freedom, part.rounding**2, 1e-300)
-    return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.compute_residual(*best)))
+    return float(special.fdtrc(3, larger.freedom, ratio)), float(np.std(fitted.compute_force_residual(*best)))
 
 
-def _build_contact(loading: _Loading, fitted: ChangePointFit, profile: Profile, adequate: bool) -> Contact:
-    """Return contact with its status from the fit of one part and the likelihood profile."""
+def _build_contact(loading: _FirstLoading, fitted: ChangePointFit, profile: LikelihoodProfile,
+                   adequate: bool) -> Contact:
+    """Return the result `Contact`, with its status, from the fit of one window and its likelihood profile."""
     from scipy import special
 
-    part, (place, power) = fitted.part, profile.best
-    straight, freedom = fitted.compute_squares_without_contact(), fitted.freedom
-    ratio = max(straight - profile.smallest_squares, 0.0) / (fitted.terms + 2) / profile.variance
-    low, high = profile.interval
-    coefficients = fitted.fit_coefficients(place, power)
-    deviation = float(np.std(fitted.compute_residual(place, power)))
+    part, (place, power) = fitted.part, profile.best_contact_and_exponent
+    straight, freedom = fitted.compute_sum_of_squares_without_contact(), fitted.freedom
+    ratio = max(straight - profile.smallest_sum_of_squares, 0.0) / (fitted.terms + 2) / profile.variance
+    low, high = profile.confidence_interval
+    coefficients = fitted.fit_linear_coefficients(place, power)
+    deviation = float(np.std(fitted.compute_force_residual(place, power)))
     first = int(np.argmax(part.displacement > place)) if part.displacement[-1] > place else part.displacement.size
     span = (part.time[-1] - part.time[0]) or 1.0
     zero, drift = float(coefficients[0] + part.force[0]), float(coefficients[1] / span)
@@ -264,13 +272,13 @@ def _build_contact(loading: _Loading, fitted: ChangePointFit, profile: Profile, 
     elif np.isneginf(low) or first < _SETTINGS.fewest_in_air:
         found = no_air
     low, high = found.interval
-    width = high - (low if found.found else loading.start)
-    unclear = width > _SETTINGS.unclear_interval * reach or not (found.found or adequate)
+    width = high - (low if found.has_air_before_contact else loading.start)
+    unclear = width > _SETTINGS.unclear_interval * reach or not (found.has_air_before_contact or adequate)
     return replace(found, status="unclear") if unclear else found
 
 
 @dataclass(frozen=True, eq=False)
-class _Loading:
+class _FirstLoading:
     """Loading up to the first hold under load.
 
     Attributes:
@@ -280,7 +288,7 @@ class _Loading:
         noise: first estimate of the standard deviation of the noise, N.
     """
 
-    whole: Part
+    whole: LoadingWindow
     smooth: np.ndarray
     zero: float
     noise: float
@@ -294,7 +302,7 @@ class _Loading:
         return self.whole.start
 
     @classmethod
-    def from_arrays(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _Loading:
+    def from_arrays(cls, time: np.ndarray, displacement: np.ndarray, force: np.ndarray) -> _FirstLoading:
         """Return the loading of a recording in s, m and N, shapes (n,)."""
         labels = label_motion(time, displacement)
         rounding = find_rounding_step(force) / np.sqrt(12.0)
@@ -310,27 +318,29 @@ class _Loading:
         steps = np.abs(np.diff(displacement[:end]))
         moved = steps[steps > 0.2 * np.median(steps[steps > 0])] if np.any(steps > 0) else np.ones(1)
         start = displacement[ramps[0] if ramps.size and ramps[0] < end else 0]
-        whole = Part(time[:end], displacement[:end], force[:end], rounding, float(np.median(moved)), float(start))
+        whole = LoadingWindow(time[:end], displacement[:end], force[:end], rounding, float(np.median(moved)),
+                              float(start))
         return cls(whole, smooth[:end], zero, noise)
 
     @cached_property
-    def averaged(self) -> _Loading:
-        """The same loading, averaged to at most `ContactSettings.most_samples` samples."""
-        part = self.whole.average_to(_SETTINGS.most_samples)
+    def averaged_loading(self) -> _FirstLoading:
+        """This loading with neighbouring samples averaged, at most `ContactSettings.most_samples` samples."""
+        part = self.whole.average_neighbouring_samples(_SETTINGS.most_samples)
         share = np.sqrt(part.time.size / self.whole.time.size)
         smooth = np.convolve(np.pad(part.force, 1, mode="edge"), np.full(3, 1 / 3), "valid")
-        return self if part is self.whole else _Loading(part, smooth, self.zero, max(self.noise * share, part.rounding))
+        return self if part is self.whole else _FirstLoading(part, smooth, self.zero,
+                                                             max(self.noise * share, part.rounding))
 
-    def rises_at_once(self) -> float | None:
-        """Return the displacement, m, of a clear rise of the force within the first moves; None without such a rise."""
+    def find_immediate_rise(self) -> float | None:
+        """Return the displacement, m, at which the force rises clearly in the first moves; None without a rise."""
         first = int(np.argmax(self.whole.displacement > self.start)) - 1
         before = np.median(self.whole.force[:max(first, 0) + 1])
         risen = self.whole.force[max(first, 0):][:_SETTINGS.fewest_in_air + 1] - before
         clear = risen > _SETTINGS.immediate_rise * self.noise
         return float(self.whole.displacement[max(first, 0) + int(np.argmax(clear))]) if clear[-2:].all() else None
 
-    def parts(self) -> list[Part]:
-        """Return parts of the loading, from all of it to the shortest one with a clear rise of the force."""
+    def list_fit_windows(self) -> list[LoadingWindow]:
+        """Return windows from the start of the loading: the longest first, down to a clear rise of the force."""
         rise, parts = float(self.smooth.max()) - self.zero, [self.whole]
         for share in _SETTINGS.rise_fractions[1:]:
             if share * rise < _SETTINGS.least_rise * self.noise:
@@ -339,5 +349,5 @@ class _Loading:
             if end < _SETTINGS.fewest_in_part:
                 break
             if end < parts[-1].time.size:
-                parts.append(self.whole.cut_at(end))
+                parts.append(self.whole.truncate_at_index(end))
         return parts

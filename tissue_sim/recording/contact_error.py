@@ -10,7 +10,8 @@ from tissue_sim.recording.contact import Contact
 INTERVAL_DEVIATIONS = 1.96
 
 
-def contact_error(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, contact: Contact) -> float:
+def relative_modulus_error_from_contact(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
+                                        contact: Contact) -> float:
     """Return the relative half width of the 95 % interval of a modulus that the uncertainty of contact causes.
 
     A model force k f(x) is fitted by least squares to F(x). A contact that is d farther changes the model by -d F'(x)
@@ -23,7 +24,7 @@ def contact_error(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None,
         time: time, s, shape (n,); None: even steps.
         contact: result of `find_contact`; a status other than ``"found"`` gives 0.
     """
-    if not contact.found or motion.size < 2:
+    if not contact.has_air_before_contact or motion.size < 2:
         return 0.0
     end = int(np.argmax(motion)) + 1
     motion, load = motion[:end], load[:end]

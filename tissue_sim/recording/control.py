@@ -10,14 +10,14 @@ from typing import Literal
 import numpy as np
 
 from tissue_sim.recording.oscillation import Oscillation, find_oscillation
-from tissue_sim.recording.saturation import find_last_digit
-from tissue_sim.recording.screening import SCREENING, Control
+from tissue_sim.recording.saturation import find_quantization_step
+from tissue_sim.recording.screening import SCREENING, ControlFindings
 from tissue_sim.recording.segmentation import label_motion
 
 
 @dataclass(frozen=True)
 class ControlSettings:
-    """Settings of `find_control` and `find_creep_parts`.
+    """Settings of `analyse_control_and_creep` and `find_creep_intervals`.
 
     Attributes:
         fewest: fewest samples of a hold.
@@ -56,7 +56,7 @@ class ControlSettings:
 _SETTINGS = ControlSettings()
 
 
-def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> Control:
+def analyse_control_and_creep(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None) -> ControlFindings:
     """Recognise the controlled quantity, and the relaxation or creep of the material in holds.
 
     Args:
@@ -67,40 +67,41 @@ def find_control(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None =
     if motion.size > _SETTINGS.most_samples:
         every = -(-motion.size // _SETTINGS.most_samples)
         clock = np.arange(motion.size, dtype=float) if time is None else time
-        found = find_control(motion[::every], load[::every], clock[::every])
+        found = analyse_control_and_creep(motion[::every], load[::every], clock[::every])
         return replace(found, loading=min(every * found.loading, motion.size))
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
-        return Control(None, "ramp", loading=motion.size)
+        return ControlFindings(None, "ramp", loading=motion.size)
     oscillation = find_oscillation(motion, load, time)
     if oscillation is not None and not oscillation.returns:
-        return Control(_find_linear_channel(motion, load, clock, oscillation.first), "oscillation",
-                       loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
-                       loading=_find_first_reversal(motion, oscillation))
-    rest = min(_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
-    holds = list(_find_holds(label_motion(clock, motion)))
-    lost = max(((_relaxed_fraction(load, first, last, rest), first, last) for first, last in holds),
+        return ControlFindings(_find_channel_linear_in_time(motion, load, clock, oscillation.first), "oscillation",
+                               loss_factor=oscillation.loss_factor, frequency=oscillation.frequency,
+                               loading=_count_samples_to_largest_motion(motion, oscillation))
+    rest = min(_estimate_load_at_rest(motion, load), float(np.median(load[:_SETTINGS.end_samples])))
+    holds = list(_iterate_long_holds(label_motion(clock, motion)))
+    lost = max(((_compute_relaxed_fraction(load, first, last, rest), first, last) for first, last in holds),
                default=(0.0, 0, 0))
-    crept = [each for each in _find_creep(motion, load, clock) if each[2] > SCREENING.creep]
+    crept = [each for each in _iterate_creeping_holds(motion, load, clock) if each[2] > SCREENING.creep]
     if crept:
         first, last, creep = max(crept, key=lambda each: each[2])
         start = crept[0][0]
-        return Control("force", "creep", 0.0, creep, loading=start,
-                       time_constant=_time_constant(motion, clock, first, last),
-                       loading_time=float(clock[start] - clock[0]), equal_samples=_count_equal(load, first, last))
+        return ControlFindings("force", "creep", 0.0, creep, loading=start,
+                               time_constant=_compute_time_constant(motion, clock, first, last),
+                       loading_time=float(clock[start] - clock[0]), equal_samples=_count_equal_loads(load, first, last))
     loaded = [first for first, last in holds if np.median(load[first:last]) - rest > _SETTINGS.loaded * np.ptp(load)]
     steps = [first for first in loaded if motion[first] >= 0.98 * motion[:first + 1].max()]
     pattern = "staircase" if len(steps) > 1 else "ramp and hold" if loaded else "cycles" if oscillation else "ramp"
     peak = int(np.argmax(motion))
-    quantity = _find_linear_channel(motion, load, clock, peak + 1)
+    quantity = _find_channel_linear_in_time(motion, load, clock, peak + 1)
     relaxation, first, last = lost
-    return Control("displacement" if loaded else quantity, pattern, relaxation, loading=min([*loaded, peak + 1]),
-                   time_constant=_time_constant(load, clock, first, last) if relaxation else None,
-                   loading_time=float(clock[_find_arrival(motion)] - clock[0]))
+    return ControlFindings("displacement" if loaded else quantity, pattern, relaxation,
+                           loading=min([*loaded, peak + 1]),
+                           time_constant=_compute_time_constant(load, clock, first, last) if relaxation else None,
+                           loading_time=float(clock[_find_sample_near_maximum_motion(motion)] - clock[0]))
 
 
-def _count_equal(load: np.ndarray, first: int, last: int) -> int:
-    """Return the number of samples from `first` to `last` (not included) with an equal load.
+def _count_equal_loads(load: np.ndarray, first: int, last: int) -> int:
+    """Return how many loads from sample `first` to `last` (not included) equal their median exactly.
 
     The number is 0 if the loads scatter, or if their last digit is coarse.
     """
@@ -108,12 +109,12 @@ def _count_equal(load: np.ndarray, first: int, last: int) -> int:
     count = int(np.count_nonzero(load[first:last] == level))
     if count < max(_SETTINGS.fewest, _SETTINGS.equal * (last - first)):
         return 0
-    return count if 0.0 < find_last_digit(load) <= _SETTINGS.fine_digit * abs(level) else 0
+    return count if 0.0 < find_quantization_step(load) <= _SETTINGS.fine_digit * abs(level) else 0
 
 
-def find_creep_parts(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None
-                     ) -> tuple[tuple[int, int], ...]:
-    """Return first sample (from 0) and end (not included) of each part in which the displacement creeps.
+def find_creep_intervals(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None = None
+                         ) -> tuple[tuple[int, int], ...]:
+    """Return first sample (from 0) and end (not included) of each hold of the load in which the displacement creeps.
 
     Args:
         motion: displacement or strain, positive under load, in the order of time, shape (n,).
@@ -122,16 +123,17 @@ def find_creep_parts(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     """
     if motion.size > _SETTINGS.most_samples:
         every = -(-motion.size // _SETTINGS.most_samples)
-        thinned = find_creep_parts(motion[::every], load[::every], None if time is None else time[::every])
+        thinned = find_creep_intervals(motion[::every], load[::every], None if time is None else time[::every])
         return tuple((every * first, min(every * last, motion.size)) for first, last in thinned)
     clock = np.arange(motion.size, dtype=float) if time is None else time
     if motion.size < 2 * _SETTINGS.fewest or not np.ptp(motion) > 0 or not np.ptp(load) > 0 or not clock[-1] > clock[0]:
         return ()
-    return tuple((first, last) for first, last, gain in _find_creep(motion, load, clock) if gain > SCREENING.creep)
+    return tuple((first, last) for first, last, gain in _iterate_creeping_holds(motion, load, clock)
+                 if gain > SCREENING.creep)
 
 
-def _load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
-    """Return the load of the unloaded specimen.
+def _estimate_load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
+    """Return the load, in the unit of the recording, at which the specimen is unloaded.
 
     The load of the first sample is the load at rest. A recording that begins in a deformed state, as after a first
     sample that is left out, has a load at rest of at most zero.
@@ -139,40 +141,40 @@ def _load_at_rest(motion: np.ndarray, load: np.ndarray) -> float:
     return float(load[0]) if abs(motion[0]) <= _SETTINGS.undeformed * np.ptp(motion) else min(float(load[0]), 0.0)
 
 
-def _time_constant(values: np.ndarray, clock: np.ndarray, first: int, last: int) -> float:
-    """Return the time in which 63 % of the change from sample `first` to `last` (not included) takes place, s."""
+def _compute_time_constant(values: np.ndarray, clock: np.ndarray, first: int, last: int) -> float:
+    """Return the time, s, after which 63 % of the change between samples `first` and `last` (excluded) has passed."""
     part = values[first:last]
     done = (part - part[0]) / ((float(np.median(part[-_SETTINGS.end_samples:])) - part[0]) or 1.0)
     reached = first + int(np.argmax(done >= 1.0 - np.exp(-1.0)))
     return float(max(clock[reached] - clock[first], clock[min(first + 1, last - 1)] - clock[first]))
 
 
-def _find_arrival(motion: np.ndarray) -> int:
+def _find_sample_near_maximum_motion(motion: np.ndarray) -> int:
     """Return the sample at which the motion reaches 98 % of its maximum: the noise of a hold can shift the maximum."""
     return int(np.argmax(motion >= 0.98 * motion.max()))
 
 
-def _find_first_reversal(motion: np.ndarray, oscillation: Oscillation) -> int:
-    """Return the number of samples up to the largest motion before the oscillation."""
+def _count_samples_to_largest_motion(motion: np.ndarray, oscillation: Oscillation) -> int:
+    """Return the number of samples up to the largest displacement before the oscillation."""
     return int(np.argmax(motion[:oscillation.first + 1])) + 1
 
 
-def _label_runs(labels: np.ndarray) -> Iterator[tuple[str, int, int]]:
+def _iterate_label_runs(labels: np.ndarray) -> Iterator[tuple[str, int, int]]:
     """Yield name, first sample and end (not included) of each run of labels."""
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
     for first, last in pairwise(edges.tolist()):
         yield str(labels[first]), first, last
 
 
-def _find_holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
+def _iterate_long_holds(labels: np.ndarray) -> Iterator[tuple[int, int]]:
     """Yield first sample and end (not included) of each hold that is long enough, from the end of its motion."""
-    yield from ((max(first - 1, 0), last) for name, first, last in _label_runs(labels)
+    yield from ((max(first - 1, 0), last) for name, first, last in _iterate_label_runs(labels)
                 if name == "hold" and last - first >= _SETTINGS.fewest)
 
 
-def _relaxed_fraction(load: np.ndarray, first: int, last: int, rest: float) -> float:
+def _compute_relaxed_fraction(load: np.ndarray, first: int, last: int, rest: float) -> float:
     """Return the fraction of the load at the start of a hold that is lost in the hold; 0 if it is not significant."""
-    noise = noise_deviation(load)
+    noise = estimate_noise_deviation(load)
     begin = float(np.median(load[first:first + _SETTINGS.end_samples]))
     end = float(np.median(load[max(last - _SETTINGS.end_samples, first):last]))
     if begin - rest <= _SETTINGS.loaded * np.ptp(load) or begin - end < 4 * noise:
@@ -180,27 +182,28 @@ def _relaxed_fraction(load: np.ndarray, first: int, last: int, rest: float) -> f
     return (begin - end) / (begin - rest)
 
 
-def _find_creep(motion: np.ndarray, load: np.ndarray, clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
+def _iterate_creeping_holds(motion: np.ndarray, load: np.ndarray,
+                            clock: np.ndarray) -> Iterator[tuple[int, int, float]]:
     """Yield first sample, end and relative gain of the displacement for each hold of the load with creep."""
-    rest = _load_at_rest(motion, load)
+    rest = _estimate_load_at_rest(motion, load)
     span = max(float(load.max()), rest) - min(float(load.min()), rest)
-    tolerance = max(_SETTINGS.held_range * span, _SETTINGS.held_noise * noise_deviation(load))
+    tolerance = max(_SETTINGS.held_range * span, _SETTINGS.held_noise * estimate_noise_deviation(load))
     if tolerance > 0.2 * span:
         return
-    for first, last in _find_holds(label_motion(clock, load, tolerance)):
+    for first, last in _iterate_long_holds(label_motion(clock, load, tolerance)):
         level = float(np.median(load[first + 1:last]))
         first += 1
         if abs(level - rest) <= _SETTINGS.loaded * span or np.ptp(load[first:last]) > 4 * tolerance:
             continue
         gain = float(np.median(motion[last - _SETTINGS.end_samples:last]) - motion[first])
         duration = clock[last - 1] - clock[first]
-        if gain <= 0 or not duration > 0 or gain < 6 * noise_deviation(motion) or motion[first] <= 0:
+        if gain <= 0 or not duration > 0 or gain < 6 * estimate_noise_deviation(motion) or motion[first] <= 0:
             continue
-        if _slows_down(motion, clock, first, last, gain / duration):
+        if _is_motion_creeping(motion, clock, first, last, gain / duration):
             yield first, last, gain / float(motion[first])
 
 
-def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:
+def _is_motion_creeping(motion: np.ndarray, clock: np.ndarray, first: int, last: int, rate: float) -> bool:
     """Return whether a motion in samples `first` to `last` (not included) creeps.
 
     Creep slows down, and it is slower than the loading before. A recording that begins in a loaded state does not show
@@ -223,7 +226,7 @@ def _slows_down(motion: np.ndarray, clock: np.ndarray, first: int, last: int, ra
                 and rate < _SETTINGS.slower * (motion[first] - motion[before]) / loading)
 
 
-def _find_linear_channel(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
+def _find_channel_linear_in_time(motion: np.ndarray, load: np.ndarray, clock: np.ndarray, end: int
                 ) -> Literal["displacement", "force"] | None:
     """Return the channel that is linear in time up to sample `end` (not included); None if both are, or none is."""
     if end < 2 * _SETTINGS.fewest or not clock[end - 1] > clock[0]:
@@ -238,7 +241,7 @@ def _find_linear_channel(motion: np.ndarray, load: np.ndarray, clock: np.ndarray
     return "displacement" if bends[0] < bends[1] else "force"
 
 
-def noise_deviation(values: np.ndarray) -> float:
+def estimate_noise_deviation(values: np.ndarray) -> float:
     """Return the standard deviation of the noise of a smooth channel, from its second differences."""
     bend = values[1:-1] - 0.5 * (values[:-2] + values[2:])
     return float(np.median(np.abs(bend))) / (0.6745 * np.sqrt(1.5))

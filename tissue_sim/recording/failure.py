@@ -9,7 +9,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.recording.resolution import find_rounding_step
-from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_corners, label_motion
+from tissue_sim.recording.segmentation import MOTION_SETTINGS, find_motion_corners, label_motion
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Failure:
 
     @property
     def sentence(self) -> str:
-        """Result as a sentence, in mm and N; see `in_words`."""
+        """Result as a sentence for the user, in mm and N; see `in_words`."""
         return self.in_words()
 
     def in_words(self, *, stressed: bool = False) -> str:
@@ -113,10 +113,10 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
                          "shape; give one value of each per sample", field="force")
     if displacement.size < 5 or not np.ptp(displacement) > 0:
         return None
-    noise = _estimate_noise(force)
+    noise = _estimate_noise_deviation(force)
     labels = label_motion(time, displacement)
     edges = np.append(np.flatnonzero(np.append(True, labels[1:] != labels[:-1])), labels.size)
-    speed = _compute_speeds(time, displacement) if timed else np.ones(force.size)
+    speed = _compute_sample_speeds(time, displacement) if timed else np.ones(force.size)
     # A relaxed specimen can pull at the tool at the end of an unloading: only the first loading shows the zero.
     first_unloading = int(np.argmax(labels == "unload")) if np.any(labels == "unload") else force.size
     for first, last in pairwise(edges.tolist()):
@@ -129,7 +129,7 @@ def find_failure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray |
             peaks = [peak for peak in candidates if peak is not None]
             if not peaks:
                 break
-            failure, after = _describe_failure(displacement, force, first + min(peaks), zero, labels)
+            failure, after = _build_failure(displacement, force, first + min(peaks), zero, labels)
             if not (failure.recovered and failure.mode == "softening"):
                 return failure
             # A tissue that relaxes on a plateau of its law loses force for a while without a failure.
@@ -173,7 +173,7 @@ class _RampOrHold:
         """Return the peak before a sample with lower force, larger displacement and the same speed; None: no peak."""
         if self.force.size < 4:
             return None
-        smooth = _median_of_three(self.force)
+        smooth = _running_median_of_three(self.force)
         highest = np.maximum.accumulate(smooth)
         peak = np.maximum.accumulate(np.where(smooth >= highest, np.arange(smooth.size), 0))
         lower = highest - smooth > self._compute_least_losses(highest)
@@ -211,9 +211,9 @@ class _RampOrHold:
         return int(near[int(np.argmin(steps))])
 
 
-def _describe_failure(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
+def _build_failure(displacement: np.ndarray, force: np.ndarray, index: int, zero: float, labels: np.ndarray
               ) -> tuple[Failure, int]:
-    """Return the failure after the sample `index`, and the sample at which the force exceeds the peak again."""
+    """Return the `Failure` after the peak at `index`, and the sample at which the force exceeds this peak again."""
     after = np.flatnonzero(labels[index:] == "unload")
     end = index + (after[0] if after.size else labels.size - index)
     risen = force[index] - zero
@@ -233,7 +233,7 @@ def _describe_failure(displacement: np.ndarray, force: np.ndarray, index: int, z
         index + int(np.argmax(beyond))
 
 
-def _estimate_noise(force: np.ndarray) -> float:
+def _estimate_noise_deviation(force: np.ndarray) -> float:
     """Return the standard deviation of the noise, N: white noise, correlated noise or rounding, the largest of them."""
     bend = (force[1:-1] - 0.5 * (force[:-2] + force[2:])) / np.sqrt(1.5)
     deviations = [np.median(np.abs(bend)) / 0.6745, find_rounding_step(force) / np.sqrt(12.0)]
@@ -246,15 +246,15 @@ def _estimate_noise(force: np.ndarray) -> float:
     return float(max(*deviations, 1e-9 * np.abs(force).max(), 1e-300))
 
 
-def _median_of_three(values: np.ndarray) -> np.ndarray:
+def _running_median_of_three(values: np.ndarray) -> np.ndarray:
     """Return the running median of three values, shape (n,)."""
     padded = np.pad(values, 1, mode="edge")
     return np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
 
 
-def _compute_speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
+def _compute_sample_speeds(time: np.ndarray, displacement: np.ndarray) -> np.ndarray:
     """Return the speed at each sample, m/s: the mean speed of its straight part of the motion."""
-    corners = find_corners(time, displacement, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
+    corners = find_motion_corners(time, displacement, MOTION_SETTINGS.straightness * float(np.ptp(displacement)))
     duration = np.diff(time[corners])
     speed = np.diff(displacement[corners]) / np.where(duration > 0, duration, 1.0)
     return speed[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, speed.size - 1)]

@@ -20,7 +20,7 @@ from tissue_sim.decode import as_json_types, read_json, require_writable
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import open_file
-from tissue_sim.recording.constant_speed import with_constant_speed
+from tissue_sim.recording.constant_speed import complete_motion_from_speed
 from tissue_sim.recording.formats import FORMATS
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import to_si
@@ -39,7 +39,7 @@ def read_recording(path: str | Path, *, format: str = "native", columns: Mapping
         path: the file. ``NAME.json`` in the folder of ``NAME.csv`` is merged into the metadata.
         format: name in `tissue_sim.recording.formats.FORMATS`.
         columns: channel -> column, for any other CSV and for spreadsheets; see
-            `tissue_sim.recording.formats.columns.read_columns`.
+            `tissue_sim.recording.formats.columns.read_single_recording`.
         skip_lines: number of lines at the top that are ignored; with `columns` only.
         delimiter: one character between the cells; with `columns` only. None: found.
         speed: constant speed, m/s; makes the time from the displacement where the file has no time, and the
@@ -103,8 +103,8 @@ def _add_time_and_metadata(recording: Recording, path: Path, speed: float | None
     """
     strained = not {"stretch", "shear strain"}.isdisjoint(recording.channels)
     if speed is not None and not (strained and "time" in recording):
-        recording = with_constant_speed(recording, speed, path)
-    _require_channels(recording, kind, path)
+        recording = complete_motion_from_speed(recording, speed, path)
+    _require_channels_of_kind(recording, kind, path)
     with open_file(path, "a recording") as file:
         digest = hashlib.file_digest(file, "sha256").hexdigest()
     metadata = {"name": path.stem, **_read_sidecar(path, digest), "source": str(path), "sha256": digest}
@@ -130,7 +130,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     path = Path(path)
     if path.suffix.lower() != ".csv":
         raise InputError(f"the name of a recording must end in .csv; got {path.suffix!r}", file=path)
-    require_sidecar_place(path)
+    require_overwritable_sidecar(path)
     data = _format_csv(recording, path).encode("utf-8")
     metadata = {key: value for key, value in recording.metadata.items() if key != "source"}
     metadata["sha256"] = hashlib.sha256(data).hexdigest()
@@ -146,7 +146,7 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     write_text(path.with_suffix(".json"), json.dumps(metadata, indent=2, ensure_ascii=False) + "\n")
 
 
-def require_sidecar_place(path: Path) -> None:
+def require_overwritable_sidecar(path: Path) -> None:
     """Refuse to overwrite a ``NAME.json`` that is not the sidecar of a recording, that is, without ``sha256``.
 
     Raises:
@@ -212,7 +212,7 @@ def _read_sidecar(path: Path, digest: str) -> dict[str, Any]:
     return metadata
 
 
-def _require_channels(recording: Recording, kind: str | None, path: Path) -> None:
+def _require_channels_of_kind(recording: Recording, kind: str | None, path: Path) -> None:
     """Raise an `InputError` for a recording without a motion or a load, or without the channels of its kind."""
     has = ", ".join(recording.channels)
     if kind is not None:

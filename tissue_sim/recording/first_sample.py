@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.recording.control import noise_deviation
+from tissue_sim.recording.control import estimate_noise_deviation
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Screening
 
@@ -17,7 +17,7 @@ LOADS = ("force", "nominal stress")
 
 @dataclass(frozen=True)
 class ExtrapolationSettings:
-    """Settings of `estimate_first_value`: extension of a curve to the first sample.
+    """Settings of `estimate_first_sample_value`: extension of a curve to the first sample.
 
     Attributes:
         most: largest number of samples after the outlier that determine the curve.
@@ -58,7 +58,7 @@ class _ExtrapolatedStart(NamedTuple):
     error: float
 
 
-def estimate_first_value(recording: Recording, screening: Screening, name: str, partner: str) -> float | None:
+def estimate_first_sample_value(recording: Recording, screening: Screening, name: str, partner: str) -> float | None:
     """Return the value of a channel at the first sample; None if the other samples do not determine it.
 
     A value that is an outlier is replaced by a line or a parabola in time through the samples that follow, extended to
@@ -70,12 +70,12 @@ def estimate_first_value(recording: Recording, screening: Screening, name: str, 
 
     Args:
         recording: recording with all samples.
-        screening: findings of `tissue_sim.recording.cleaning.clean`.
+        screening: findings of `tissue_sim.recording.cleaning.remove_outliers_and_saturation`.
         name: name of the channel.
         partner: name of the load for a motion, and of the motion for a load.
     """
     values, other = recording.channel(name), recording.channel(partner)
-    usable = np.flatnonzero(~np.isin(np.arange(1, len(recording) + 1), screening.samples))
+    usable = np.flatnonzero(~np.isin(np.arange(1, len(recording) + 1), screening.left_out_sample_numbers))
     if not _is_first_sample_omitted(screening, name):
         # A sample that the campaign lists without a visible fault is left out of both channels.
         return float(values[usable[0] if _is_first_sample_omitted(screening, "") else 0])
@@ -84,9 +84,10 @@ def estimate_first_value(recording: Recording, screening: Screening, name: str, 
     clock = recording.time[usable] - recording.time[0] if "time" in recording else usable.astype(float)
     if not (clock[0] > 0 and np.all(np.diff(clock[:_SETTINGS.most]) > 0)):
         clock = usable.astype(float)
-    digits = {each: _estimate_rounding(recording, usable, each, name if each == partner else partner)
+    digits = {each: _estimate_load_rounding(recording, usable, each, name if each == partner else partner)
               if each in LOADS else 0.0 for each in (name, partner)}
-    own, its = (_extrapolate_to_start(clock, recording.channel(each)[usable], digits[each]) for each in (name, partner))
+    own, its = (_extrapolate_to_time_zero(clock, recording.channel(each)[usable], digits[each])
+                for each in (name, partner))
     if own is None or its is None or own.error > _SETTINGS.known * float(np.ptp(values[usable])):
         return None
     gap = its.start - (0.0 if _is_first_sample_omitted(screening, partner) else float(other[0]))
@@ -100,11 +101,11 @@ def estimate_first_value(recording: Recording, screening: Screening, name: str, 
 
 
 def _is_first_sample_omitted(screening: Screening, name: str) -> bool:
-    """Return whether the first sample is left out because of this channel."""
+    """Return whether the screening left out the first sample because of the channel `name`."""
     return any(1 in each.samples and each.channel == name for each in screening.left_out)
 
 
-def _extrapolate_to_start(clock: np.ndarray, values: np.ndarray, rounding: float) -> _ExtrapolatedStart | None:
+def _extrapolate_to_time_zero(clock: np.ndarray, values: np.ndarray, rounding: float) -> _ExtrapolatedStart | None:
     """Extend a channel to time 0 by a line or a parabola through as many first samples as possible.
 
     Args:
@@ -115,7 +116,7 @@ def _extrapolate_to_start(clock: np.ndarray, values: np.ndarray, rounding: float
     Returns:
         None: neither a line nor a parabola describes the first samples.
     """
-    noise = max(noise_deviation(values), rounding)
+    noise = max(estimate_noise_deviation(values), rounding)
     limit = max(_SETTINGS.residual_range * float(np.ptp(values)), _SETTINGS.residual_noise * noise)
     for count in range(min(_SETTINGS.most, values.size), _SETTINGS.fewest - 1, -1):
         for degree in (1, 2):
@@ -129,7 +130,7 @@ def _extrapolate_to_start(clock: np.ndarray, values: np.ndarray, rounding: float
     return None
 
 
-def _estimate_rounding(recording: Recording, usable: np.ndarray, load: str, motion: str) -> float:
+def _estimate_load_rounding(recording: Recording, usable: np.ndarray, load: str, motion: str) -> float:
     """Return the standard deviation of the rounding of a load that is constant while the motion continues; else 0."""
     steps, moves = (np.abs(np.diff(recording.channel(each)[usable])) for each in (load, motion))
     is_coarse = bool(np.any((steps == 0) & (moves > np.median(moves)))) and bool(np.any(steps > 0))

@@ -23,8 +23,8 @@ _LARGEST_LOGARITHMIC = 5.0
 
 
 @dataclass(frozen=True)
-class Measure:
-    """A measure of strain or stress.
+class StrainOrStressMeasure:
+    """A measure of strain or stress, such as logarithmic strain, with its conversion to stretch or nominal stress.
 
     Attributes:
         channel: channel of a recording that results from the conversion.
@@ -43,7 +43,7 @@ class Measure:
     invert: Callable[..., np.ndarray]
 
 
-def _from_logarithmic(strain: np.ndarray) -> np.ndarray:
+def _stretch_from_logarithmic(strain: np.ndarray) -> np.ndarray:
     """Return the stretch exp(strain), shape (n,)."""
     largest = float(np.abs(strain).max())
     if largest > _LARGEST_LOGARITHMIC:
@@ -52,7 +52,7 @@ def _from_logarithmic(strain: np.ndarray) -> np.ndarray:
     return np.exp(strain)
 
 
-def _from_green_lagrange(strain: np.ndarray) -> np.ndarray:
+def _stretch_from_green_lagrange(strain: np.ndarray) -> np.ndarray:
     """Return the stretch sqrt(1 + 2 strain), shape (n,)."""
     if strain.min() <= -0.5:
         raise InputError(f"Green-Lagrange strains must be above -0.5; got {strain.min():g}. Check unit and sign",
@@ -60,7 +60,7 @@ def _from_green_lagrange(strain: np.ndarray) -> np.ndarray:
     return np.sqrt(1.0 + 2.0 * strain)
 
 
-def _from_almansi(strain: np.ndarray) -> np.ndarray:
+def _stretch_from_almansi(strain: np.ndarray) -> np.ndarray:
     """Return the stretch 1 / sqrt(1 - 2 strain), shape (n,)."""
     if strain.max() >= 0.5:
         raise InputError(f"Almansi strains must be below 0.5; got {strain.max():g}. Check unit and sign",
@@ -69,19 +69,22 @@ def _from_almansi(strain: np.ndarray) -> np.ndarray:
 
 
 #: Name in a campaign -> measure.
-MEASURES: dict[str, Measure] = {
-    "logarithmic": Measure("stretch", "logarithmic strain", r"true|log|ln|logarithmic|hencky|natural|wahre[rn]?|"
-                           r"logarithmische[rn]?|vraie?s?|logarithmique|umformgrad", _from_logarithmic,
-                           "stretch = exp(strain)", np.log),
-    "green_lagrange": Measure("stretch", "Green-Lagrange strain", r"green|lagrange|lagrangian|lagrangesche",
-                              _from_green_lagrange, "stretch = sqrt(1 + 2 strain)",
-                              lambda stretch: (stretch**2 - 1.0) / 2.0),
-    "almansi": Measure("stretch", "Almansi strain", r"almansi|euler|eulerian", _from_almansi,
-                       "stretch = 1 / sqrt(1 - 2 strain)", lambda stretch: (1.0 - stretch**-2) / 2.0),
-    "true": Measure("nominal stress", "true (Cauchy) stress", r"true|cauchy|wahre[rn]?|vraie?s?|(?<!piola )kirchhoff",
-                    lambda stress, stretch: stress / stretch, "nominal stress = true stress / stretch",
-                    lambda stress, stretch: stress * stretch),
-    "second_piola_kirchhoff": Measure(
+MEASURES: dict[str, StrainOrStressMeasure] = {
+    "logarithmic": StrainOrStressMeasure("stretch", "logarithmic strain",
+                                         r"true|log|ln|logarithmic|hencky|natural|wahre[rn]?|"
+                           r"logarithmische[rn]?|vraie?s?|logarithmique|umformgrad", _stretch_from_logarithmic,
+                                         "stretch = exp(strain)", np.log),
+    "green_lagrange": StrainOrStressMeasure("stretch", "Green-Lagrange strain",
+                                            r"green|lagrange|lagrangian|lagrangesche",
+                                            _stretch_from_green_lagrange, "stretch = sqrt(1 + 2 strain)",
+                                            lambda stretch: (stretch**2 - 1.0) / 2.0),
+    "almansi": StrainOrStressMeasure("stretch", "Almansi strain", r"almansi|euler|eulerian", _stretch_from_almansi,
+                                     "stretch = 1 / sqrt(1 - 2 strain)", lambda stretch: (1.0 - stretch**-2) / 2.0),
+    "true": StrainOrStressMeasure("nominal stress", "true (Cauchy) stress",
+                                  r"true|cauchy|wahre[rn]?|vraie?s?|(?<!piola )kirchhoff",
+                                  lambda stress, stretch: stress / stretch, "nominal stress = true stress / stretch",
+                                  lambda stress, stretch: stress * stretch),
+    "second_piola_kirchhoff": StrainOrStressMeasure(
         "nominal stress", "second Piola-Kirchhoff stress", r"(second|2nd|zweite[rn]?|deuxième|2) (piola|pk)|pk ?2|"
         r"piola kirchhoff (2|ii)", lambda stress, stretch: stress * stretch,
         "nominal stress = stretch * second Piola-Kirchhoff stress", lambda stress, stretch: stress / stretch),
@@ -129,7 +132,7 @@ def find_other_measures(words: str, role: str) -> tuple[str, ...]:
     return ()
 
 
-def check_measure(measure: object, channel: str, channels: Mapping[str, object], field: str) -> None:
+def require_valid_measure(measure: object, channel: str, channels: Mapping[str, object], field: str) -> None:
     """Refuse a measure that the channel does not have, or that lacks the stretch for its conversion.
 
     Raises:
@@ -145,7 +148,7 @@ def check_measure(measure: object, channel: str, channels: Mapping[str, object],
                          "of stretch or strain too", field=f"{field}.measure")
 
 
-def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recording:
+def convert_to_stretch_and_nominal(recording: Recording, measures: Mapping[str, str]) -> Recording:
     """Convert other measures to stretch and nominal stress, and add the measures to the metadata (``measures``).
 
     Args:
@@ -175,8 +178,8 @@ def convert_measures(recording: Recording, measures: Mapping[str, str]) -> Recor
     return recording
 
 
-def measures_before_conversion(recording: Recording) -> dict[str, Measure]:
-    """Return the measures of the channels before `convert_measures`: name of the channel -> measure in the file."""
+def get_original_measures(recording: Recording) -> dict[str, StrainOrStressMeasure]:
+    """Return the measures in the file, before `convert_to_stretch_and_nominal`: name of the channel -> measure."""
     stated = recording.metadata.get("measures")
     return {channel: MEASURES[name] for channel, name in (stated.items() if isinstance(stated, Mapping) else ())
             if channel in recording and name in MEASURES and MEASURES[name].channel == channel}

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.recording.segmentation import Reversals
+from tissue_sim.recording.segmentation import ReversalDetector
 
 
 @dataclass(frozen=True)
@@ -79,9 +79,10 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     places = np.arange(0, motion.size, every)
     bend = motion[places][1:-1] - 0.5 * (motion[places][:-2] + motion[places][2:])
     noise = float(np.median(np.abs(bend))) / (0.6745 * np.sqrt(1.5))
-    reversals = Reversals(min(max(_SETTINGS.hysteresis_range * reach, _SETTINGS.hysteresis_noise * noise), 0.3 * reach))
+    reversals = ReversalDetector(min(max(_SETTINGS.hysteresis_range * reach, _SETTINGS.hysteresis_noise * noise),
+                                     0.3 * reach))
     for index, value in zip(places.tolist(), motion[places].tolist(), strict=True):
-        reversals.add(index, value)
+        reversals.add_sample(index, value)
     window = _find_equal_half_periods(np.array([*reversals.starts, motion.size - 1]), motion, time)
     if window is None:
         return None
@@ -95,7 +96,7 @@ def find_oscillation(motion: np.ndarray, load: np.ndarray, time: np.ndarray | No
     rest = float(motion[0]) if not low - 0.1 * amplitude <= motion[0] <= high + 0.1 * amplitude else 0.0
     near = 2 * _SETTINGS.returns * amplitude
     returns = low - near <= rest <= high + near and abs(mean - rest) > _SETTINGS.returns * amplitude
-    frequency, loss = _loss_factor(motion, load, time, first, last, period)
+    frequency, loss = _fit_frequency_and_loss_factor(motion, load, time, first, last, period)
     return Oscillation(first, last, frequency, mean, amplitude, returns, loss)
 
 
@@ -124,8 +125,8 @@ def _find_equal_half_periods(turns: np.ndarray, motion: np.ndarray, time: np.nda
     return int(turns[begin + 1]), int(turns[-2]), 2.0 * float(np.mean(durations[begin:]))
 
 
-def _loss_factor(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, first: int, last: int,
-                 period: float) -> tuple[float, float | None]:
+def _fit_frequency_and_loss_factor(motion: np.ndarray, load: np.ndarray, time: np.ndarray | None, first: int, last: int,
+                                   period: float) -> tuple[float, float | None]:
     """Return the frequency and the tangent of the phase angle, by least squares of two harmonics and a drift."""
     every = -(-(last - first) // 4000)
     inside = slice(first, last + 1, every)

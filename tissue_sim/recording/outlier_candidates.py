@@ -84,14 +84,14 @@ class ScaleSettings:
 _SCALE = ScaleSettings()
 
 
-class Channel:
-    """One channel with its noise, its steps and its candidates for outliers, each of shape (n,)."""
+class ChannelOutlierSearch:
+    """Search for outliers in one channel: its noise, its steps and its candidate samples, each of shape (n,)."""
 
     def __init__(self, values: np.ndarray, settings: OutlierSettings, *, is_counted: bool = False):
         self.values, self.settings, self.is_counted = values, settings, is_counted
         padded = np.concatenate([_evaluate_robust_line(values[:9], np.arange(-3, 0)), values,
                                  _evaluate_robust_line(values[:-10:-1], np.arange(-3, 0))[::-1]])
-        self.smooth = _running_median(padded)
+        self.smooth = _running_median_of_seven(padded)
         self.away = away = np.abs(values - self.smooth)
         local = np.abs(values - _predict_by_neighbours(padded))
         steps = np.abs(np.diff(values))
@@ -103,21 +103,21 @@ class Channel:
             positive = np.abs(np.diff(self.smooth))
             positive = positive[positive > least]
         self.resolution = float(positive.min()) if positive.size else 0.0
-        self.noise = _local_scale(away) / _SCALE.median_distance
-        self.steps = _local_scale(np.append(steps, steps[-1]))
+        self.noise = _estimate_local_scale(away) / _SCALE.median_distance
+        self.steps = _estimate_local_scale(np.append(steps, steps[-1]))
         least = np.maximum(settings.of_range * self.range, settings.of_resolution * self.resolution)
         self.least = np.maximum(least, settings.of_noise * self.noise)
-        noise = np.maximum(self.noise, _local_scale(local) / _SCALE.median_distance)
+        noise = np.maximum(self.noise, _estimate_local_scale(local) / _SCALE.median_distance)
         self.groups = (away > np.maximum(self.least, settings.of_steps * self.steps)) & (self.range > 0)
         # Predictions that use a group of outliers are wrong: they find only single samples far from groups.
         near = np.convolve(self.groups, np.ones(_SCALE.window), "same") > 0
         self.singles = (local > np.maximum(least, settings.of_noise * noise)) & ~near & (self.range > 0)
 
-    def outliers(self) -> Iterator[tuple[tuple[int, ...], float]]:
+    def iterate_outlier_groups(self) -> Iterator[tuple[tuple[int, ...], float]]:
         """Yield groups of samples that contradict their neighbours, with the value predicted for the first sample."""
         for candidates in (self.groups, self.singles):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], candidates, [False]]).astype(int)))
-            runs = [self._find_core(*run) for run in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
+            runs = [self._find_core_of_run(*run) for run in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)]
             bad = np.zeros(self.values.size, bool)
             for first, last in runs:
                 bad[first:last] = True
@@ -135,7 +135,7 @@ class Channel:
                 if predicted is not None:
                     yield tuple(range(first, last)), predicted
 
-    def _find_core(self, first: int, last: int) -> tuple[int, int]:
+    def _find_core_of_run(self, first: int, last: int) -> tuple[int, int]:
         """Return first sample and end of the part of a run that is far from the running median.
 
         Next to three outliers the running median is wrong by several steps.
@@ -210,7 +210,7 @@ class Channel:
             after = first
         return float(self.values[after] - self.values[before])
 
-    def largest_step(self, first: int, last: int) -> float:
+    def find_largest_step(self, first: int, last: int) -> float:
         """Return the largest step between neighbours on one side of samples `first` to `last` (not included)."""
         count = self.settings.neighbours
         sides = self.values[max(first - count, 0):first], self.values[last:last + count]
@@ -230,7 +230,7 @@ def _evaluate_robust_line(values: np.ndarray, at: np.ndarray) -> np.ndarray:
     return float(np.median(values - slope * places)) + slope * at
 
 
-def _running_median(padded: np.ndarray) -> np.ndarray:
+def _running_median_of_seven(padded: np.ndarray) -> np.ndarray:
     """Return the median of seven samples around each sample; `padded` has three more samples at each end."""
     rows = [padded[k:padded.size - _SCALE.window + 1 + k] for k in range(_SCALE.window)]
     # Exchanges that move the median of seven to the fourth position: Devillard, Fast median search (1998).
@@ -250,7 +250,7 @@ def _predict_by_neighbours(padded: np.ndarray) -> np.ndarray:
     return rows[2]
 
 
-def _local_scale(values: np.ndarray) -> np.ndarray:
+def _estimate_local_scale(values: np.ndarray) -> np.ndarray:
     """Return at each sample the larger of the medians of neighbouring blocks and of all values, shape (n,)."""
     blocks = max(values.size // _SCALE.block, 1)
     whole = values[:blocks * _SCALE.block].reshape(blocks, -1) if values.size >= _SCALE.block else values[None]

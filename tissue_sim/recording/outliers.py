@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.outlier_candidates import SETTINGS, Channel, OutlierSettings
-from tissue_sim.recording.screening import LeftOut, format_sample_numbers
+from tissue_sim.recording.outlier_candidates import SETTINGS, ChannelOutlierSearch, OutlierSettings
+from tissue_sim.recording.screening import LeftOutSamples, format_sample_numbers
 
 
 def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSettings = SETTINGS, *,
@@ -36,17 +36,18 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
     for _ in range(2):
         if kept.size < settings.fewest:
             break
-        channels = {"motion": Channel(motion[kept], settings, is_counted=is_counted),
-                    "load": Channel(load[kept], settings)}
-        candidates = {name: tuple(one.outliers()) for name, one in channels.items()}
+        channels = {"motion": ChannelOutlierSearch(motion[kept], settings, is_counted=is_counted),
+                    "load": ChannelOutlierSearch(load[kept], settings)}
+        candidates = {name: tuple(one.iterate_outlier_groups()) for name, one in channels.items()}
         lost = kept[0] > 0 and not any(name == "motion" and 0 in group for name, group in found)
-        start = _Start(motion[:1] if lost else None, any(0 in group for group, _ in candidates["load"]))
+        start = _StartFromRest(motion[:1] if lost else None, any(0 in group for group, _ in candidates["load"]))
         new = {}
         for name in channels:
             for group, predicted in candidates[name]:
                 if _belongs_to_test(name, group, channels, settings):
                     continue
-                wrong = start.find_wrong_samples(name) if start.includes(group, channels, settings) else group
+                wrong = start.find_wrong_samples(name) if start.is_loading_from_rest(group, channels,
+                                                                                     settings) else group
                 if wrong and (wrong == group or not _belongs_to_test(name, wrong, channels, settings)):
                     new[name, tuple(kept[list(wrong)].tolist())] = predicted
         if not new:
@@ -57,7 +58,7 @@ def find_outliers(motion: np.ndarray, load: np.ndarray, settings: OutlierSetting
 
 
 def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], channels: Mapping[str, np.ndarray],
-             words: Callable[[str, float], str]) -> tuple[LeftOut, ...]:
+             words: Callable[[str, float], str]) -> tuple[LeftOutSamples, ...]:
     """Describe outliers, one entry for each channel and group of samples.
 
     Args:
@@ -70,7 +71,7 @@ def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], 
     """
     names = dict(zip(("motion", "load"), channels, strict=True))
     total = next(iter(channels.values())).size
-    found: list[LeftOut] = []
+    found: list[LeftOutSamples] = []
     seen: set[int] = set()
     for which, group, predicted in outliers:
         seen.update(group)
@@ -79,9 +80,9 @@ def describe_outliers(outliers: tuple[tuple[str, tuple[int, ...], float], ...], 
         shown = " and ".join(dict.fromkeys(words(name, value) for value in values.tolist()))
         where = "its neighbours point to" if group[0] > 0 and group[-1] < total - 1 else (
             "the samples that follow point to" if group[0] == 0 else "the samples before point to")
-        found.append(LeftOut(tuple(sample + 1 for sample in group), name,
-                             f"the {name} reads {shown}, and {where} {words(name, predicted)}"
-                             f"{_explain_load_drop(which, group, total, values, predicted)}"))
+        found.append(LeftOutSamples(tuple(sample + 1 for sample in group), name,
+                                    f"the {name} reads {shown}, and {where} {words(name, predicted)}"
+                                    f"{_explain_load_drop(which, group, total, values, predicted)}"))
     if len(seen) > SETTINGS.most * total and len(seen) > SETTINGS.longest:
         samples = format_sample_numbers(tuple(sample + 1 for sample in sorted(seen)))
         raise InputError(f"{len(seen)} of {total} samples are outliers ({samples}): the sensor or the reading of the "
@@ -96,8 +97,8 @@ def _explain_load_drop(which: str, group: tuple[int, ...], total: int, values: n
 
 
 @dataclass(frozen=True, eq=False)
-class _Start:
-    """A start from rest with a wrong first load, so that only the motion shows that the first samples are valid.
+class _StartFromRest:
+    """Loading from rest at the start of a recording, which outlier detection must not remove; the first load is wrong.
 
     Attributes:
         motion: value of the motion in the first sample, where that sample is already left out for its load, shape (1,).
@@ -107,7 +108,8 @@ class _Start:
     motion: np.ndarray | None
     is_candidate: bool
 
-    def includes(self, group: tuple[int, ...], channels: Mapping[str, Channel], settings: OutlierSettings) -> bool:
+    def is_loading_from_rest(self, group: tuple[int, ...], channels: Mapping[str, ChannelOutlierSearch],
+                             settings: OutlierSettings) -> bool:
         """Return whether a group at the start is the loading from rest.
 
         The motion rises from rest through all samples of the group, and the load grows from the second sample on.
@@ -120,7 +122,7 @@ class _Start:
             load = load[1:]
         else:
             motion = np.concatenate([self.motion, motion])
-        return bool(np.all(np.diff(load) * load[0] > 0)) and _rises_from_rest(
+        return bool(np.all(np.diff(load) * load[0] > 0)) and _do_samples_rise_from_rest(
             motion, settings, is_counted=channels["motion"].is_counted)
 
     def find_wrong_samples(self, name: str) -> tuple[int, ...]:
@@ -128,7 +130,7 @@ class _Start:
         return (0,) if name == "load" and self.motion is None else ()
 
 
-def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, Channel],
+def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, ChannelOutlierSearch],
                      settings: OutlierSettings) -> bool:
     """Return whether a candidate belongs to the test: a peak of the load at a motion step, or a start from rest."""
     first, last = group[0], group[-1] + 1
@@ -136,23 +138,27 @@ def _belongs_to_test(name: str, group: tuple[int, ...], channels: Mapping[str, C
     at_end = first == 0 or last == motion.values.size
     if not at_end:
         step = abs(motion.compute_change_across(first, last))
-        return name == "load" and step > max(settings.event * (last - first + 1) * motion.largest_step(first, last),
-                                             0.02 * motion.range) and _follows_motion(group, channels, settings)
-    if first == 0 and last > 1 and all(_rises_from_rest(one.values[:last + 1], settings, is_counted=one.is_counted)
+        return name == "load" and step > max(settings.event * (last - first + 1) * motion.find_largest_step(first,
+                                                                                                            last),
+                                             0.02 * motion.range) and _does_load_follow_motion_step(group, channels,
+                                                                                                    settings)
+    if first == 0 and last > 1 and all(_do_samples_rise_from_rest(one.values[:last + 1], settings,
+                                                                  is_counted=one.is_counted)
                                        for one in (motion, load)):
         return True
     if name == "motion" and first == 0 and (
             motion.is_counted or abs(motion.values[0]) > settings.rest * float(np.abs(motion.smooth).max())):
         # A single sample before a step does not decide the zero of the motion.
         return False
-    if name == "load" and first == 0 and _relaxes(load.values[:last], float(load.values[last])):
+    if name == "load" and first == 0 and _do_first_loads_relax(load.values[:last], float(load.values[last])):
         return True
     if first == 0:
-        return any(_steps_together(sample, sample + 1, motion, load, settings) for sample in group)
-    return any(_steps_together(sample, sample - 1, motion, load, settings) for sample in group)
+        return any(_do_channels_step_together(sample, sample + 1, motion, load, settings) for sample in group)
+    return any(_do_channels_step_together(sample, sample - 1, motion, load, settings) for sample in group)
 
 
-def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], settings: OutlierSettings) -> bool:
+def _does_load_follow_motion_step(group: tuple[int, ...], channels: Mapping[str, ChannelOutlierSearch],
+                                  settings: OutlierSettings) -> bool:
     """Return whether the load of a group inside the recording follows a step of the motion.
 
     The load overshoots in a step of the motion, and relaxes afterwards. A load on the other side of both neighbours is
@@ -172,13 +178,14 @@ def _follows_motion(group: tuple[int, ...], channels: Mapping[str, Channel], set
     return bool(np.all(direction * load[first:last] >= neighbours.min() - channels["load"].least[first]))
 
 
-def _correlate_channels(channels: Mapping[str, Channel]) -> float:
+def _correlate_channels(channels: Mapping[str, ChannelOutlierSearch]) -> float:
     """Return the correlation of motion and load without their outliers."""
     away = [channels[name].smooth - channels[name].smooth.mean() for name in ("motion", "load")]
     return float(np.sum(away[0] * away[1])) / (float(np.sqrt(np.sum(away[0]**2) * np.sum(away[1]**2))) or 1.0)
 
 
-def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, settings: OutlierSettings) -> bool:
+def _do_channels_step_together(sample: int, next_one: int, motion: ChannelOutlierSearch, load: ChannelOutlierSearch,
+                               settings: OutlierSettings) -> bool:
     """Return whether motion and load step together: from rest, as under a dead weight, or in the last step.
 
     Args:
@@ -210,7 +217,7 @@ def _steps_together(sample: int, next_one: int, motion: Channel, load: Channel, 
     return together and any(rests) and is_plausible
 
 
-def _rises_from_rest(values: np.ndarray, settings: OutlierSettings, *, is_counted: bool) -> bool:
+def _do_samples_rise_from_rest(values: np.ndarray, settings: OutlierSettings, *, is_counted: bool) -> bool:
     """Return whether the first samples rise steadily to one side from rest, as in the loading before creep.
 
     In a channel that counts from the first sample, the first step must be similar to the following ones.
@@ -223,7 +230,7 @@ def _rises_from_rest(values: np.ndarray, settings: OutlierSettings, *, is_counte
     return bool(abs(values[0]) <= settings.rest * np.abs(values).max())
 
 
-def _relaxes(values: np.ndarray, following: float) -> bool:
-    """Return whether the first loads are up to twice the next one, as after a start at the peak of a step."""
+def _do_first_loads_relax(values: np.ndarray, following: float) -> bool:
+    """Return whether each load has the sign of the load `following` them, and 1 to 2 times its magnitude."""
     return bool(np.all(values * following > 0) and np.all(np.abs(values) > abs(following))
                 and np.all(np.abs(values) < 2.0 * abs(following)))

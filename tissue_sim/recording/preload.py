@@ -10,7 +10,7 @@ import numpy as np
 
 @dataclass(frozen=True)
 class PreloadSettings:
-    """Settings of `estimate_load_at_zero`.
+    """Settings of `estimate_load_at_zero_displacement`.
 
     Attributes:
         starts: fractions of the largest displacement over which the start of the curve is fitted, each with the degree
@@ -38,8 +38,8 @@ class PreloadSettings:
 _SETTINGS = PreloadSettings()
 
 
-class LoadAtZero(NamedTuple):
-    """Load at zero displacement.
+class LoadAtZeroDisplacement(NamedTuple):
+    """Load at zero displacement of a recording that starts under load.
 
     All values are negative for a load against the direction of loading.
 
@@ -54,7 +54,7 @@ class LoadAtZero(NamedTuple):
     shift: float
 
 
-def estimate_load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | None:
+def estimate_load_at_zero_displacement(motion: np.ndarray, load: np.ndarray) -> LoadAtZeroDisplacement | None:
     """Estimate the load at the start of the first loading from a polynomial; None if the load starts at zero.
 
     Args:
@@ -73,10 +73,10 @@ def estimate_load_at_zero(motion: np.ndarray, load: np.ndarray) -> LoadAtZero | 
         x, y = motion[:start], load[:start]
         if np.unique(x).size < degree + 2:
             continue
-        at_zero, error = _fit_intercept(x / reach, y, degree)
+        at_zero, error = _fit_polynomial_intercept(x / reach, y, degree)
         slope = float(np.polyfit(x, y, 1)[0])
         if slope > 0 and abs(at_zero) >= max(_SETTINGS.fraction * range_of_load, _SETTINGS.significant * error):
-            return LoadAtZero(at_zero, at_zero / range_of_load, at_zero / slope)
+            return LoadAtZeroDisplacement(at_zero, at_zero / range_of_load, at_zero / slope)
         if _SETTINGS.significant * error <= _SETTINGS.fraction * range_of_load:
             return None
     return None
@@ -96,7 +96,7 @@ def _count_before_relaxation(motion: np.ndarray, load: np.ndarray, end: int) -> 
     return end
 
 
-def _fit_intercept(x: np.ndarray, y: np.ndarray, degree: int) -> tuple[float, float]:
+def _fit_polynomial_intercept(x: np.ndarray, y: np.ndarray, degree: int) -> tuple[float, float]:
     """Return the value at zero of a least-squares polynomial, and its standard error."""
     design = np.vander(x, degree + 1, increasing=True)
     coefficients = np.linalg.lstsq(design, y, rcond=None)[0]

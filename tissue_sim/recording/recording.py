@@ -58,7 +58,7 @@ class Recording:
             if name not in CHANNELS:
                 raise InputError(f"unknown channel{nearest(name, CHANNELS)}", field=name)
             # Read-only arrays are shared, not copied, because recordings are large and share their channels.
-            array = values if _is_frozen(values) else np.array(values, dtype=float)
+            array = values if _is_owned_read_only_array(values) else np.array(values, dtype=float)
             array.flags.writeable = False
             if array.ndim != 1 or length not in (None, array.size):
                 raise InputError(f"shape {array.shape}, expected {length if length is not None else 'one list of'} "
@@ -73,7 +73,8 @@ class Recording:
             if name not in LABELS:
                 raise InputError(f"unknown label{nearest(name, LABELS)}", field=name)
             if len(values) != length:
-                raise InputError(f"{len(values)} labels for {length} samples", field=name)
+                raise InputError(f"must have one label per sample; got {len(values)} labels for {length} "
+                                 "samples.", field=name)
         if "time" in channels:
             back = np.flatnonzero(np.diff(channels["time"]) < 0)
             if back.size:
@@ -141,7 +142,7 @@ class Recording:
                        labels={name: values[samples] for name, values in self.labels.items()}, fields=None)
 
 
-def _is_frozen(values: Any) -> bool:
+def _is_owned_read_only_array(values: Any) -> bool:
     """Return whether values are a read-only array of float that owns its memory."""
     return (isinstance(values, np.ndarray) and values.dtype == float and values.base is None
             and not values.flags.writeable)

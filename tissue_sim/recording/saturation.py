@@ -43,8 +43,8 @@ SETTINGS = SaturationSettings()
 
 
 @dataclass(frozen=True)
-class DigitSettings:
-    """Settings of `find_last_digit`.
+class LastDigitSettings:
+    """Settings of `find_quantization_step`.
 
     Attributes:
         exact: error of a difference, in units of the floating-point spacing of the largest value.
@@ -58,7 +58,7 @@ class DigitSettings:
 
 
 #: Settings that the functions of this module use.
-_DIGITS = DigitSettings()
+_DIGITS = LastDigitSettings()
 
 
 @dataclass(frozen=True)
@@ -92,44 +92,45 @@ def find_saturation(values: np.ndarray, other: np.ndarray, time: np.ndarray | No
     steps = steps[steps > 1e-9 * float(np.abs(values).max() or 1.0)]
     if not steps.size or not np.ptp(other) > 0:
         return ()
-    missing = max(settings.missing_range * float(np.ptp(values)), settings.missing_noise * _estimate_noise(values))
+    missing = max(settings.missing_range * float(np.ptp(values)),
+                  settings.missing_noise * _estimate_noise_deviation(values))
     digit = max(float(steps.min()), rounding)
     steps = np.abs(np.diff(other))
     travel = max(settings.travel * float(np.ptp(other)), settings.coarse * float(steps[steps > 0].min()),
-                 settings.missing_noise * _estimate_noise(other))
+                 settings.missing_noise * _estimate_noise_deviation(other))
     found = []
     for side in (1.0, -1.0):
         extreme = side * float((side * values).max())
         # The value at rest is no limit of a sensor.
         if abs(extreme - np.median(values[:3])) <= settings.at_rest * np.ptp(values):
             continue
-        for run in _find_runs(np.flatnonzero(side * values >= side * extreme - rounding), settings):
-            least = max(missing, digit * _apparent_missing_change(run.count, settings))
-            is_equal = is_free or _is_noisy_before(run, values, rounding, settings)
-            if (is_equal and _other_channel_continues(run, other, travel)) or _is_saturated(
+        for run in _find_extreme_value_runs(np.flatnonzero(side * values >= side * extreme - rounding), settings):
+            least = max(missing, digit * _estimate_missing_change(run.count, settings))
+            is_equal = is_free or _is_noisy_before_run(run, values, rounding, settings)
+            if (is_equal and _does_other_channel_continue(run, other, travel)) or _is_run_saturated(
                     run, side * values, other, clock, least, travel, settings):
                 found.append(run)
     return tuple(sorted(found, key=lambda run: run.first))
 
 
-def _is_noisy_before(run: SaturatedRun, values: np.ndarray, rounding: float, settings: SaturationSettings) -> bool:
+def _is_noisy_before_run(run: SaturatedRun, values: np.ndarray, rounding: float, settings: SaturationSettings) -> bool:
     """Return whether the samples before a run scatter by several of their last digits, or widths of the rounding."""
     if run.first < settings.noise_from:
         return False
     before = values[:run.first]
-    digit = max(find_last_digit(values), rounding)
+    digit = max(find_quantization_step(values), rounding)
     # The third differences of a smooth curve are small, so that they show the noise alone.
     noise = float(np.median(np.abs(np.diff(before, 3)))) / (0.6745 * np.sqrt(20.0))
     return 0.0 < settings.noisy * digit <= noise
 
 
-def _other_channel_continues(run: SaturatedRun, other: np.ndarray, travel: float) -> bool:
+def _does_other_channel_continue(run: SaturatedRun, other: np.ndarray, travel: float) -> bool:
     """Return whether the other channel changes by more than `travel` along a run, away from its start."""
     along = other[run.first:run.last + 1] - other[run.first]
     return bool(abs(along[-1]) > travel and abs(along[-1]) >= 0.5 * float(np.ptp(along)))
 
 
-def _apparent_missing_change(count: int, settings: SaturationSettings) -> float:
+def _estimate_missing_change(count: int, settings: SaturationSettings) -> float:
     """Return the apparent missing change of a channel with a smooth maximum, in its last digits.
 
     Around the maximum P - c x^2, with samples at the distance h, `count` samples within one digit d of P span
@@ -139,7 +140,7 @@ def _apparent_missing_change(count: int, settings: SaturationSettings) -> float:
     return 4.0 + 4.0 * (settings.before + 1) / (count - 1)
 
 
-def find_last_digit(values: np.ndarray) -> float:
+def find_quantization_step(values: np.ndarray) -> float:
     """Return the largest step of which all differences of the values are whole multiples, in double precision.
 
     The method is Euclid's algorithm for the greatest common divisor of the differences of neighbours. Values that were
@@ -165,13 +166,13 @@ def find_last_digit(values: np.ndarray) -> float:
     return 0.0
 
 
-def _estimate_noise(values: np.ndarray) -> float:
+def _estimate_noise_deviation(values: np.ndarray) -> float:
     """Return the standard deviation of the noise, without the equal values of a saturated sensor."""
     bend = np.abs(np.diff(values, 2))
     return float(np.median(bend[bend > 0])) / (0.6745 * np.sqrt(6.0)) if np.any(bend > 0) else 0.0
 
 
-def _find_runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
+def _find_extreme_value_runs(places: np.ndarray, settings: SaturationSettings) -> list[SaturatedRun]:
     """Return runs of at least `SaturationSettings.fewest` samples at the extreme value."""
     if places.size < settings.fewest:
         return []
@@ -179,8 +180,8 @@ def _find_runs(places: np.ndarray, settings: SaturationSettings) -> list[Saturat
     return [SaturatedRun(int(part[0]), int(part[-1]), part.size) for part in parts if part.size >= settings.fewest]
 
 
-def _is_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray, missing: float,
-                  travel: float, settings: SaturationSettings) -> bool:
+def _is_run_saturated(run: SaturatedRun, values: np.ndarray, other: np.ndarray, clock: np.ndarray, missing: float,
+                      travel: float, settings: SaturationSettings) -> bool:
     """Return whether the channel, positive towards its extreme value, would have continued to change.
 
     Args:

@@ -25,7 +25,7 @@ class ScreeningSettings:
     rate_error: float = 0.05
 
 
-#: Thresholds of `Control`.
+#: Thresholds of `ControlFindings`.
 SCREENING = ScreeningSettings()
 #: A load without noise, in words; {} is the number of its samples.
 EQUAL_LOAD = "the load is equal to the last digit in {} samples while the displacement grows"
@@ -34,8 +34,8 @@ VISCOELASTIC_REMEDY = "state viscoelastic.terms[0].g and viscoelastic.terms[0].t
 
 
 @dataclass(frozen=True)
-class LeftOut:
-    """Samples that are left out for one reason.
+class LeftOutSamples:
+    """Samples that screening leaves out of a recording for one reason.
 
     Attributes:
         samples: numbers of the samples in the recording, from 1.
@@ -49,7 +49,7 @@ class LeftOut:
 
     @property
     def sentence(self) -> str:
-        """The samples and the reason."""
+        """Sentence with the numbers of the samples and the reason why they are left out."""
         return f"{format_sample_numbers(self.samples)} left out: {self.reason}"
 
 
@@ -91,7 +91,7 @@ class Preload:
 
 
 @dataclass(frozen=True)
-class Control:
+class ControlFindings:
     """The quantity that the machine controls, and what the material does while that quantity is constant.
 
     Attributes:
@@ -120,7 +120,7 @@ class Control:
     equal_samples: int = 0
 
     @property
-    def rate_error(self) -> float:
+    def modulus_rate_error(self) -> float:
         """Estimated relative error of an elastic modulus of the loading by what relaxes or creeps during it.
 
         A material with the relaxed fraction g and the time constant tau, loaded at a constant rate for a time T, shows
@@ -133,8 +133,8 @@ class Control:
         return lost * (1.0 - -math.expm1(-ratio) / ratio)
 
     @property
-    def dissipates(self) -> bool:
-        """Whether the force of an oscillation is out of phase."""
+    def has_dissipative_oscillation(self) -> bool:
+        """Whether the force of an oscillation has a phase lag to the motion, so that the material dissipates."""
         return self.loss_factor is not None and abs(self.loss_factor) > SCREENING.loss_factor
 
     @property
@@ -145,11 +145,11 @@ class Control:
         recording is not seen: half of the limit applies.
         """
         limit = (0.5 if self.pattern == "creep" else 1.0) * SCREENING.rate_error
-        return not self.dissipates and self.rate_error <= limit
+        return not self.has_dissipative_oscillation and self.modulus_rate_error <= limit
 
     @property
-    def doubt(self) -> str:
-        """The two explanations of a load that is equal to its last digit, and the remedy; empty where it is not."""
+    def constant_load_warning(self) -> str:
+        """Warning that a constant load is either controlled or saturated, and the remedy; empty for another load."""
         return "" if not self.equal_samples else (
             f"{EQUAL_LOAD.format(self.equal_samples)}: the force is held and the column holds its set value (control = "
             "\"force\" in the test), or the load cell is saturated (control = \"displacement\")")
@@ -157,7 +157,7 @@ class Control:
     @property
     def sentence(self) -> str:
         """Behaviour that an elastic law cannot describe, and the remedy; empty without such behaviour."""
-        if self.dissipates:
+        if self.has_dissipative_oscillation:
             return (f"oscillation at {self.frequency:.3g} Hz with the loss factor {self.loss_factor:.2f}: the force is "
                     "out of phase, and an elastic law cannot describe it; measure the relaxation in a hold, and "
                     f"{VISCOELASTIC_REMEDY}")
@@ -184,45 +184,47 @@ class Screening:
         suspected: outliers that are kept, because the campaign lists the samples to leave out.
     """
 
-    left_out: tuple[LeftOut, ...] = ()
+    left_out: tuple[LeftOutSamples, ...] = ()
     saturation: tuple[Saturation, ...] = ()
     preload: Preload | None = None
-    control: Control | None = None
-    suspected: tuple[LeftOut, ...] = ()
+    control: ControlFindings | None = None
+    suspected: tuple[LeftOutSamples, ...] = ()
 
     @property
-    def samples(self) -> tuple[int, ...]:
+    def left_out_sample_numbers(self) -> tuple[int, ...]:
         """Numbers of all samples that are left out, from 1, sorted, saturated ones included."""
         groups = [*(each.samples for each in self.left_out), *(each.samples for each in self.saturation)]
         return tuple(sorted({number for group in groups for number in group}))
 
     @property
-    def kept_before_saturation(self) -> float:
+    def kept_count_before_saturation(self) -> float:
         """Number of samples that are kept before the first saturated one; infinite without saturation."""
         first = min((each.samples[0] for each in self.saturation), default=None)
-        return float("inf") if first is None else first - 1 - sum(number < first for number in self.samples)
+        if first is None:
+            return float("inf")
+        return first - 1 - sum(number < first for number in self.left_out_sample_numbers)
 
     @property
-    def doubts(self) -> tuple[str, ...]:
+    def outlier_warnings(self) -> tuple[str, ...]:
         """One sentence for each group of outliers that is kept."""
         return tuple(f"{format_sample_numbers(each.samples)} kept, as leave_out does not list it: {each.reason}"
                      for each in self.suspected)
 
     @property
-    def remarks(self) -> tuple[str, ...]:
-        """One sentence for each finding."""
+    def finding_sentences(self) -> tuple[str, ...]:
+        """One sentence for the user for each finding of the screening."""
         found = [*(each.sentence for each in self.left_out), *(each.sentence for each in self.saturation)]
-        found += self.doubts
+        found += self.outlier_warnings
         found += [each.sentence for each in (self.preload, self.control) if each is not None]
         return tuple(filter(None, found))
 
     @property
-    def contradictions(self) -> tuple[str, ...]:
-        """The remarks by which the moduli of an elastic fit are wrong or doubtful."""
+    def fit_contradictions(self) -> tuple[str, ...]:
+        """The findings, as sentences, that make the moduli of an elastic fit wrong or doubtful."""
         found = [] if self.preload is None or self.preload.is_settled else [self.preload.sentence]
-        found += self.doubts
+        found += self.outlier_warnings
         if self.control is not None:
-            found += [self.control.doubt] if self.control.doubt else []
+            found += [self.control.constant_load_warning] if self.control.constant_load_warning else []
             found += [] if self.control.is_elastic else [self.control.sentence]
         return tuple(found)
 

@@ -1,8 +1,8 @@
 """Divide a measured or simulated motion into loading, hold and unloading.
 
 A displacement of no more than the hysteresis is ignored. A motion reverses when it returns by more than the hysteresis
-(`Reversals`, sample by sample). Between reversals the motion is a polyline within half of the hysteresis
-(`find_corners`), and a line with no displacement beyond the hysteresis is a hold (`label_motion`).
+(`ReversalDetector`, sample by sample). Between reversals the motion is a polyline within half of the hysteresis
+(`find_motion_corners`), and a line with no displacement beyond the hysteresis is a hold (`label_motion`).
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ _LOADING_LABELS = ("approach", "ramp", "load")
 _UNLOADING_LABELS = ("unload", "retract")
 
 
-class Reversals:
+class ReversalDetector:
     """Find the reversals of a motion sample by sample; a return of no more than `hysteresis` (m) is ignored.
 
     Attributes:
@@ -56,39 +56,39 @@ class Reversals:
         self.direction = 0
         self._low = self._high = (np.nan, 0)
 
-    def add(self, index: int, depth: float) -> None:
-        """Add the next point: its index and its depth, m."""
+    def add_sample(self, index: int, depth: float) -> None:
+        """Add the next sample of the motion: its index and its depth, m."""
         # The first comparison with NaN is false: the first point is both extremes.
         if not depth >= self._low[0]:
             self._low = (depth, index)
         if not depth <= self._high[0]:
             self._high = (depth, index)
         if self.direction < 1 and depth - self._low[0] > self._hysteresis:
-            self._turn(1, self._low[1], (depth, index))
+            self._begin_branch(1, self._low[1], (depth, index))
         elif self.direction > -1 and self._high[0] - depth > self._hysteresis:
-            self._turn(-1, self._high[1], (depth, index))
+            self._begin_branch(-1, self._high[1], (depth, index))
 
-    def _turn(self, direction: int, start: int, here: tuple[float, int]) -> None:
-        """Begin a branch at point `start`; `here` is the newest point (depth in m, index)."""
+    def _begin_branch(self, direction: int, start: int, here: tuple[float, int]) -> None:
+        """Begin a branch at the reversal `start`; `here` is the newest sample (depth in m, index)."""
         self.direction = direction
         self.starts.append(start)
         self._low = self._high = here
 
-    def forget_before(self, first: int) -> None:
-        """Forget the points before index `first`."""
+    def discard_samples_before(self, first: int) -> None:
+        """Discard the stored reversals before sample `first`, to limit the memory."""
         while len(self.starts) > 1 and self.starts[1] <= first:
             del self.starts[0]
         if self.starts:
             self.starts[0] = max(self.starts[0], first)
 
-    def branches(self, end: int) -> list[tuple[int, int, int]]:
+    def list_branches(self, end: int) -> list[tuple[int, int, int]]:
         """Return (direction, first, last) of each branch up to index `end`, both ends included."""
         edges = [*self.starts, end]
         newest = len(self.starts) - 1
         return [(self.direction * (-1) ** (newest - i), edges[i], edges[i + 1]) for i in range(newest + 1)]
 
 
-def find_corners(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> np.ndarray:
+def find_motion_corners(time: np.ndarray, displacement: np.ndarray, tolerance: float) -> np.ndarray:
     """Return the samples between which the motion is straight within `tolerance`, m.
 
     Source: Douglas and Peucker, Cartographica 10 (1973) 112.
@@ -122,24 +122,26 @@ def label_motion(time: np.ndarray, displacement: np.ndarray, tolerance: float | 
         shortest_hold: shortest hold, s; a shorter hold belongs to the previous segment.
     """
     tolerance = MOTION_SETTINGS.straightness * np.ptp(displacement) if tolerance is None else tolerance
-    corners = find_corners(time, displacement, tolerance)
+    corners = find_motion_corners(time, displacement, tolerance)
     way = np.diff(displacement[corners])
     names = np.where(np.abs(way) <= 2 * tolerance, "hold", np.where(way > 0, "ramp", "unload"))
     for part in np.flatnonzero(names == "hold") if shortest_hold else ():
-        if _duration_within(time, displacement, corners[part], corners[part + 1], 2 * tolerance) >= shortest_hold:
+        if _compute_duration_near_sample(time, displacement, corners[part], corners[part + 1],
+                                         2 * tolerance) >= shortest_hold:
             continue
         names[part] = names[part - 1] if part else "ramp" if way[part] > 0 else "unload"
     return names[np.clip(np.searchsorted(corners, np.arange(time.size), side="left") - 1, 0, names.size - 1)]
 
 
-def _duration_within(time: np.ndarray, displacement: np.ndarray, first: int, last: int, reach: float) -> float:
+def _compute_duration_near_sample(time: np.ndarray, displacement: np.ndarray, first: int, last: int,
+                                  reach: float) -> float:
     """Return how long a motion stays within `reach` (m) of its value at sample `first`, around `first` to `last`, s."""
     away = np.flatnonzero(np.abs(displacement - displacement[first]) > reach)
     before, after = away[away < first], away[away > last]
     return time[after[0] - 1 if after.size else -1] - time[before[-1] + 1 if before.size else 0]
 
 
-def count_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def label_reloads_and_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the labels with ``reload`` for each ramp after an unloading, and the numbers of the cycles, shapes (n,).
 
     Args:
@@ -159,7 +161,7 @@ def count_cycles(labels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return labels, cycles
 
 
-def number_runs(labels: np.ndarray) -> np.ndarray:
+def number_repeated_runs(labels: np.ndarray) -> np.ndarray:
     """Return the labels with a number for each repeated run: ``ramp``, ``unload``, ``ramp 2``; shape (n,)."""
     begins = np.flatnonzero(np.append(True, labels[1:] != labels[:-1]))
     seen: dict[str, int] = {}
@@ -205,10 +207,10 @@ def _split_at_turns(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     reach = float(depth.max() - depth.min())
     # The tremor is at most that of a hand, and smaller in a small test.
     hysteresis = max(MOTION_SETTINGS.hysteresis, MOTION_SETTINGS.hysteresis_fraction * reach)
-    reversals = Reversals(min(hysteresis, 0.1 * reach))
+    reversals = ReversalDetector(min(hysteresis, 0.1 * reach))
     for index, value in enumerate(depth.tolist()):
-        reversals.add(index, value)
-    branches = reversals.branches(depth.size - 1)
+        reversals.add_sample(index, value)
+    branches = reversals.list_branches(depth.size - 1)
     while branches and branches[0][0] < 0:
         del branches[0]
     first, second, *_ = [np.arange(begin, end + 1) for _, begin, end in branches[:2]] + 2 * [np.arange(0)]

@@ -9,12 +9,13 @@ from itertools import pairwise
 import numpy as np
 
 from tissue_sim.experiment.kinds.kind import KINDS, STRETCH_STRESS, TestKind
+from tissue_sim.public_names import OldName
 from tissue_sim.recording.contact import Contact, find_contact
-from tissue_sim.recording.control import find_creep_parts
+from tissue_sim.recording.control import find_creep_intervals
 from tissue_sim.recording.failure import Failure, find_failure
 from tissue_sim.recording.oscillation import find_oscillation
 from tissue_sim.recording.recording import Recording
-from tissue_sim.recording.segmentation import count_cycles, label_motion
+from tissue_sim.recording.segmentation import label_motion, label_reloads_and_cycles
 
 #: Names of segments, in the order of a test.
 SEGMENTS = ("approach", "preload", "preconditioning", "ramp", "hold", "unload", "reload", "failure")
@@ -22,7 +23,7 @@ SEGMENTS = ("approach", "preload", "preconditioning", "ramp", "hold", "unload", 
 
 @dataclass(frozen=True)
 class SegmentSettings:
-    """Settings of `segment_arrays`.
+    """Settings of `find_segments_of_arrays`.
 
     Attributes:
         preload_force: largest force of a preload, as a fraction of the largest force.
@@ -46,7 +47,7 @@ _SETTINGS = SegmentSettings()
 
 @dataclass(frozen=True, eq=False)
 class Segmentation:
-    """Segments of a test.
+    """Segments of a test: labels and cycles of its samples, contact, failure and warnings.
 
     Attributes:
         labels: name of the segment of each sample, in `SEGMENTS` or a label of the file, shape (n,).
@@ -68,10 +69,13 @@ class Segmentation:
 
     @property
     def has_air(self) -> bool:
-        """Whether samples in the air precede contact."""
-        return self.contact is not None and self.contact.found
+        """Whether the recording has samples in the air, before contact."""
+        return self.contact is not None and self.contact.has_air_before_contact
 
-    def runs(self) -> Iterator[tuple[str, int, int]]:
+    #: Old name.
+    runs = OldName("iterate_segments")
+
+    def iterate_segments(self) -> Iterator[tuple[str, int, int]]:
         """Yield name, first sample and end (not included) of each segment, in order."""
         edges = np.flatnonzero(np.append(True, self.labels[1:] != self.labels[:-1]))
         for first, last in pairwise([*edges.tolist(), self.labels.size]):
@@ -96,11 +100,12 @@ def find_segments(recording: Recording, kind: TestKind | str | None = None) -> S
     motion, load, stressed = get_motion_and_load(recording, kind)
     time = recording.time if "time" in recording and np.ptp(recording.time) > 0 else None
     stated = "segment" in recording.labels
-    return segment_arrays(motion, load, time, recording.labels["segment"] if stated else None, stressed=stressed)
+    return find_segments_of_arrays(motion, load, time, recording.labels["segment"] if stated else None,
+                                   stressed=stressed)
 
 
-def segment_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
-                   labels: np.ndarray | None = None, *, stressed: bool = False) -> Segmentation:
+def find_segments_of_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None = None,
+                            labels: np.ndarray | None = None, *, stressed: bool = False) -> Segmentation:
     """Find the segments of arrays; see `find_segments`.
 
     Args:
@@ -112,7 +117,7 @@ def segment_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray
     """
     clock = np.arange(displacement.size, dtype=float) if time is None else time
     warnings: list[str] = []
-    ordered = _is_ordered(displacement, force, time)
+    ordered = _is_ordered_one_sided_loading(displacement, force, time)
     contact = failure = None
     if ordered and displacement.size >= _SETTINGS.fewest_samples and np.ptp(displacement) > 0:
         failure = find_failure(displacement, force, time)
@@ -123,20 +128,20 @@ def segment_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray
     stated = labels is not None
     if labels is not None:
         labels = np.char.lower(np.asarray(labels).astype(str))
-        cycles = count_cycles(label_motion(clock, displacement))[1]
+        cycles = label_reloads_and_cycles(label_motion(clock, displacement))[1]
     elif not ordered:
         labels, cycles = np.full(displacement.size, "ramp"), np.ones(displacement.size, int)
     else:
         labels = label_motion(clock, displacement)
-        for first, last in find_creep_parts(displacement, force, time):
+        for first, last in find_creep_intervals(displacement, force, time):
             labels[first:last] = "hold"
-        labels, cycles = count_cycles(labels)
+        labels, cycles = label_reloads_and_cycles(labels)
         labels = labels.astype("U15")
         if contact is not None and contact.status != "none":
             _label_preload(labels, displacement, force, contact, warnings, stressed)
-        if cycles.max() > _SETTINGS.fewest_cycles and not _oscillates(displacement, force, time):
+        if cycles.max() > _SETTINGS.fewest_cycles and not _is_oscillation(displacement, force, time):
             _label_preconditioning(labels, cycles, displacement, warnings)
-        if contact is not None and contact.found:
+        if contact is not None and contact.has_air_before_contact:
             # Later cycles pass through air again.
             in_air = (cycles > 1) & (displacement < contact.displacement)
             labels[np.isin(labels, ("ramp", "reload")) & in_air] = "approach"
@@ -149,13 +154,13 @@ def segment_arrays(displacement: np.ndarray, force: np.ndarray, time: np.ndarray
     return Segmentation(labels, cycles, contact, failure, stated, stressed, tuple(warnings))
 
 
-def _oscillates(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
+def _is_oscillation(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
     """Return whether the cycles are an oscillation around an offset, which does not precondition."""
     found = find_oscillation(displacement, force, time)
     return found is not None and not found.returns
 
 
-def _is_ordered(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
+def _is_ordered_one_sided_loading(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None) -> bool:
     """Return whether the samples are in the order of time, and the specimen is loaded to one side."""
     reach, least = float(np.abs(displacement).max()) or 1.0, int(np.argmin(displacement))
     both_sides = displacement[least] < -0.2 * reach and force[least] < -0.2 * float(np.abs(force).max())
@@ -182,8 +187,8 @@ def _label_preload(labels: np.ndarray, displacement: np.ndarray, force: np.ndarr
     """Label the approach and the preload, in place."""
     largest = float(force.max())
     first_motion = int(np.argmax(labels != "hold")) if np.any(labels != "hold") else labels.size
-    start = contact.index if contact.found else 0
-    if contact.found:
+    start = contact.index if contact.has_air_before_contact else 0
+    if contact.has_air_before_contact:
         labels[:start] = "approach"
     elif first_motion and abs(float(np.median(force[:first_motion]))) > max(0.005 * largest, 5 * contact.noise):
         labels[:first_motion] = "preload"

@@ -35,7 +35,7 @@ def load_rig(path: str | Path) -> Rig:
     """
     path = Path(path)
     with located(file=path):
-        return _decode(read_json(path, "a rig file (JSON)"))
+        return _decode_rig(read_json(path, "a rig file (JSON)"))
 
 
 def write_rig(rig: Rig, path: str | Path) -> None:
@@ -62,7 +62,7 @@ def write_rig(rig: Rig, path: str | Path) -> None:
     write_text(path, json.dumps(data, indent=2) + "\n")
 
 
-def _decode(data) -> Rig:
+def _decode_rig(data) -> Rig:
     require_schema(data, "rig", VERSION)
     file = decode(data, _RigFile)
     require_writable(data)

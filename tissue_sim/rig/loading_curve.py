@@ -62,7 +62,7 @@ class LoadingCurve:
         """Force, N, at depths, m; any shape."""
         return np.where(depth > 0, self._into(np.maximum(depth, 0.0)), self._out(np.maximum(-depth, 0.0)))
 
-    def force_behind(self, motion: np.ndarray, compliance: float, history: np.ndarray) -> np.ndarray:
+    def solve_force_with_compliance(self, motion: np.ndarray, compliance: float, history: np.ndarray) -> np.ndarray:
         """Solve d + compliance F(d) = motion for the force F, where F is the curve at d with the effect of history.
 
         Args:
@@ -76,11 +76,11 @@ class LoadingCurve:
         samples = np.arange(self._factor.size)
         factor, rest = (np.interp(history, samples, values) for values in (self._factor, self._rest))
 
-        def force_at(depth):
+        def interpolate_force(depth):
             return rest + factor * self(depth)
 
         if not compliance:
-            return force_at(motion)
+            return interpolate_force(motion)
         # Bounds of the force, so that the interval contains a solution also if the curve falls.
         weakest, strongest = (rest + factor * bound for bound in (
             np.minimum(self(motion), self._extremes[0]), np.maximum(self(motion), self._extremes[1])))
@@ -88,9 +88,9 @@ class LoadingCurve:
         deep = motion - compliance * np.minimum(weakest, 0.0)
         for _ in range(_SETTINGS.bisections):
             middle = 0.5 * (shallow + deep)
-            short = middle + compliance * force_at(middle) < motion
+            short = middle + compliance * interpolate_force(middle) < motion
             shallow, deep = np.where(short, middle, shallow), np.where(short, deep, middle)
-        return force_at(0.5 * (shallow + deep))
+        return interpolate_force(0.5 * (shallow + deep))
 
 
 def _interpolate_from_touch(away: np.ndarray, force: np.ndarray, step: float):
@@ -109,7 +109,7 @@ def _interpolate_from_touch(away: np.ndarray, force: np.ndarray, step: float):
 
 
 def _find_new_maxima(depth: np.ndarray, hold: np.ndarray, step: float) -> list[int]:
-    """Indices of the first sample and of all samples that exceed the range of those before by more than `step`."""
+    """Return indices of the first sample and of samples more than `step` outside the range of all earlier samples."""
     low = high = depth[0]
     found = [0]
     for sample, value in enumerate(depth.tolist()):

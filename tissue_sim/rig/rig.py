@@ -14,11 +14,12 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.parameters import declared, parameter
+from tissue_sim.public_names import OldName
 from tissue_sim.recording.recording import Recording
-from tissue_sim.rig.backlash import move_nut
+from tissue_sim.rig.backlash import compute_nut_motion
 from tissue_sim.rig.fault import RigFault
 from tissue_sim.rig.loading_curve import LoadingCurve
-from tissue_sim.rig.noise import sensor_noise
+from tissue_sim.rig.noise import generate_sensor_noise
 
 #: Targets of the effects: motion of the tool.
 _TOOL = "tool"
@@ -34,7 +35,8 @@ _REVERSED = -1.0 + 1e-9
 _MOST_SAMPLES = 10_000_000
 
 
-def _declare_effect(acts_on: str, symbol: str, unit: str, key: str, factor: float = 1.0, *, low: float = -inf) -> Any:
+def _declare_rig_effect(acts_on: str, symbol: str, unit: str, key: str, factor: float = 1.0, *,
+                        low: float = -inf) -> Any:
     """Declare a field of the rig whose effect is absent at 0."""
     entry = parameter(symbol, unit, key=key, factor=factor, bounds=(low, inf), absent=0.0)
     return field(default=0.0, metadata={**entry.metadata, _ACTS_ON: acts_on})
@@ -73,24 +75,25 @@ class Rig:
         InputError: a value outside of its range, with the field ``rig.NAME``.
     """
 
-    contact_offset: float = _declare_effect(_TOOL, "d0", "m", "contact_offset_mm", 1e-3)
-    displacement_gain: float = _declare_effect(_TOOL, "eps_d", "1", "displacement_gain", low=_REVERSED)
-    backlash: float = _declare_effect(_TOOL, "b", "m", "backlash_mm", 1e-3, low=0.0)
-    step_loss: float = _declare_effect(_TOOL, "s", "m", "step_loss_mm", 1e-3)
-    step_loss_depth: float = _declare_effect(_TOOL, "d_s", "m", "step_loss_depth_mm", 1e-3)
-    compliance: float = _declare_effect(_TOOL, "c", "m/N", "compliance_mm_per_N", 1e-3, low=0.0)
-    guide_friction: float = _declare_effect(_READING, "F_c", "N", "guide_friction_N", low=0.0)
-    rate_damping: float = _declare_effect(_READING, "eta", "N s/m", "rate_damping_N_s_per_mm", 1e3, low=0.0)
-    latency: float = _declare_effect(_READING, "dt", "s", "latency_s", low=0.0)
-    sensor_gain: float = _declare_effect(_READING, "eps_F", "1", "sensor_gain", low=_REVERSED)
-    zero_offset: float = _declare_effect(_READING, "F0", "N", "zero_offset_N")
-    sensor_drift: float = _declare_effect(_READING, "r", "N/s", "sensor_drift_N_per_s")
+    contact_offset: float = _declare_rig_effect(_TOOL, "d0", "m", "contact_offset_mm", 1e-3)
+    displacement_gain: float = _declare_rig_effect(_TOOL, "eps_d", "1", "displacement_gain", low=_REVERSED)
+    backlash: float = _declare_rig_effect(_TOOL, "b", "m", "backlash_mm", 1e-3, low=0.0)
+    step_loss: float = _declare_rig_effect(_TOOL, "s", "m", "step_loss_mm", 1e-3)
+    step_loss_depth: float = _declare_rig_effect(_TOOL, "d_s", "m", "step_loss_depth_mm", 1e-3)
+    compliance: float = _declare_rig_effect(_TOOL, "c", "m/N", "compliance_mm_per_N", 1e-3, low=0.0)
+    guide_friction: float = _declare_rig_effect(_READING, "F_c", "N", "guide_friction_N", low=0.0)
+    rate_damping: float = _declare_rig_effect(_READING, "eta", "N s/m", "rate_damping_N_s_per_mm", 1e3, low=0.0)
+    latency: float = _declare_rig_effect(_READING, "dt", "s", "latency_s", low=0.0)
+    sensor_gain: float = _declare_rig_effect(_READING, "eps_F", "1", "sensor_gain", low=_REVERSED)
+    zero_offset: float = _declare_rig_effect(_READING, "F0", "N", "zero_offset_N")
+    sensor_drift: float = _declare_rig_effect(_READING, "r", "N/s", "sensor_drift_N_per_s")
     sampling_rate: float | None = field(default=None, metadata={_ACTS_ON: _SAMPLES, **parameter(
         "f", "Hz", key="sampling_rate_Hz", bounds=(1e-9, inf)).metadata})
-    force_noise: float = _declare_effect(_SAMPLES, "sigma", "N", "force_noise_N", low=0.0)
-    noise_correlation_time: float = _declare_effect(_SAMPLES, "tau_n", "s", "noise_correlation_time_s", low=0.0)
-    force_resolution: float = _declare_effect(_SAMPLES, "q_F", "N", "force_resolution_N", low=0.0)
-    displacement_resolution: float = _declare_effect(_SAMPLES, "q_d", "m", "displacement_resolution_mm", 1e-3, low=0.0)
+    force_noise: float = _declare_rig_effect(_SAMPLES, "sigma", "N", "force_noise_N", low=0.0)
+    noise_correlation_time: float = _declare_rig_effect(_SAMPLES, "tau_n", "s", "noise_correlation_time_s", low=0.0)
+    force_resolution: float = _declare_rig_effect(_SAMPLES, "q_F", "N", "force_resolution_N", low=0.0)
+    displacement_resolution: float = _declare_rig_effect(_SAMPLES, "q_d", "m", "displacement_resolution_mm", 1e-3,
+                                                         low=0.0)
     seed: int = 0
     faults: Mapping[str, RigFault] = field(default_factory=dict)
 
@@ -114,8 +117,12 @@ class Rig:
             if name == "sampling_rate" and value <= 0:
                 raise InputError(f"must be positive, or None; got {value:g} Hz.", field="rig.sampling_rate")
 
+    #: Old names.
+    ideal = OldName("is_ideal")
+    readings = OldName("count_readings")
+
     @property
-    def ideal(self) -> bool:
+    def is_ideal(self) -> bool:
         """Whether the rig has no effect."""
         return replace(self, seed=0, step_loss_depth=0.0, noise_correlation_time=0.0) == Rig()
 
@@ -145,15 +152,15 @@ class Rig:
                if entry.metadata.get(_ACTS_ON) in targets}
         return Rig(**own, faults=faults)
 
-    def readings(self, time: np.ndarray) -> int:
-        """Number of samples that the rig reports of a recording at times, s, shape (n,)."""
+    def count_readings(self, time: np.ndarray) -> int:
+        """Return the number of samples that the rig reports for a recording with sample times `time`, s, shape (n,)."""
         if self.sampling_rate is None or not len(time):
             return len(time)
         # The tolerance keeps the last sample despite rounding.
         return int((time[-1] - time[0]) * self.sampling_rate + 1e-6) + 1
 
     def tool_motion(self, displacement) -> np.ndarray:
-        """Displacement of the tool with a rigid load train.
+        """Return the displacement of the tool, m, for reported displacements, if the load train is rigid.
 
         Args:
             displacement: reported by the stage, m, in order of time, shape (n,).
@@ -161,8 +168,8 @@ class Rig:
         Returns:
             m, shape (n,).
         """
-        screw = self._screw_position(self._apply_faults(np.asarray(displacement, dtype=float)))
-        return move_nut(screw, self.backlash)[0]
+        screw = self._compute_screw_position(self._apply_faults(np.asarray(displacement, dtype=float)))
+        return compute_nut_motion(screw, self.backlash)[0]
 
     def apply(self, recording: Recording) -> Recording:
         """Compute the true force under this rig for the same reported motion, without a new simulation.
@@ -178,10 +185,11 @@ class Rig:
         if not len(recording):
             return recording
         # With backlash the history is that at the time when the screw was at the present position of the nut.
-        motion, history = move_nut(self._screw_position(self._apply_faults(recording.displacement)), self.backlash)
+        motion, history = compute_nut_motion(self._compute_screw_position(self._apply_faults(recording.displacement)),
+                                             self.backlash)
         if not self.compliance and np.array_equal(motion, recording.displacement):
             return recording
-        force = LoadingCurve(recording).force_behind(motion, self.compliance, history)
+        force = LoadingCurve(recording).solve_force_with_compliance(motion, self.compliance, history)
         return recording.with_channels(force=force)
 
     def read(self, recording: Recording) -> Recording:
@@ -198,7 +206,7 @@ class Rig:
             >>> Rig(sensor_gain=0.1, zero_offset=0.5).read(true).force
             array([0.5, 2.7])
         """
-        if self.ideal or not len(recording):
+        if self.is_ideal or not len(recording):
             return recording
         step = np.diff(recording.displacement, prepend=recording.displacement[0])
         if "segment" in recording.labels:
@@ -224,9 +232,9 @@ class Rig:
                 reported = fault.reading(reported)
             force = reported.force
         if self.force_noise:
-            force = force + sensor_noise(force.size, self.force_noise, self.seed,
-                                         time=reported.time if self.noise_correlation_time else None,
-                                         correlation_time=self.noise_correlation_time)
+            force = force + generate_sensor_noise(force.size, self.force_noise, self.seed,
+                                                  time=reported.time if self.noise_correlation_time else None,
+                                                  correlation_time=self.noise_correlation_time)
         displacement = _round_to_resolution(reported.displacement, self.displacement_resolution)
         return reported.with_channels(displacement=displacement,
                                       force=_round_to_resolution(force, self.force_resolution))
@@ -239,13 +247,13 @@ class Rig:
         return self.read(self.apply(recording))
 
     def _apply_faults(self, reported: np.ndarray) -> np.ndarray:
-        """Displacement of the screw with the additional faults, m."""
+        """Return the displacement of the lead screw, m, after the faults of `faults` that move the tool."""
         for fault in self.faults.values():
             reported = fault.tool_motion(reported)
         return reported
 
-    def _screw_position(self, reported: np.ndarray) -> np.ndarray:
-        """Position of the tool set by the lead screw while the play is taken up in the downward direction, m."""
+    def _compute_screw_position(self, reported: np.ndarray) -> np.ndarray:
+        """Return the position of the tool, m, that the lead screw sets while the play is taken up downwards."""
         lost = self.step_loss * (np.maximum.accumulate(reported) > self.step_loss_depth)
         return (1.0 + self.displacement_gain) * (reported - lost - self.contact_offset)
 
@@ -258,7 +266,7 @@ class Rig:
                              "lower rate", field="rig.sampling_rate")
         # A new sample that coincides with an old one except for rounding is moved to the old one.
         slack = 1e-6 / rate
-        grid = time[0] + np.arange(self.readings(time)) / rate
+        grid = time[0] + np.arange(self.count_readings(time)) / rate
         before = np.searchsorted(time, grid + slack, side="right") - 1
         grid = np.where(grid - time[before] < slack, time[before], grid)
         channels = {name: np.interp(grid, time, values) for name, values in recording.channels.items()}

@@ -38,7 +38,7 @@ class Block(Specimen):
         return self.length * self.width
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
-        """Return the distance of a point from the edge of the top, in plan view, m; negative outside."""
+        """Return the distance of a position (x, y) from the edge of the top, in plan view, m; negative outside."""
         return min(0.5 * self.length - abs(x), 0.5 * self.width - abs(y))
 
     @property

@@ -36,7 +36,7 @@ class Cylinder(Specimen):
         return math.pi * self.radius**2
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
-        """Return the distance of a point from the edge of the top, in plan view, m; negative outside."""
+        """Return the distance of a position (x, y) from the edge of the top, in plan view, m; negative outside."""
         return self.radius - math.hypot(x, y)
 
     @property
@@ -46,9 +46,9 @@ class Cylinder(Specimen):
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """Make the O-grid mesh of hexahedra; see `Specimen.solid_mesh`."""
-        from tissue_sim.mesh.solid import graded_cylinder
+        from tissue_sim.mesh.solid import create_graded_cylinder_mesh
 
-        return graded_cylinder(self.radius, self.height, grading)
+        return create_graded_cylinder_mesh(self.radius, self.height, grading)
 
     def moved_mesh(self, mesh: SolidMesh, before: Specimen, circles: tuple[Circle, Circle]) -> SolidMesh:
         """Move the mesh of another cylinder to this cylinder; see `Specimen.moved_mesh`."""

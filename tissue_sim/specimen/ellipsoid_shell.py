@@ -76,6 +76,6 @@ class EllipsoidShell(Specimen):
 
     def solid_mesh(self, grading: Grading) -> SolidMesh:
         """Make the mesh of hexahedra; see `Specimen.solid_mesh`."""
-        from tissue_sim.mesh.ellipsoid_shell import ellipsoid_shell
+        from tissue_sim.mesh.ellipsoid_shell import mesh_ellipsoid_shell
 
-        return ellipsoid_shell(self.semi_axes, self.thickness, grading)
+        return mesh_ellipsoid_shell(self.semi_axes, self.thickness, grading)

@@ -77,9 +77,9 @@ class MeshSpecimen(Specimen):
         path = Path(self.mesh_file)
         try:
             found = path.stat()
-            return _read(path.resolve(), self.mesh_unit, found.st_mtime_ns, found.st_size)
+            return _read_cached_file_mesh(path.resolve(), self.mesh_unit, found.st_mtime_ns, found.st_size)
         except (OSError, ValueError):
-            return _read(path, self.mesh_unit, 0, 0)  # raises the error with its reason
+            return _read_cached_file_mesh(path, self.mesh_unit, 0, 0)  # raises the error with its reason
 
     @property
     def mesh_of_file(self) -> FileMesh:
@@ -93,7 +93,7 @@ class MeshSpecimen(Specimen):
 
     @cached_property
     def _vertical_projection(self) -> VerticalProjection:
-        from tissue_sim.mesh.solid_file import find_base_and_top, find_origin
+        from tissue_sim.mesh.solid_file import find_base_and_top, find_top_centre
         from tissue_sim.mesh.vertical_projection import VerticalProjection
 
         mesh = self._mesh
@@ -101,7 +101,8 @@ class MeshSpecimen(Specimen):
             held, met = find_base_and_top(mesh, self.mesh_base, self.mesh_top)
         except InputError as error:
             raise error.located(file=self.mesh_file) from None
-        return VerticalProjection(mesh.points - find_origin(mesh, met), mesh.sides[met], mesh.sides[held], mesh.sides)
+        return VerticalProjection(mesh.points - find_top_centre(mesh, met), mesh.sides[met], mesh.sides[held],
+                                  mesh.sides)
 
     @property
     def height(self) -> float:
@@ -121,8 +122,8 @@ class MeshSpecimen(Specimen):
         return f"{Path(self.mesh_file).name} of {x:.4g} x {y:.4g} x {z:.4g} mm"
 
     def margin(self, x: float = 0.0, y: float = 0.0) -> float:
-        """Return the distance of a point from the edge of the top, in plan view, m; negative outside."""
-        return self._vertical_projection.margin(x, y)
+        """Return the distance of a position (x, y) from the edge of the top, in plan view, m; negative outside."""
+        return self._vertical_projection.distance_to_top_rim(x, y)
 
     @property
     def outer_radius(self) -> float:
@@ -142,19 +143,19 @@ class MeshSpecimen(Specimen):
         Raises:
             InputError: layers, or fewer than `_FEWEST` nodes under the tool.
         """
-        from tissue_sim.mesh.solid import with_tool_sets
-        from tissue_sim.mesh.solid_file import solid_from_file
+        from tissue_sim.mesh.solid import add_tool_node_sets
+        from tissue_sim.mesh.solid_file import convert_file_mesh
 
         if grading.interfaces:
             raise InputError("must be left out for a mesh from a file; use regions instead",
                              field="material.layers")
         try:
-            mesh = solid_from_file(self._mesh, grading.element.order, base=self.mesh_base, top=self.mesh_top)
+            mesh = convert_file_mesh(self._mesh, grading.element.order, base=self.mesh_base, top=self.mesh_top)
         except InputError as error:
             raise error.located(file=self.mesh_file) from None
         if grading.radius is None:
             return mesh
-        mesh = with_tool_sets(mesh, grading.radius, grading.centre)
+        mesh = add_tool_node_sets(mesh, grading.radius, grading.centre)
         if mesh.sets["face"].size < _FEWEST:
             raise InputError(f"only {mesh.sets['face'].size} nodes of the top lie within {grading.radius * 1e3:g} mm "
                              "of the tool's axis; give a mesh that is finer there", file=self.mesh_file,
@@ -163,8 +164,8 @@ class MeshSpecimen(Specimen):
 
 
 @lru_cache(maxsize=4)
-def _read(path: Path, unit: str, changed: int, size: int) -> FileMesh:
-    """Read a mesh file; cached as long as its time of change and its size stay the same."""
+def _read_cached_file_mesh(path: Path, unit: str, changed: int, size: int) -> FileMesh:
+    """Read a mesh file, with a cache; `changed` and `size` of the file are part of the key of the cache."""
     from tissue_sim.mesh.solid_file import read_file_mesh
 
     return read_file_mesh(path, unit)

@@ -31,7 +31,7 @@ STANDARD_GRAVITY = 9.81
 HEIGHTS = ("moulded", "placed")
 
 
-class _ByShape(type):
+class _SpecimenShapeMeta(type):
     """Metaclass: ``Specimen(0.04, 0.07)`` makes a cylinder, ``Specimen(shape="block", ...)`` a block.
 
     Positional values are first the sizes of the shape, then the fields that all shapes have.
@@ -53,7 +53,7 @@ class _ByShape(type):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Specimen(metaclass=_ByShape):
+class Specimen(metaclass=_SpecimenShapeMeta):
     """A body of the material that stands on its base; the origin is the middle of its top, z points out of the body.
 
     ``Specimen(radius, height, ...)`` makes a cylinder, ``Specimen(shape=..., **sizes)`` any shape. A specimen is a
@@ -99,7 +99,7 @@ class Specimen(metaclass=_ByShape):
     gravity: float = parameter("g0", "m/s2", key="gravity_m_s2", bounds=(0.0, 100.0), absent=0.0, default=0.0)
     height_is: str = "moulded"
 
-    if TYPE_CHECKING:  # the arguments of `_ByShape.__call__`, and a field or property of every shape
+    if TYPE_CHECKING:  # the arguments of `_SpecimenShapeMeta.__call__`, and a field or property of every shape
         def __init__(self, *values: Any, **named: Any): ...
 
         @property
@@ -223,7 +223,7 @@ def _spell_name(name: str) -> str:
 
 
 def add_article(name: str) -> str:
-    """Name of a shape or a size with its article: ``an ellipsoid shell``."""
+    """Return the name of a shape or a size with its indefinite article: ``an ellipsoid shell``."""
     return f"{'an' if name[0] in 'aeiou' else 'a'} {_spell_name(name)}"
 
 
@@ -236,7 +236,7 @@ SPECIMENS: Registry[type[Specimen]] = Registry("specimen shape", "tissue_sim.spe
     expected="a frozen dataclass derived from Specimen", named_by="shape")
 
 
-class Size(NamedTuple):
+class SpecimenSize(NamedTuple):
     """A size of one or several shapes of specimens.
 
     Attributes:
@@ -250,18 +250,18 @@ class Size(NamedTuple):
     shapes: tuple[str, ...]
 
 
-def specimen_sizes() -> dict[str, Size]:
+def specimen_sizes() -> dict[str, SpecimenSize]:
     """Return the sizes of all shapes by their keys in files and on the command line.
 
     Raises:
         InputError: two shapes use one key for different sizes.
     """
-    found: dict[str, Size] = {}
+    found: dict[str, SpecimenSize] = {}
     for shape, kind in SPECIMENS.items():
         for name, what in declared(kind).items():
             if name in _COMMON:
                 continue
-            first = found.get(what.key, Size(what, name, ()))
+            first = found.get(what.key, SpecimenSize(what, name, ()))
             if (first.declaration.factor, first.field) != (what.factor, name):
                 raise InputError(f"the shapes {first.shapes[0]} and {shape} use the key {what.key} for different "
                                  "sizes; rename one of them", field="tissue_sim.specimens")
@@ -269,7 +269,7 @@ def specimen_sizes() -> dict[str, Size]:
     return found
 
 
-def sizes_of(shape: str) -> dict[str, Declaration]:
+def get_shape_sizes(shape: str) -> dict[str, Declaration]:
     """Return the declarations of the sizes of a shape, in order, by their keys in files."""
     return {what.key: what for name, what in declared(SPECIMENS.find(shape, "specimen.shape")).items()
             if name not in _COMMON}
@@ -291,15 +291,15 @@ def specimen_texts() -> dict[str, tuple[str, ...]]:
     return found
 
 
-def keys_of(shape: str) -> dict[str, bool]:
+def get_shape_keys(shape: str) -> dict[str, bool]:
     """Return the keys of sizes and texts of a shape, and whether each is required."""
     kind = SPECIMENS.find(shape, "specimen.shape")
     usual = {entry.name: entry.default is not MISSING for entry in fields(kind)}
-    return {**{key: what.absent is None for key, what in sizes_of(shape).items()},
+    return {**{key: what.absent is None for key, what in get_shape_sizes(shape).items()},
             **{key: not usual[name] for key, name in kind.texts.items()}}
 
 
-def specimen_of_keys(shape: str, stated: Mapping[str, float | str], **common: Any) -> Specimen:
+def make_specimen_from_keys(shape: str, stated: Mapping[str, float | str], **common: Any) -> Specimen:
     """Make a specimen from the keys of files.
 
     Args:

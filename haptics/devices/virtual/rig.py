@@ -97,7 +97,7 @@ class ElasticSpecimen:
         curve = LoadingCurve(simulate(ideal, resolution=resolution, estimate_error=False))
         self._step = _TABLE.extent * depth / _TABLE.intervals
         motion = self._step * np.arange(_TABLE.intervals + 1)
-        self._forces = curve.force_behind(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
+        self._forces = curve.solve_force_with_compliance(motion, model.rig.compliance, np.zeros(motion.size)).tolist()
 
     def force(self, time: float, depth: float) -> float:
         """Return the force at a depth, m, by linear interpolation in the table of forces, N."""

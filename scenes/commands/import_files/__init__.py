@@ -19,7 +19,7 @@ from scenes.commands.shared.parsing import (
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.specimen import specimen_sizes
-from tissue_sim.specimen.specimen import add_article, keys_of
+from tissue_sim.specimen.specimen import add_article, get_shape_keys
 
 SUMMARY = "read data files of a test machine, detect their format and write a campaign file"
 EXAMPLE = "tissue-sim import gel_1.csv gel_2.csv gel_3.csv -o gel.toml --radius-mm 10 --height-mm 12"
@@ -178,7 +178,7 @@ def _make_specimen_keys(arguments) -> dict[str, float | str]:
     keys = dict.fromkeys((*_GENERAL_SIZES, *specimen_sizes()))
     stated = {key: value for key in keys if (value := getattr(arguments, key)) is not None}
     shape = arguments.shape
-    allowed = _GENERAL_SIZES if shape is None else keys_of(shape)
+    allowed = _GENERAL_SIZES if shape is None else get_shape_keys(shape)
     if other := next((key for key in stated if key not in allowed), None):
         problem = f"is not a size of a cylinder. Add --shape {specimen_sizes()[other].shapes[0]}" if shape is None \
             else f"is not a size of {add_article(shape)}. Leave this flag out"

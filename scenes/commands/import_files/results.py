@@ -89,7 +89,7 @@ def _format_reach(part: Part, motion: Motion) -> str:
 
     A question mark follows a value whose unit is unknown.
     """
-    if any(column.missing for column in part.reading.columns if column.channel == motion.channel):
+    if any(column.missing_information for column in part.reading.columns if column.channel == motion.channel):
         return f"{max(motion.reach, key=abs):.4g} ?"
     unit, factor = get_display_unit("m") if motion.channel == "displacement" else ("", 1.0)
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()

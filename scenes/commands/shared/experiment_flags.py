@@ -21,12 +21,12 @@ from tissue_sim.experiment.tools.tool import (
     TOOLS,
     Tool,
     convert_tool_sizes_to_si,
-    read_shape,
-    shapes_without_file,
+    list_shapes_without_file,
+    parse_shape_name,
     tool_sizes,
 )
 from tissue_sim.specimen import SPECIMENS, STANDARD_GRAVITY, Specimen, specimen_sizes
-from tissue_sim.specimen.specimen import specimen_of_keys
+from tissue_sim.specimen.specimen import make_specimen_from_keys
 
 if TYPE_CHECKING:
     from tissue_sim import Experiment, Material, Protocol
@@ -126,7 +126,8 @@ def _add_tool(parser: Parser, needs: str) -> None:
     """Add the flags of the tool and of the contact at its faces; arguments as of `_add_specimen`."""
     tool = parser.add_argument_group("tool and interfaces (default: as the scene defines)")
     tool.add_argument("--tool", metavar="SHAPE",
-                      help=f"{', '.join(shapes_without_file())}, or a file with the columns r and z of its profile")
+                      help=f"{', '.join(list_shapes_without_file())}, or a file with the columns r and z of its "
+                           "profile")
     for key, (declaration, name, shapes) in tool_sizes().items():
         tool.add_argument(f"--{key.replace('_', '-')}", type=_make_size_type(declaration), metavar="N",
                           help=f"{name.replace('_', ' ')} of a tool of shape {' or '.join(shapes)}")
@@ -211,7 +212,7 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
 
     scene = SCENES[arguments.scene]
     scene_tool = scene.require_tool()
-    shape, profile = read_shape(arguments.tool or scene_tool.shape)
+    shape, profile = parse_shape_name(arguments.tool or scene_tool.shape)
     kind = TOOLS.find(shape, field="--tool")
     if not scene.fits(kind):
         fitting = [name for name, other in SCENES.items() if other.fits(kind)]
@@ -265,7 +266,7 @@ def _make_specimen(arguments, weight: dict[str, Any]) -> Specimen:
     shape = arguments.shape or "cylinder"
     defaults = DEFAULT_CYLINDER_SIZES if shape == "cylinder" else {}
     try:
-        return specimen_of_keys(shape, defaults | stated, **weight)
+        return make_specimen_from_keys(shape, defaults | stated, **weight)
     except InputError as error:
         raise InputError(error.problem, field=f"--{(error.field or '').replace('_', '-')}") from None
 

@@ -64,13 +64,13 @@ def run(arguments) -> int:
     check_solver(arguments.solver)
 
     import tissue_sim as ts
-    from tissue_sim.recording.file import require_sidecar_place
+    from tissue_sim.recording.file import require_overwritable_sidecar
     from tissue_sim.recording.recording import MIN_POINTS
 
     for path in outputs:
-        require_sidecar_place(path)
+        require_overwritable_sidecar(path)
     protocol, rig = make_protocol(arguments), make_rig(arguments)
-    points = rig.readings(protocol.time)
+    points = rig.count_readings(protocol.time)
     if outputs and points < MIN_POINTS:
         raise InputError(f"a recording needs at least {MIN_POINTS} samples; got {points}. Add samples, or leave out -o",
                          field="--points" if rig.sampling_rate is None else "--rig")

@@ -13,7 +13,7 @@ from scenes.viewer.frame import Commands, Frame
 from scenes.viewer.page.notices import reply_to, set_value
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.interfaces import INTERFACES
-from tissue_sim.experiment.tools.tool import TOOLS, shapes_without_file, tool_sizes
+from tissue_sim.experiment.tools.tool import TOOLS, list_shapes_without_file, tool_sizes
 from tissue_sim.parameters import Declaration
 
 _INTERFACES = (*INTERFACES, "friction")
@@ -52,7 +52,7 @@ class SceneControls:
         gui = server.gui
         self._titles = {scene.title: name for name, scene in SCENES.items()}
         self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.scene.kind.title)
-        self._needles = tuple(shape for shape in shapes_without_file() if not TOOLS[shape].is_plate)
+        self._needles = tuple(shape for shape in list_shapes_without_file() if not TOOLS[shape].is_plate)
         self._shape = gui.add_dropdown("tool", self._needles, initial_value=self._needles[0])
         self._declared_sizes = tool_sizes()
         self._sizes = {key: _add_size_control(gui, key, declaration)

@@ -45,7 +45,7 @@ def bulged(mesh):
 def volume_by_quadrature(mesh, place):
     """Volume: integral of 2 pi r over the curved elements; exact with three points per direction."""
     points, weights = mesh.element.quadrature
-    shapes, slopes = mesh.element.shape_functions(points)
+    shapes, slopes = mesh.element.evaluate_shape_functions(points)
     of_elements = place[mesh.connectivity]
     r = np.einsum("qa,ea->eq", shapes, of_elements[..., 0])
     return 2.0 * np.pi * float(np.sum(r * np.linalg.det(np.einsum("eai,qaj->eqij", of_elements, slopes)) * weights))

@@ -29,7 +29,7 @@ def test_a_scene_has_default_tool_and_interfaces(needle, name):
     kind, experiment = SCENES[name], there.experiment
     assert there.kind is kind
     assert (experiment.tool.shape, experiment.tool.radius) == (kind.tool.shape, kind.tool.radius)
-    usual = kind.interfaces(kind.tool)
+    usual = kind.default_interfaces(kind.tool)
     assert {name: getattr(experiment, name) for name in usual} == usual
     assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
     assert (there.material, there.source) == (needle.material, needle.source)

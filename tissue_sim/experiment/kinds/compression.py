@@ -2,12 +2,12 @@
 
 from tissue_sim.closed_form.homogeneous import UNIAXIAL
 from tissue_sim.experiment.interfaces import AS_TOOL
-from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, Face, TestKind
+from tissue_sim.experiment.kinds.kind import DISPLACEMENT_FORCE, STRETCH_STRESS, FaceInterface, TestKind
 from tissue_sim.experiment.tools.plate import Plate
 
-_SMOOTH = Face("frictionless", fixed=True)
+_SMOOTH = FaceInterface("frictionless", fixed=True)
 #: Dry plates. Above a coefficient of about 0.5 the force hardly changes, because most of the faces sticks.
-_DRY = Face(0.7, stated=True)
+_DRY = FaceInterface(0.7, stated=True)
 
 LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compression", tool=Plate(), face=_SMOOTH,
                       base=_SMOOTH, sign=-1.0, channels=(DISPLACEMENT_FORCE, STRETCH_STRESS),
@@ -18,4 +18,4 @@ LUBRICATED = TestKind(name="lubricated_compression", title="Lubricated compressi
 BONDED = TestKind(name="bonded_compression", title="Bonded compression", tool=Plate(), sign=-1.0,
                   title_words=(r"(bonded|glued) compress\w*",))
 FRICTION = TestKind(name="friction_compression", title="Compression with friction", tool=Plate(), face=_DRY,
-                    base=Face(AS_TOOL), sign=-1.0, title_words=(r"compress\w* with friction",))
+                    base=FaceInterface(AS_TOOL), sign=-1.0, title_words=(r"compress\w* with friction",))

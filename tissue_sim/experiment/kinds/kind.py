@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from tissue_sim.closed_form.homogeneous import ClosedForm
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
+from tissue_sim.public_names import OldName
 from tissue_sim.registry import Registry
 
 if TYPE_CHECKING:
@@ -29,7 +30,7 @@ SHEAR_STRESS = ("shear strain", "nominal stress")
 
 
 @dataclass(frozen=True)
-class Face:
+class FaceInterface:
     """Interface of a face in a kind of test; see `tissue_sim.experiment.interfaces`.
 
     Attributes:
@@ -72,9 +73,9 @@ class TestKind:
     title: str
     tool: Tool | None
     tool_stated: bool = False
-    face: Face = Face("bonded", fixed=True)
-    base: Face = Face("bonded", fixed=True)
-    shaft: Face = Face("frictionless")
+    face: FaceInterface = FaceInterface("bonded", fixed=True)
+    base: FaceInterface = FaceInterface("bonded", fixed=True)
+    shaft: FaceInterface = FaceInterface("frictionless")
     control: str = "displacement"
     sign: float
     channels: tuple[tuple[str, str], ...] = (DISPLACEMENT_FORCE,)
@@ -89,73 +90,84 @@ class TestKind:
             raise InputError(f"{self.name!r} has neither a tool nor a closed form, so that no model computes its "
                              "force; give one of them", field="tissue_sim.kinds")
 
+    #: Old names.
+    gripped = OldName("has_gripped_ends")
+    settles = OldName("has_closed_form_with_weight")
+    motion = OldName("motion_name")
+    both_ways = OldName("loads_in_both_directions")
+    interfaces = OldName("default_interfaces")
+    faces = OldName("face_interfaces")
+    fits = OldName("allows_tool")
+    strain = OldName("compute_nominal_strain")
+    abscissa = OldName("compute_stretch_or_shear_strain")
+
     @property
-    def gripped(self) -> bool:
-        """Whether the specimen is held at both ends, without a tool; self-weight is then not supported."""
+    def has_gripped_ends(self) -> bool:
+        """Whether grips hold the specimen at both ends, without a tool; self-weight is then not supported."""
         return self.tool is None
 
     @property
     def can_pull(self) -> bool:
         """Whether the specimen can be pulled against the direction of loading: it is gripped, or the tool is bonded."""
-        return self.gripped or self.face.usual == "bonded"
+        return self.has_gripped_ends or self.face.usual == "bonded"
 
     @property
-    def settles(self) -> bool:
+    def has_closed_form_with_weight(self) -> bool:
         """Whether a closed form exists also under self-weight: that of `tissue_sim.closed_form.column`."""
         return self.closed_form is not None and self.tool is not None
 
     @property
-    def motion(self) -> str:
+    def motion_name(self) -> str:
         """Name of the motion for messages: ``compression``."""
         return self.name.rpartition("_")[2]
 
     @property
     def strain_name(self) -> str:
-        """Name of the result of `strain`, for axes."""
-        return "shear strain" if self.both_ways else "nominal strain"
+        """Name of the result of `compute_nominal_strain`, for labels of axes."""
+        return "shear strain" if self.loads_in_both_directions else "nominal strain"
 
     @property
-    def both_ways(self) -> bool:
+    def loads_in_both_directions(self) -> bool:
         """Whether the specimen may be loaded in both directions, as in shear."""
         return self.closed_form is not None and self.closed_form.rest == 0
 
-    def interfaces(self, tool: Tool) -> dict[str, str | float]:
-        """Default interfaces with a tool: field of `Experiment` -> interface.
+    def default_interfaces(self, tool: Tool) -> dict[str, str | float]:
+        """Return the default interfaces with a tool: field of `Experiment` -> interface.
 
         A tip without a flat face cannot be bonded to tissue that it meets during the test; it sticks instead.
         """
-        usual = {field: face.usual for field, face in self.faces.items()}
+        usual = {field: face.usual for field, face in self.face_interfaces.items()}
         return usual | {"friction": "stick"} if usual["friction"] == "bonded" and tool.face_radius == 0 else usual
 
     @property
-    def faces(self) -> dict[str, Face]:
-        """Interfaces of the test by the name of the field of `Experiment`."""
+    def face_interfaces(self) -> dict[str, FaceInterface]:
+        """Field of `Experiment`, such as ``friction_base`` -> interface of that face in this kind of test."""
         return {"friction": self.face, "friction_base": self.base, "friction_wall": self.shaft}
 
-    def fits(self, tool: type[Tool] | Tool) -> bool:
-        """Whether the test can be done with a tool."""
+    def allows_tool(self, tool: type[Tool] | Tool) -> bool:
+        """Return whether this kind of test can be done with a tool or a class of tools."""
         return self.tool is not None and tool.is_plate == self.tool.is_plate
 
-    def strain(self, abscissa: Any) -> Any:
-        """Nominal strain (shear strain in shear), positive under load, of a stretch or shear strain of any shape.
+    def compute_nominal_strain(self, abscissa: Any) -> Any:
+        """Return the nominal strain (in shear the shear strain), positive under load, of a stretch or shear strain.
 
         Raises:
             InputError: the kind has no closed form.
 
         Examples:
-            >>> round(KINDS["lubricated_compression"].strain(0.9), 3)
+            >>> round(KINDS["lubricated_compression"].compute_nominal_strain(0.9), 3)
             0.1
         """
         return self.sign * (abscissa - self.require_closed_form().rest)
 
-    def abscissa(self, strain: Any) -> Any:
-        """Stretch or shear strain of a nominal strain of any shape; the inverse of `strain`.
+    def compute_stretch_or_shear_strain(self, strain: Any) -> Any:
+        """Return the stretch (in shear the shear strain) of a nominal strain; the inverse of `compute_nominal_strain`.
 
         Raises:
             InputError: the kind has no closed form.
 
         Examples:
-            >>> KINDS["lubricated_compression"].abscissa(0.1)
+            >>> KINDS["lubricated_compression"].compute_stretch_or_shear_strain(0.1)
             0.9
         """
         return self.require_closed_form().rest + self.sign * strain
@@ -217,7 +229,7 @@ class TestKind:
         from tissue_sim.experiment.experiment import Experiment
 
         tool = overrides.get("tool") or self.require_tool()
-        stated: dict[str, Any] = {"tool": tool, **self.interfaces(tool)} | overrides
+        stated: dict[str, Any] = {"tool": tool, **self.default_interfaces(tool)} | overrides
         return Experiment(specimen, protocol, **stated)
 
 

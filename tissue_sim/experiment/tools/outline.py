@@ -60,8 +60,8 @@ class Profile:
         rows = np.arange(len(points))
         return np.copysign(distance[rows, closest], front[rows, closest]) - self.rounding
 
-    def outline(self, height: float) -> np.ndarray:
-        """Points (r, z) of the surface from the axis up to a height, m, for drawing, shape (n, 2)."""
+    def sample_outline(self, height: float) -> np.ndarray:
+        """Return points (r, z), m, on the surface from the axis up to `height`, m, for drawing, shape (n, 2)."""
         import numpy as np
 
         segment = np.diff(self.vertices, axis=0)

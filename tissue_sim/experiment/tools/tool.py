@@ -19,7 +19,7 @@ from tissue_sim.parameters import Declaration, declared
 from tissue_sim.registry import Registry
 
 
-class _ByShape(type):
+class _ToolShapeMeta(type):
     """Metaclass: ``Tool("flat", radius=0.008)`` makes a tool of that shape."""
 
     def __call__(cls, *values: Any, **sizes: Any) -> Any:
@@ -41,7 +41,7 @@ class _ByShape(type):
         return kind(**sizes)
 
 
-class Tool(metaclass=_ByShape):
+class Tool(metaclass=_ToolShapeMeta):
     """A rigid body that is moved into the specimen.
 
     ``Tool(shape, **sizes)`` makes one; a tool is a frozen dataclass with the sizes of its shape as fields, m and rad.
@@ -73,7 +73,7 @@ class Tool(metaclass=_ByShape):
         """Name of the shape."""
         return self.name
 
-    if TYPE_CHECKING:  # the arguments of `_ByShape.__call__`
+    if TYPE_CHECKING:  # the arguments of `_ToolShapeMeta.__call__`
         def __init__(self, *values: Any, **sizes: Any): ...
 
     @property
@@ -150,7 +150,7 @@ TOOLS: Registry[type[Tool]] = Registry("tool shape", "tissue_sim.tools", {
     expected="a frozen dataclass derived from Tool")
 
 
-class Size(NamedTuple):
+class ToolSize(NamedTuple):
     """A size of one or several shapes of tools.
 
     Attributes:
@@ -164,16 +164,16 @@ class Size(NamedTuple):
     shapes: tuple[str, ...]
 
 
-def tool_sizes() -> dict[str, Size]:
+def tool_sizes() -> dict[str, ToolSize]:
     """Return the sizes of all shapes by their keys in files and on the command line.
 
     Raises:
         InputError: two shapes use one key for different sizes.
     """
-    found: dict[str, Size] = {}
+    found: dict[str, ToolSize] = {}
     for shape, kind in TOOLS.items():
         for name, what in declared(kind).items():
-            first = found.get(what.key, Size(what, name, ()))
+            first = found.get(what.key, ToolSize(what, name, ()))
             if (first.declaration.factor, first.field) != (what.factor, name):
                 raise InputError(f"the shapes {first.shapes[0]} and {shape} use the key {what.key} for different "
                                  "sizes; rename one of them", field="tissue_sim.tools")
@@ -187,12 +187,12 @@ def convert_tool_sizes_to_si(stated: Mapping[str, float]) -> dict[str, float]:
     return {known[key].field: known[key].declaration.factor * value for key, value in stated.items()}
 
 
-def shapes_without_file() -> tuple[str, ...]:
+def list_shapes_without_file() -> tuple[str, ...]:
     """Names of the shapes that are defined by sizes, without a file."""
     return tuple(name for name, kind in TOOLS.items() if not kind.from_file)
 
 
-def read_shape(word: str, folder: Path = Path()) -> tuple[str, Path | None]:
+def parse_shape_name(word: str, folder: Path = Path()) -> tuple[str, Path | None]:
     """Interpret the name of a shape or of a file; a word with a suffix or a folder that is not a shape is a file.
 
     Args:

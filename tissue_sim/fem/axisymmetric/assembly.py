@@ -43,7 +43,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
     """Return the element functions of an element type and a law, to be called in this order for each batch b."""
     ti = initialise()
     element = ELEMENTS[element_name]
-    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    nodes, nb, modes = element.node_count, element.boundary_nodes, element.pressure_modes
     points = element.quadrature[1].size
     has_centre, centre = nodes > nb, nodes - 1
     pairs = nb * (nb + 1) // 2

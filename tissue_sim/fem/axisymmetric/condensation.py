@@ -35,7 +35,7 @@ def condensation_functions(element_name: str) -> CondensationFunctions:
     """Return the condensation functions of an element type."""
     ti = initialise()
     element = ELEMENTS[element_name]
-    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    nodes, nb, modes = element.node_count, element.boundary_nodes, element.pressure_modes
     has_centre, centre = nodes > nb, nodes - 1
     vec = ti.types.vector(LANES, ti.f64)
     s = scratch()

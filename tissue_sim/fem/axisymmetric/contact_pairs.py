@@ -55,7 +55,7 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
 
 def _split_side_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     """Return the edges of the lower and of the upper half of the side."""
-    side = mesh.edges("side")
+    side = mesh.select_edges("side")
     high = mesh.nodes[side, 1].mean(axis=1) > 0.5 * mesh.nodes[:, 1].min()
     return side[~high], side[high]
 
@@ -70,7 +70,7 @@ def _make_base_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None
     mu = friction_coefficient(experiment.base_interface)
     pairs = []
     if experiment.base_interface not in ("bonded", "frictionless"):
-        pairs.append(Pair(plane, mesh.edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True))
+        pairs.append(Pair(plane, mesh.select_edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True))
     if side is not None:
         pairs.append(Pair(plane, side, (mu, mu), moves=False))
     return pairs
@@ -81,7 +81,7 @@ def _make_plate_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | Non
     profile, mu = experiment.tool.profile, friction_coefficient(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":
-        pairs.append(Pair(profile, mesh.edges("top"), (mu, mu), tied=mu == STICK))
+        pairs.append(Pair(profile, mesh.select_edges("top"), (mu, mu), tied=mu == STICK))
     if side is not None:
         pairs.append(Pair(profile, side, (mu, mu)))
     return pairs
@@ -94,8 +94,8 @@ def _make_needle_pairs(experiment: Experiment, mesh: Mesh) -> list[Pair]:
     friction = friction_coefficient(experiment.friction), friction_coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
         blunt = profile.rounding >= BLUNT * experiment.contact_radius and friction[0] != STICK
-        return [Pair(profile, mesh.edges("top"), friction, between_nodes=blunt)]
-    face, free = mesh.edges("face"), mesh.edges("free")
+        return [Pair(profile, mesh.select_edges("top"), friction, between_nodes=blunt)]
+    face, free = mesh.select_edges("face"), mesh.select_edges("free")
     if experiment.friction == "bonded":
         return [Pair(profile, free, friction, first_line=1)]
     # Tissue next to a sharp edge cannot come under the face without slip.

@@ -14,7 +14,7 @@ from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh import Mesh, cylinder_mesh, needle_mesh, structured_mesh, tip_mesh, with_lines
-from tissue_sim.mesh.elements import Q9P1, Element
+from tissue_sim.mesh.elements import Q9P1, QuadrilateralElement
 from tissue_sim.model import Model
 from tissue_sim.specimen.cylinder import Cylinder, require_cylinder
 
@@ -45,7 +45,7 @@ _SETTINGS = MeshSettings()
 _FIXED_COMPONENTS = {"bonded": "rz", "frictionless": "z"}
 
 
-def build_mesh(experiment: Experiment, resolution: str = "fast", element: Element = Q9P1,
+def build_mesh(experiment: Experiment, resolution: str = "fast", element: QuadrilateralElement = Q9P1,
                layers: tuple[Layer, ...] = ()) -> Mesh:
     """Return the mesh of a named resolution.
 
@@ -79,7 +79,8 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Elemen
     return replace(layered, sets={**layered.sets, **top_sets})
 
 
-def _make_unlayered_mesh(experiment: Experiment, resolution: Resolution, element: Element, *, small: bool) -> Mesh:
+def _make_unlayered_mesh(experiment: Experiment, resolution: Resolution, element: QuadrilateralElement, *,
+                         small: bool) -> Mesh:
     """Return the mesh without layers; `small`: four elements, for a homogeneous deformation."""
     specimen, tool = _require_cylinder(experiment), experiment.tool
     if small:
@@ -114,7 +115,7 @@ def _make_unlayered_mesh(experiment: Experiment, resolution: Resolution, element
 def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:
     """Return the mesh of one model with its nodes moved to the geometry of another; the elements stay the same."""
     lines = [_element_boundaries(model) for model in (before, after)]
-    return mesh.moved(*zip(*lines, strict=True))
+    return mesh.move_mesh_lines(*zip(*lines, strict=True))
 
 
 def _element_boundaries(model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -201,7 +202,7 @@ def _settle_as_moulded(model: Model, mesh: Mesh, layers: np.ndarray) -> Axisymme
     height = -float(mesh.nodes[:, 1].min())
     factor = 1.0
     for _ in range(50):
-        moulded = mesh.stretched(factor)
+        moulded = mesh.scale_height(factor)
         solver = AxisymmetricSolver(moulded, model.material, _fixed_components(model.experiment), {},
                                     contact=build_contact(model.experiment, moulded, tool=False), element_layers=layers,
                                     contact_radius=model.experiment.contact_radius)

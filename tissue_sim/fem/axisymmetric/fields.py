@@ -91,7 +91,7 @@ class Fields:
         if name not in FIELD_UNITS:
             raise InputError(f"unknown field {name!r}{nearest(name, FIELD_UNITS)}", field="field")
         if name == "displacement":
-            shapes, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
+            shapes, _ = self.mesh.element.evaluate_shape_functions(self.mesh.element.quadrature[0])
             u = np.einsum("qa,eai->eqi", shapes, self.displacement(sample)[self.mesh.connectivity])
             return np.linalg.norm(u, axis=-1)
         F = self.deformation_gradient(sample)

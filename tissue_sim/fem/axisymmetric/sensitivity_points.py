@@ -50,7 +50,7 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     """
     ti = initialise()
     element = ELEMENTS[element_name]
-    nodes, nb, modes = element.nodes, element.boundary_nodes, element.pressure_modes
+    nodes, nb, modes = element.node_count, element.boundary_nodes, element.pressure_modes
     points = element.quadrature[1].size
     has_centre, centre = nodes > nb, nodes - 1
     coefficients_of_both = 2 * len(energy.coefficients)

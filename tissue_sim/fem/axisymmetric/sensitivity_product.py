@@ -28,7 +28,7 @@ def product_functions(element_name: str) -> ProductFunctions:
     """Return the product functions of an element type."""
     ti = initialise()
     element = ELEMENTS[element_name]
-    nodes, modes = element.nodes, element.pressure_modes
+    nodes, modes = element.node_count, element.pressure_modes
     points = element.quadrature[1].size
     has_centre, centre = nodes > element.boundary_nodes, nodes - 1
     own = condensation_functions(element_name)

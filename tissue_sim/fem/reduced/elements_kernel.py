@@ -30,7 +30,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
     """
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
-    nodes, pressure_modes = element.nodes, element.pressure_modes
+    nodes, pressure_modes = element.node_count, element.pressure_modes
     freedoms = 3 * nodes
     integrate, stiffen = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)

@@ -30,11 +30,11 @@ from tissue_sim.fem.solid.tissue import element_groups, require_regions
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
-from tissue_sim.mesh.stored_file_mesh import file_mesh_arrays, file_mesh_of_arrays
+from tissue_sim.mesh.stored_file_mesh import file_mesh_from_arrays, file_mesh_to_arrays
 from tissue_sim.model import Model
 from tissue_sim.parameters import from_keys, to_keys
 from tissue_sim.specimen.mesh import MeshSpecimen
-from tissue_sim.specimen.specimen import Specimen, specimen_of_keys
+from tissue_sim.specimen.specimen import Specimen, make_specimen_from_keys
 
 #: Version of the file format.
 VERSION = 1
@@ -72,7 +72,7 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
     if (table := reduced.compliance) is not None:
         arrays |= {f"{_COMPLIANCE}{name}": getattr(table, name) for name in _TABLES}
     if isinstance(specimen, MeshSpecimen):
-        arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_arrays(specimen.mesh_of_file).items()}
+        arrays |= {f"{_OF_FILE}{name}": each for name, each in file_mesh_to_arrays(specimen.mesh_of_file).items()}
     stream = io.BytesIO()
     named: dict[str, Any] = {"description": np.array(json.dumps(_describe_reduced_solid(reduced))), **arrays}
     np.savez_compressed(stream, **named)
@@ -173,7 +173,7 @@ def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -
         (nodes.size,), (len(connectivity), element.pressure_modes))
     fits = (all(each.dtype.kind == "f" for each in reals) and (lifting == 12) == (experiment.friction == "bonded")
             and all(each.dtype.kind in "iu" and each.size for each in numbers) and nodes.ndim == connectivity.ndim == 2
-            and nodes.shape[1] == 3 and connectivity.shape[1] == element.nodes
+            and nodes.shape[1] == 3 and connectivity.shape[1] == element.node_count
             and all(each.min() >= 0 and each.max() < len(nodes)
                     for each in (connectivity, *sets.values(), *faces.values()))
             and all(each.ndim == 1 and each.min() >= 0 and each.max() < len(connectivity)
@@ -215,10 +215,10 @@ def _make_experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np
     shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")
     more: dict[str, Any] = {name: stated["weight"][name] for name in (_WEIGHT if "weight" in stated else ())}
     if of_file:
-        more["content"] = file_mesh_of_arrays(of_file, specimen.pop("kind"), str(specimen.pop("digest")))
+        more["content"] = file_mesh_from_arrays(of_file, specimen.pop("kind"), str(specimen.pop("digest")))
     outline = {} if "points" not in tool else {
         "points": tuple((float(r), float(z)) for r, z in tool.pop("points")), "profile_file": tool.pop("profile")}
     return Experiment(
-        specimen_of_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=POINTS),
+        make_specimen_from_keys(shape, specimen, name=name, **more), Protocol.ramp(box.depth, points=POINTS),
         from_keys(kind, tool, "tool", **outline), **{face: stated[face] for face in _FACES},
         approach=None if stated["approach"] is None else from_keys(Approach, stated["approach"], "approach"))

@@ -200,7 +200,7 @@ class ReducedModel:
         """
         stated, moulded = self.model.experiment.specimen, float(np.ptp(self.mesh.nodes[:, 2]))
         placed = self.rest is not None and stated.height_is == "placed"
-        return element_layers(self.mesh.stretched(stated.height / moulded) if placed else self.mesh,
+        return element_layers(self.mesh.scale_height(stated.height / moulded) if placed else self.mesh,
                               self.model.material.layers)
 
     @property
@@ -208,7 +208,7 @@ class ReducedModel:
         """Area mean of the settlement of the top under self-weight, m."""
         if self.rest is None:
             return 0.0
-        return -float(np.average(self.rest.displacement[2::3], weights=self.mesh.areas("top")))
+        return -float(np.average(self.rest.displacement[2::3], weights=self.mesh.compute_node_areas("top")))
 
     def require_material(self, material: Material) -> None:
         """Check that the reduced solid supports a material.

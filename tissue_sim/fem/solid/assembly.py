@@ -16,7 +16,7 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
     It writes the smallest volume ratio J to `least`.
     """
     ti = initialise()
-    nodes = SOLID_ELEMENTS[element_name].nodes
+    nodes = SOLID_ELEMENTS[element_name].node_count
     pairs = nodes * (nodes + 1) // 2
     integrate, stiffen = element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)

@@ -23,7 +23,7 @@ def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         InputError: an element of zero or negative volume.
     """
     points, shares = mesh.element.quadrature
-    values, slopes = mesh.element.shape_functions(points)
+    values, slopes = mesh.element.evaluate_shape_functions(points)
     X = mesh.nodes[mesh.connectivity]
     jacobian = np.einsum("eai,qaj->eqij", X, slopes)
     weights = np.linalg.det(jacobian) * shares
@@ -71,7 +71,7 @@ class ElementBatches:
         if shares is not None:
             self.weights *= shares[:, None]
             modes = modes / np.sqrt(shares)[:, None, None]
-        values, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
+        values, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
         self.volumes = np.bincount(mesh.connectivity.ravel(), np.einsum("eq,qa->ea", self.weights, values).ravel(),
                                    minlength=len(mesh.nodes))
         groups = [np.arange(count)] if groups is None else groups

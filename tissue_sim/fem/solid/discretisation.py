@@ -385,12 +385,12 @@ def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
 
     At the rim of the top only the area of the top counts, at the edge of a flat face only that of the face.
     """
-    areas, top = mesh.areas("side"), mesh.sets["top"]
-    areas[top] = mesh.areas("top")[top]
+    areas, top = mesh.compute_node_areas("side"), mesh.sets["top"]
+    areas[top] = mesh.compute_node_areas("top")[top]
     if experiment.tool.face_radius:
         face = mesh.sets["face"]
         under = mesh.faces["top"][np.isin(mesh.faces["top"], face).all(axis=1)]
-        areas[face] = replace(mesh, faces={"face": under}).areas("face")[face]
+        areas[face] = replace(mesh, faces={"face": under}).compute_node_areas("face")[face]
     return areas
 
 

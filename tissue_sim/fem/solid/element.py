@@ -56,7 +56,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     """Return the functions of an element type and an energy."""
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
-    nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
+    nodes, modes, points = element.node_count, element.pressure_modes, element.quadrature[1].size
     s = scratch(LANES, SCRATCH)
     stress_and_tangent = point.function(energy)
     inverse_root, cofactor = inverse_root_function(), point.cofactor_function()

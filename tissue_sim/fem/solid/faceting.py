@@ -66,7 +66,7 @@ def estimate_faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
     Returns:
         The faceting; None for elements with curved sides, and if no round part of the tool carries most of the force.
     """
-    if len(mesh.element.corners) < mesh.element.nodes or not (contact.pressed & contact.moves).any():
+    if len(mesh.element.corner_nodes) < mesh.element.node_count or not (contact.pressed & contact.moves).any():
         return None
     state, areas = contact.state, contact.areas
     curvature = np.trace(state.curved, axis1=1, axis2=2)

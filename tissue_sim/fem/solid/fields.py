@@ -194,7 +194,7 @@ class SolidFields:
 
     def _interpolate_at_points(self, nodal: np.ndarray) -> np.ndarray:
         """Interpolate nodal vectors, shape (nodes, 3), at the quadrature points, shape (elements, q, 3)."""
-        values, _ = self.mesh.element.shape_functions(self.mesh.element.quadrature[0])
+        values, _ = self.mesh.element.evaluate_shape_functions(self.mesh.element.quadrature[0])
         if self.weights.shape[1] == 1 < len(values):
             values = values.mean(axis=0, keepdims=True)
         return np.einsum("qa,eai->eqi", values, nodal[self.mesh.connectivity])

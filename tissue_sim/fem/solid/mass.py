@@ -21,7 +21,7 @@ def lumped_volumes(mesh: SolidMesh, weights: np.ndarray) -> np.ndarray:
         mesh: undeformed mesh.
         weights: volumes of its quadrature points, m3, shape (elements, q).
     """
-    values, _ = mesh.element.shape_functions(mesh.element.quadrature[0])
+    values, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
     diagonal = weights @ values**2
     diagonal *= (weights.sum(axis=1) / diagonal.sum(axis=1))[:, None]
     return np.bincount(mesh.connectivity.ravel(), diagonal.ravel(), minlength=len(mesh.nodes))

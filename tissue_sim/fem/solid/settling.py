@@ -58,7 +58,7 @@ class Settling(NamedTuple):
                 return None
         carried, stretch = derivatives.carried, np.zeros(m)
         if more:
-            rises = np.average(carried[0][:, 2::3], axis=1, weights=self.mesh.areas("top"))
+            rises = np.average(carried[0][:, 2::3], axis=1, weights=self.mesh.compute_node_areas("top"))
             stretch = -rises[:m] / (rises[m] + float(np.ptp(self.mesh.nodes[:, 2])))
         settled = [each[:m] + np.multiply.outer(stretch, each[m]) if more else each for each in carried]
         return SettlingDerivative(stretch, settled, solver.contact.nodes)
@@ -84,7 +84,7 @@ def settle(stand: Callable[[SolidMesh], SolidSolver], mesh: SolidMesh, specimen:
     height = float(np.ptp(mesh.nodes[:, 2]))
     factor = 1.0
     for _ in range(50):
-        solver = stand(mesh.stretched(factor))
+        solver = stand(mesh.scale_height(factor))
         steps = _apply_weight_in_steps(solver, specimen.specific_weight)
         stands = factor * height - solver.sag
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:

@@ -358,7 +358,7 @@ class SolidSolver(PlacedSolver):
     @property
     def sag(self) -> float:
         """Mean settlement of the top under the weight at the first touch, m."""
-        return -float(np.average(self._rest[0][2::3], weights=self.mesh.areas("top")))
+        return -float(np.average(self._rest[0][2::3], weights=self.mesh.compute_node_areas("top")))
 
     def field_sample(self) -> Sample:
         """Return the data of the last committed state that `fields` needs."""

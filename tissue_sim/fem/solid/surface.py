@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.mesh.solid import SolidMesh
-from tissue_sim.mesh.subdivision import surface_triangles
+from tissue_sim.mesh.subdivision import triangulate_surface_faces
 
 
 class SolidSurface:
@@ -24,7 +24,7 @@ class SolidSurface:
 
     def triangles(self, segments: int = 48) -> tuple[np.ndarray, np.ndarray]:
         """Return vertices, m, shape (v, 3), and triangles, shape (t, 3), with normals that point outwards."""
-        triangles = surface_triangles(self._mesh.element, np.concatenate(list(self._mesh.faces.values())))
+        triangles = triangulate_surface_faces(self._mesh.element, np.concatenate(list(self._mesh.faces.values())))
         numbers, indices = np.unique(triangles, return_inverse=True)
         vertices = self._mesh.nodes[numbers] + self._displacement[numbers] - [0.0, 0.0, self._datum]
         return vertices, indices.reshape(-1, 3)

@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solid.bodies import Body, Nearest, nearest
 from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.mesh.side_points import SidePoints
+from tissue_sim.mesh.side_points import FaceInterpolation
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose
 
@@ -70,7 +70,8 @@ class Touch:
         """
         assert self.place is not None and self.normal is not None
         side = mesh.faces["top"][[self.side]]
-        way = SidePoints(mesh.element, ways[side]).at(np.array([0]), self.place[None, None])[0, 0]
+        face = FaceInterpolation(mesh.element, ways[side])
+        way = face.interpolate_positions(np.array([0]), self.place[None, None])[0, 0]
         return float(way @ self.normal / self.normal[2])
 
 
@@ -97,7 +98,7 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
     top = places[mesh.sets["top"]]
     if "top" not in mesh.faces:
         return Touch(tool.find_touch_datum(top))
-    sides = SidePoints(mesh.element, places[mesh.faces["top"]])
+    sides = FaceInterpolation(mesh.element, places[mesh.faces["top"]])
     datum = tool.find_touch_datum(np.concatenate([top, sides.middles]))
     # Other faces cannot be nearer than the point that was met first.
     reaches = sides.radii + sides.bulges + _SETTINGS.slack * tool.scale
@@ -205,7 +206,7 @@ class _Found:
             horizontal one.
     """
 
-    def __init__(self, sides: SidePoints, near: np.ndarray, tool: _Tool, datum: float):
+    def __init__(self, sides: FaceInterpolation, near: np.ndarray, tool: _Tool, datum: float):
         self._sides, self._tool = sides, tool
         points = sides.lattice[near]
         gaps = tool.gaps(points, datum)
@@ -230,7 +231,7 @@ class _Found:
             first = int(found.argmin())
             if found[first] < self.gap:
                 self.gap, self._side, self._place = float(found[first]), int(searched[first]), place[first]
-                self.point = sides.at(searched[[first]], place[first][None, None])[0, 0]
+                self.point = sides.interpolate_positions(searched[[first]], place[first][None, None])[0, 0]
 
     def touch(self, datum: float) -> Touch:
         """Return the touch at this point.
@@ -238,12 +239,13 @@ class _Found:
         The normal is that of the surface at an edge or a tip of the tool, else that of the tool.
         """
         sharp = self._tool.is_sharp_at(self.point, datum)
-        normal = (self._sides.normal(self._side, self._place) if sharp
+        normal = (self._sides.compute_unit_normal(self._side, self._place) if sharp
                   else -self._tool.normals(self.point[None], datum)[0])
         return Touch(datum, self._side, self._place, normal)
 
 
-def _minimise_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: float) -> tuple[np.ndarray, np.ndarray]:
+def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _Tool, datum: float) -> tuple[np.ndarray,
+                                                                                                      np.ndarray]:
     """Minimise the distances of faces from the tool.
 
     The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
@@ -254,7 +256,8 @@ def _minimise_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: f
     """
     def distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         squares = np.stack([np.broadcast_to(u[..., None], v.shape), v], axis=-1)
-        return tool.gaps(sides.at(numbers, squares.reshape(len(numbers), -1, 2)), datum).reshape(v.shape)
+        positions = sides.interpolate_positions(numbers, squares.reshape(len(numbers), -1, 2))
+        return tool.gaps(positions, datum).reshape(v.shape)
 
     def along(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return _minimise_convex(lambda v: distances(u, v), u.shape, end)

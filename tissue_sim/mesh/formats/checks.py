@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.mesh.formats.content import FACES, OTHER_SOLIDS, SIDES, SOLIDS, Cells, MeshContent
+from tissue_sim.mesh.formats.content import FACES, OTHER_SOLIDS, SIDES, SOLIDS, CellBlock, MeshContent
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class MeshLimits:
 LIMITS = MeshLimits()
 
 
-def solid_cells(content: MeshContent) -> Cells:
+def select_volume_cells(content: MeshContent) -> CellBlock:
     """Return the volume elements of a file, all of one kind.
 
     Raises:
@@ -55,8 +55,8 @@ def solid_cells(content: MeshContent) -> Cells:
     if other is not None:
         raise InputError(f"mixes kinds of elements: element {solids[0].numbers[0]} is a {solids[0].kind}, element "
                          f"{other.numbers[0]} a {other.kind}; export elements of one kind")
-    cells = Cells(solids[0].kind, np.concatenate([block.nodes for block in solids]),
-                  np.concatenate([block.numbers for block in solids]))
+    cells = CellBlock(solids[0].kind, np.concatenate([block.nodes for block in solids]),
+                      np.concatenate([block.numbers for block in solids]))
     if len(cells.nodes) > LIMITS.most_elements or len(content.points) > LIMITS.most_nodes:
         raise InputError(f"must have at most {LIMITS.most_elements} elements and {LIMITS.most_nodes} nodes; got "
                          f"{len(cells.nodes)} and {len(content.points)}. Use a coarser mesh")
@@ -71,7 +71,7 @@ def solid_cells(content: MeshContent) -> Cells:
     return cells
 
 
-def require_size(points: np.ndarray, unit: str) -> None:
+def require_specimen_size(points: np.ndarray, unit: str) -> None:
     """Require a mesh of the size of a specimen.
 
     Args:
@@ -88,7 +88,7 @@ def require_size(points: np.ndarray, unit: str) -> None:
                          "--mesh-unit)")
 
 
-def require_sound(cells: Cells, points: np.ndarray, point_numbers: np.ndarray) -> None:
+def require_valid_mesh(cells: CellBlock, points: np.ndarray, point_numbers: np.ndarray) -> None:
     """Require a valid mesh: no degenerate, inverted or duplicate elements, no unused nodes, one connected body.
 
     Args:
@@ -100,10 +100,10 @@ def require_sound(cells: Cells, points: np.ndarray, point_numbers: np.ndarray) -
         InputError: the mesh is invalid; the error states the first fault with the number of an element or node in the
             file.
     """
-    numbers, corners = cells.numbers, np.sort(cells.corners, axis=1)
+    numbers, corners = cells.numbers, np.sort(cells.corner_nodes, axis=1)
     everything = np.sort(cells.nodes, axis=1)
     if (twice := (np.diff(everything, axis=1) == 0).any(axis=1)).any():
-        raise InputError(f"element {numbers[np.argmax(twice)]} is degenerate: it has a node twice")
+        raise InputError(f"element {numbers[np.argmax(twice)]} is degenerate: it has a node twice; remove this element")
     _, first, inverse, times = np.unique(corners, axis=0, return_index=True, return_inverse=True, return_counts=True)
     if (times > 1).any():
         again = int(np.flatnonzero(first[inverse.ravel()] != np.arange(len(corners)))[0])
@@ -114,12 +114,12 @@ def require_sound(cells: Cells, points: np.ndarray, point_numbers: np.ndarray) -
     if not used.all():
         raise InputError(f"node {point_numbers[np.argmin(used)]} belongs to no element of the volume; export only "
                          "nodes of elements")
-    _require_distinct(points, point_numbers)
-    _require_volume(cells, points)
-    _require_one_body(cells)
+    _require_distinct_elements(points, point_numbers)
+    _require_positive_volumes(cells, points)
+    _require_connected_body(cells)
 
 
-def _require_distinct(points: np.ndarray, point_numbers: np.ndarray) -> None:
+def _require_distinct_elements(points: np.ndarray, point_numbers: np.ndarray) -> None:
     from scipy.spatial import cKDTree
 
     tree = cKDTree(points)
@@ -133,10 +133,10 @@ def _require_distinct(points: np.ndarray, point_numbers: np.ndarray) -> None:
                          "coincident nodes")
 
 
-def _require_volume(cells: Cells, points: np.ndarray) -> None:
+def _require_positive_volumes(cells: CellBlock, points: np.ndarray) -> None:
     """Require positive volumes of the straight elements between the corners; curved elements are checked later."""
-    corners = points[cells.corners]
-    if cells.shape == "tetra":
+    corners = points[cells.corner_nodes]
+    if cells.cell_shape == "tetra":
         volumes = np.linalg.det(corners[:, 1:] - corners[:, :1])[:, None] / 6.0
     else:
         # The determinant of the three edges at each corner.
@@ -146,7 +146,8 @@ def _require_volume(cells: Cells, points: np.ndarray) -> None:
     least, size = volumes.min(axis=1), np.ptp(corners, axis=1).max(axis=1) ** 3
     flat = np.abs(volumes).min(axis=1) <= LIMITS.flat * size
     if flat.any():
-        raise InputError(f"element {cells.numbers[np.argmax(flat)]} is degenerate: it has no volume")
+        raise InputError(f"element {cells.numbers[np.argmax(flat)]} is degenerate: it has no volume; "
+                         "remove this element, or correct its nodes")
     if (least < 0.0).all():
         raise InputError(f"all elements are turned inside out, element {cells.numbers[0]} the first; the mesh is "
                          "mirrored, or its nodes are numbered in the wrong orientation")
@@ -154,12 +155,12 @@ def _require_volume(cells: Cells, points: np.ndarray) -> None:
         raise InputError(f"element {cells.numbers[np.argmin(least)]} is turned inside out")
 
 
-def _require_one_body(cells: Cells) -> None:
+def _require_connected_body(cells: CellBlock) -> None:
     from scipy import sparse
     from scipy.sparse.csgraph import connected_components
 
-    sides = np.array(SIDES[cells.shape])
-    keys = np.sort(cells.corners[:, sides], axis=-1).reshape(-1, sides.shape[1])
+    sides = np.array(SIDES[cells.cell_shape])
+    keys = np.sort(cells.corner_nodes[:, sides], axis=-1).reshape(-1, sides.shape[1])
     owners = np.repeat(np.arange(len(cells.nodes)), len(sides))
     _, inverse, times = np.unique(keys, axis=0, return_inverse=True, return_counts=True)
     inverse = inverse.ravel()
@@ -179,7 +180,7 @@ def _require_one_body(cells: Cells) -> None:
                          "coincident nodes, or export one part")
     outer_owners = owners[times[inverse] == 1]
     # Corners in circumferential order, which the sorted keys do not have.
-    loops = cells.corners[:, sides].reshape(-1, sides.shape[1])[times[inverse] == 1]
+    loops = cells.corner_nodes[:, sides].reshape(-1, sides.shape[1])[times[inverse] == 1]
     edges = np.sort(np.stack([loops, np.roll(loops, -1, axis=1)], axis=-1), axis=-1).reshape(-1, 2)
     _, edge, shared = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     wrong = shared[edge.ravel()] != 2

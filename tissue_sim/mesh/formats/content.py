@@ -19,7 +19,7 @@ FACES = {"triangle": 3, "triangle6": 6, "triangle7": 7, "quad": 4, "quad8": 8, "
 OTHER_SOLIDS = ("wedge", "pyramid", "tetra", "hexahedron", "voxel", "polyhedron")
 
 
-class Cells(NamedTuple):
+class CellBlock(NamedTuple):
     """Elements of one kind in a mesh file.
 
     Attributes:
@@ -33,14 +33,14 @@ class Cells(NamedTuple):
     numbers: np.ndarray
 
     @property
-    def shape(self) -> str:
+    def cell_shape(self) -> str:
         """Shape of the elements, for volume elements ``tetra`` or ``hexahedron``."""
         return self.kind.rstrip("0123456789")
 
     @property
-    def corners(self) -> np.ndarray:
+    def corner_nodes(self) -> np.ndarray:
         """Corners of each element in the order of VTK, shape (m, corners)."""
-        count = {"tetra": 4, "hexahedron": 8, "triangle": 3, "quad": 4}[self.shape]
+        count = {"tetra": 4, "hexahedron": 8, "triangle": 3, "quad": 4}[self.cell_shape]
         return self.nodes[:, :count]
 
 
@@ -60,7 +60,7 @@ class MeshContent:
 
     points: np.ndarray
     point_numbers: np.ndarray
-    cells: list[Cells]
+    cells: list[CellBlock]
     point_sets: dict[str, np.ndarray] = field(default_factory=dict)
     cell_sets: dict[str, list[np.ndarray]] = field(default_factory=dict)
     side_sets: dict[str, np.ndarray] = field(default_factory=dict)

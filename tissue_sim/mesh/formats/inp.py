@@ -15,7 +15,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.mesh.formats.content import FACES, SOLIDS, Cells, MeshContent
+from tissue_sim.mesh.formats.content import FACES, SOLIDS, CellBlock, MeshContent
 
 #: Description of the expected file for messages.
 _EXPECTED = "a mesh of Abaqus or CalculiX"
@@ -38,7 +38,7 @@ _SIDE = re.compile(r"S(\d)")
 _MAX_GENERATED = 10_000_000
 
 
-class _Keyword:
+class _KeywordBlock:
     """Keyword line (``*NAME, OPTION=VALUE``) with its data lines.
 
     Attributes:
@@ -55,8 +55,8 @@ class _Keyword:
         self.options = {key.strip().upper(): value.strip().strip('"')
                         for key, _, value in (option.partition("=") for option in options if option)}
 
-    def integers(self) -> np.ndarray:
-        """Return all data as integers.
+    def parse_integers(self) -> np.ndarray:
+        """Return all data of the keyword as one array of integers.
 
         Raises:
             InputError: a word is not an integer.
@@ -68,9 +68,9 @@ class _Keyword:
             raise InputError(f"the data of *{self.name} must be integers", line=self.line) from None
 
 
-def _iterate_keywords(text: str) -> Iterator[_Keyword]:
+def _iterate_keywords(text: str) -> Iterator[_KeywordBlock]:
     """Yield the keywords of a file with their data lines; comments are skipped."""
-    current: _Keyword | None = None
+    current: _KeywordBlock | None = None
     waiting = ""
     for number, raw in enumerate(text.splitlines(), start=1):
         line = raw.strip()
@@ -82,7 +82,7 @@ def _iterate_keywords(text: str) -> Iterator[_Keyword]:
                 continue
             if current is not None:
                 yield current
-            current, waiting = _Keyword(number, waiting), ""
+            current, waiting = _KeywordBlock(number, waiting), ""
         elif current is None:
             raise InputError(f"the file must begin with a keyword such as *NODE; expected {_EXPECTED}", line=number)
         else:
@@ -102,7 +102,7 @@ def read_inp(path: Path, largest: int) -> MeshContent:
         InputError: the file is invalid; the error states the line.
     """
     text, _ = decode_text(read_bytes(path, _EXPECTED, largest), path, _EXPECTED)
-    reader = _Reader()
+    reader = _InpReader()
     for keyword in _iterate_keywords(text):
         if keyword.name == "INCLUDE":
             raise InputError("*INCLUDE is not supported; write the whole mesh into one file", line=keyword.line)
@@ -112,11 +112,11 @@ def read_inp(path: Path, largest: int) -> MeshContent:
         read = getattr(reader, f"read_{keyword.name.lower()}", None)
         if read is not None:
             read(keyword)
-    return reader.content()
+    return reader.build_content()
 
 
-class _Reader:
-    """Collect nodes, elements, sets and surfaces; a method ``read_NAME`` reads the keyword ``*NAME``."""
+class _InpReader:
+    """Collect nodes, elements, sets and surfaces of a file; a method ``read_NAME`` reads the keyword ``*NAME``."""
 
     def __init__(self) -> None:
         self._numbers: list[np.ndarray] = []
@@ -126,7 +126,7 @@ class _Reader:
         self._element_sets: dict[str, np.ndarray] = {}
         self._surfaces: dict[str, list[tuple[np.ndarray, int]]] = {}
 
-    def read_node(self, keyword: _Keyword) -> None:
+    def read_node(self, keyword: _KeywordBlock) -> None:
         try:
             rows = [(int(row[0]), *(float(word or 0.0) for word in (row[1:4] + ["0"] * 3)[:3])) for row in keyword.rows]
         except (ValueError, IndexError, OverflowError):
@@ -135,9 +135,9 @@ class _Reader:
         self._numbers.append(np.array([row[0] for row in rows], dtype=np.int64))
         self._points.append(table[:, 1:])
         if "NSET" in keyword.options:
-            self._add(self._node_sets, keyword.options["NSET"], self._numbers[-1])
+            self._extend_set(self._node_sets, keyword.options["NSET"], self._numbers[-1])
 
-    def read_element(self, keyword: _Keyword) -> None:
+    def read_element(self, keyword: _KeywordBlock) -> None:
         name = keyword.options.get("TYPE", "").upper()
         solid, face = _SOLID.match(name), _FACE.match(name)
         kind = (_SOLID_KINDS.get(int(solid[1])) if solid else _FACE_KINDS.get(int(face[1])) if face else None)
@@ -146,7 +146,7 @@ class _Reader:
                 raise InputError(f"elements must have the type C3D4, C3D10, C3D8, C3D20 or C3D27; got {name}",
                                  line=keyword.line)
             return  # ignored types such as bars and springs
-        data = keyword.integers()
+        data = keyword.parse_integers()
         if data.size % (_NODES[kind] + 1):
             raise InputError(f"an element in *ELEMENT must be its number and {_NODES[kind]} nodes for the type {name}",
                              line=keyword.line)
@@ -155,15 +155,15 @@ class _Reader:
             table = table[:, [0, *(1 + index for index in _ORDER_27)]]
         self._blocks.append((kind, table))
         if "ELSET" in keyword.options:
-            self._add(self._element_sets, keyword.options["ELSET"], table[:, 0])
+            self._extend_set(self._element_sets, keyword.options["ELSET"], table[:, 0])
 
-    def read_nset(self, keyword: _Keyword) -> None:
+    def read_nset(self, keyword: _KeywordBlock) -> None:
         self._read_set(keyword, self._node_sets, "NSET")
 
-    def read_elset(self, keyword: _Keyword) -> None:
+    def read_elset(self, keyword: _KeywordBlock) -> None:
         self._read_set(keyword, self._element_sets, "ELSET")
 
-    def read_surface(self, keyword: _Keyword) -> None:
+    def read_surface(self, keyword: _KeywordBlock) -> None:
         name, kind = keyword.options.get("NAME", ""), keyword.options.get("TYPE", "ELEMENT").upper()
         sides = self._surfaces.setdefault(name.upper(), [])
         for row in keyword.rows if kind == "ELEMENT" else []:
@@ -174,9 +174,9 @@ class _Reader:
         for row in keyword.rows if kind == "NODE" else []:
             numbers = (np.array([int(row[0])]) if row[0].isdigit()
                        else self._require_known_set(self._node_sets, row[0], keyword))
-            self._add(self._node_sets, name, numbers)
+            self._extend_set(self._node_sets, name, numbers)
 
-    def _read_set(self, keyword: _Keyword, sets: dict[str, np.ndarray], option: str) -> None:
+    def _read_set(self, keyword: _KeywordBlock, sets: dict[str, np.ndarray], option: str) -> None:
         name = keyword.options.get(option, "")
         if "GENERATE" in keyword.options:
             for row in keyword.rows:
@@ -187,48 +187,50 @@ class _Reader:
                 if step < 1 or (last - first) // step > _MAX_GENERATED:
                     raise InputError(f"a generated set must have a step of at least 1 and at most {_MAX_GENERATED} "
                                      "members", line=keyword.line)
-                self._add(sets, name, np.arange(first, last + 1, step))
+                self._extend_set(sets, name, np.arange(first, last + 1, step))
             return
         words = [word for row in keyword.rows for word in row if word]
-        self._add(sets, name, np.array([int(word) for word in words if word.isdigit()], dtype=np.int64))
+        self._extend_set(sets, name, np.array([int(word) for word in words if word.isdigit()], dtype=np.int64))
         for word in words:
             if not word.isdigit():
-                self._add(sets, name, self._require_known_set(sets, word, keyword))
+                self._extend_set(sets, name, self._require_known_set(sets, word, keyword))
 
     @staticmethod
-    def _require_known_set(sets: dict[str, np.ndarray], name: str, keyword: _Keyword) -> np.ndarray:
+    def _require_known_set(sets: dict[str, np.ndarray], name: str, keyword: _KeywordBlock) -> np.ndarray:
         if name.upper() not in sets:
             raise InputError(f"*{keyword.name} names the set {name!r}, which is not defined before this line",
                              line=keyword.line)
         return sets[name.upper()]
 
     @staticmethod
-    def _add(sets: dict[str, np.ndarray], name: str, numbers: np.ndarray) -> None:
+    def _extend_set(sets: dict[str, np.ndarray], name: str, numbers: np.ndarray) -> None:
         sets[name.upper()] = np.concatenate([sets.get(name.upper(), np.zeros(0, dtype=np.int64)), numbers])
 
-    def content(self) -> MeshContent:
-        """Return the content of the file, with indices instead of numbers."""
-        nodes = _Index(self._numbers, "node")
+    def build_content(self) -> MeshContent:
+        """Return the content of the file; nodes and elements are referred to by index from 0 instead of by number."""
+        nodes = _NumberToIndexMap(self._numbers, "node")
         points = np.concatenate(self._points) if self._points else np.zeros((0, 3))
-        elements = _Index([table[:, 0] for _, table in self._blocks], "element")
-        cells = [Cells(kind, nodes.indices(table[:, 1:], table[:, 0]), table[:, 0]) for kind, table in self._blocks]
+        elements = _NumberToIndexMap([table[:, 0] for _, table in self._blocks], "element")
+        cells = [CellBlock(kind, nodes.find_indices(table[:, 1:], table[:, 0]), table[:, 0])
+                 for kind, table in self._blocks]
         starts = np.cumsum([0, *(len(block.numbers) for block in cells)])
 
-        def by_block(numbers: np.ndarray) -> list[np.ndarray]:
+        def split_by_block(numbers: np.ndarray) -> list[np.ndarray]:
             indices = np.sort(elements.find_known_indices(np.unique(numbers)))
             return [indices[(indices >= first) & (indices < last)] - first
                     for first, last in pairwise(starts.tolist())]
 
         sides = {name: np.array([(block, index, side) for numbers, side in rows
-                                 for block, indices in enumerate(by_block(numbers)) for index in indices.tolist()],
+                                 for block, indices in enumerate(split_by_block(numbers))
+                                 for index in indices.tolist()],
                                 dtype=np.intp).reshape(-1, 3) for name, rows in self._surfaces.items() if rows}
         return MeshContent(points, nodes.numbers, cells,
                            {name: nodes.find_known_indices(np.unique(numbers))
                             for name, numbers in self._node_sets.items()},
-                           {name: by_block(numbers) for name, numbers in self._element_sets.items()}, sides)
+                           {name: split_by_block(numbers) for name, numbers in self._element_sets.items()}, sides)
 
 
-class _Index:
+class _NumberToIndexMap:
     """Map from numbers of nodes or elements to their indices in the order of the file.
 
     Args:
@@ -246,7 +248,7 @@ class _Index:
         if (twice := self._sorted[1:][np.diff(self._sorted) == 0]).size:
             raise InputError(f"{noun} {twice[0]} is stated twice; numbers must be unique")
 
-    def _look_up(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _look_up_index(self, numbers: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if not self._sorted.size:
             return np.zeros(numbers.shape, dtype=np.intp), np.zeros(numbers.shape, dtype=bool)
         at = np.minimum(np.searchsorted(self._sorted, numbers), self._sorted.size - 1)
@@ -254,10 +256,10 @@ class _Index:
 
     def find_known_indices(self, numbers: np.ndarray) -> np.ndarray:
         """Return the indices of the numbers that exist in the file."""
-        indices, exists = self._look_up(numbers)
+        indices, exists = self._look_up_index(numbers)
         return indices[exists]
 
-    def indices(self, numbers: np.ndarray, owners: np.ndarray) -> np.ndarray:
+    def find_indices(self, numbers: np.ndarray, owners: np.ndarray) -> np.ndarray:
         """Return the indices of all numbers.
 
         Args:
@@ -267,7 +269,7 @@ class _Index:
         Raises:
             InputError: a number does not exist in the file.
         """
-        indices, exists = self._look_up(numbers)
+        indices, exists = self._look_up_index(numbers)
         if not exists.all():
             row, column = np.argwhere(~exists)[0]
             raise InputError(f"element {owners[row]} has the {self._noun} {numbers[row, column]}, which is not in the "

@@ -12,7 +12,7 @@ import numpy as np
 from tissue_sim.bounded import exclude_cpu_time
 from tissue_sim.errors import InputError
 from tissue_sim.files import open_file
-from tissue_sim.mesh.formats.content import Cells, MeshContent
+from tissue_sim.mesh.formats.content import CellBlock, MeshContent
 
 #: File name extension -> module of meshio, and number of the first node or element in this format.
 _MODULES = {".msh": ("gmsh", 1), ".vtu": ("vtu", 0), ".vtk": ("vtk", 0)}
@@ -55,7 +55,7 @@ def read_through_meshio(path: Path, largest: int) -> MeshContent:
     except BaseException as error:  # meshio may raise any exception for a damaged file, including SystemExit
         reason = str(error) or type(error).__name__
         raise InputError(f"cannot be read as a mesh of the format {path.suffix!r}: {reason}", file=path) from None
-    numbers, point_numbers = _read_numbers(path, largest) if module == "gmsh" else ({}, None)
+    numbers, point_numbers = _read_gmsh_numbers(path, largest) if module == "gmsh" else ({}, None)
     return _convert_mesh(mesh, first, numbers, point_numbers)
 
 
@@ -76,14 +76,14 @@ def _convert_mesh(mesh: Any, first: int, known: dict[str, np.ndarray], point_num
         if of_kind is not None and used[block.type] + len(data) <= len(of_kind):
             numbers = of_kind[used[block.type] : used[block.type] + len(data)]
             used[block.type] += len(data)
-        cells.append(Cells(block.type, data.astype(np.intp), numbers))
+        cells.append(CellBlock(block.type, data.astype(np.intp), numbers))
         start += len(data)
     if point_numbers is None or len(point_numbers) != len(points):
         point_numbers = np.arange(first, first + len(points))
-    return MeshContent(points, point_numbers, cells, _point_sets(mesh), _collect_cell_sets(mesh, cells))
+    return MeshContent(points, point_numbers, cells, _collect_point_sets(mesh), _collect_cell_sets(mesh, cells))
 
 
-def _point_sets(mesh: Any) -> dict[str, np.ndarray]:
+def _collect_point_sets(mesh: Any) -> dict[str, np.ndarray]:
     sets = {str(name): np.asarray(members, dtype=np.intp).ravel() for name, members in (mesh.point_sets or {}).items()}
     for name, values in (mesh.point_data or {}).items():
         values = np.asarray(values)
@@ -92,7 +92,7 @@ def _point_sets(mesh: Any) -> dict[str, np.ndarray]:
     return sets
 
 
-def _collect_cell_sets(mesh: Any, cells: list[Cells]) -> dict[str, list[np.ndarray]]:
+def _collect_cell_sets(mesh: Any, cells: list[CellBlock]) -> dict[str, list[np.ndarray]]:
     sets: dict[str, list[np.ndarray]] = {}
     for name, blocks in (mesh.cell_sets or {}).items():
         if name not in _IGNORED and len(blocks) == len(cells):
@@ -128,7 +128,7 @@ def _find_set_values(name: str, values: np.ndarray) -> list[tuple[str, float]]:
     return [(f"{name}:{int(value)}", float(value)) for value in found]
 
 
-def _read_numbers(path: Path, largest: int) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+def _read_gmsh_numbers(path: Path, largest: int) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
     """Read the numbers of elements and nodes in a text file of Gmsh, which meshio discards.
 
     Returns:

@@ -20,8 +20,8 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import read_bytes
-from tissue_sim.recording.formats.afm_curve import build_curve_recording, tip_radius
-from tissue_sim.recording.formats.extra import require
+from tissue_sim.recording.formats.afm_curve import build_curve_recording, read_tip_radius
+from tissue_sim.recording.formats.extra import import_optional_package
 from tissue_sim.recording.recording import Recording
 
 #: Expected content of the file, for messages.
@@ -60,19 +60,19 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
         raise InputError(f"must be a whole number from 1; got {curve!r}. Give the number of a curve.", file=path,
                          field="curve")
     read_bytes(path, _EXPECTED)
-    afmformats = require("afmformats", path)
+    afmformats = import_optional_package("afmformats", path)
     overrides = {key: value for key, value in (("spring constant", spring_constant), ("sensitivity", sensitivity))
               if value is not None}
     recordings = []
-    with _curve_files(path, afmformats.supported_extensions) as members:
+    with _extract_curve_files(path, afmformats.supported_extensions) as members:
         number = 0
         for member in members:
             curves = _load_curves(afmformats, member, path, overrides)
             for each in curves:
                 number += 1
                 if curve in (None, number):
-                    with _as_input_errors(path, f"curve {number}"):
-                        recording = build_curve_recording(each, number, overrides, tip_radius(member))
+                    with _convert_to_input_errors(path, f"curve {number}"):
+                        recording = build_curve_recording(each, number, overrides, read_tip_radius(member))
                     recordings.append(recording if member == path else recording.with_metadata(member=member.name))
             if curve is not None and number >= curve:
                 break
@@ -83,7 +83,7 @@ def read_afm(path: str | Path, *, curve: int | None = None, spring_constant: flo
 
 
 @contextmanager
-def _curve_files(path: Path, suffixes: list[str]) -> Iterator[list[Path]]:
+def _extract_curve_files(path: Path, suffixes: list[str]) -> Iterator[list[Path]]:
     """Yield the paths of the files with curves: the file itself, or the files of a zip in a temporary folder."""
     if path.suffix.lower() != ".zip":
         yield [path]
@@ -107,7 +107,7 @@ def _curve_files(path: Path, suffixes: list[str]) -> Iterator[list[Path]]:
             # The path of a member may lead outside of the folder (path traversal): only the last part is used.
             member = Path(folder, str(number), PurePosixPath(name).name)
             member.parent.mkdir()
-            with _as_input_errors(path, name):
+            with _convert_to_input_errors(path, name):
                 member.write_bytes(archive.read(name))
             members.append(member)
         yield members
@@ -126,7 +126,7 @@ def _load_curves(afmformats: Any, member: Path, path: Path, overrides: Mapping[s
     if member.suffix not in afmformats.supported_extensions:
         raise InputError(f"the name ends in {member.suffix!r}, expected {_EXPECTED}, which ends in "
                          f"{', '.join(afmformats.supported_extensions)}", file=path)
-    with _as_input_errors(path, member_name):
+    with _convert_to_input_errors(path, member_name):
         try:
             return afmformats.load_data(member)
         except afmformats.errors.MissingMetaDataError as error:
@@ -137,7 +137,7 @@ def _load_curves(afmformats: Any, member: Path, path: Path, overrides: Mapping[s
 
 
 @contextmanager
-def _as_input_errors(path: Path, member_name: str) -> Iterator[None]:
+def _convert_to_input_errors(path: Path, member_name: str) -> Iterator[None]:
     """Convert every error of afmformats to an `InputError` of one sentence; suppress its warnings and its log."""
     logger = logging.getLogger("afmformats")
     level = logger.level

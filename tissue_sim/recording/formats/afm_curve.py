@@ -48,21 +48,21 @@ def build_curve_recording(curve: Any, number: int, overrides: Mapping[str, float
         InputError: no height or force, too few samples, a value that is not finite, or a stated number that
             contradicts the file's.
     """
-    metadata = _build_metadata(curve, number, overrides or {}, tip_radius)
-    force = _read_column(curve, "force")
-    height, what = _read_height(curve, force, metadata.get("spring_constant_N_per_m"))
-    segments = _label_segments(curve, height)
-    zero, contact = _find_contact(force, segments == "approach")
+    metadata = _build_curve_metadata(curve, number, overrides or {}, tip_radius)
+    force = _read_curve_column(curve, "force")
+    height, what = _read_height_and_source(curve, force, metadata.get("spring_constant_N_per_m"))
+    segments = _label_curve_segments(curve, height)
+    zero, contact = _find_force_in_air_and_contact(force, segments == "approach")
     channels = {"displacement": height[contact] - height, "force": force - zero}
     if "time" in curve:
-        channels = {"time": _read_column(curve, "time"), **channels}
+        channels = {"time": _read_curve_column(curve, "time"), **channels}
     metadata |= {"displacement": what, "zeroing": {
         "force_N": float(zero), "height_m": float(height[contact]), "contact_sample": int(contact),
         "rule": "deviation from baseline: force within twice the largest deviation in the first tenth of the approach"}}
     return Recording(channels, {"segment": segments}, metadata)
 
 
-def tip_radius(path: Path) -> float | None:
+def read_tip_radius(path: Path) -> float | None:
     """Return the radius of the sphere, m, in a text file of a Chiaro, which afmformats omits; None: not stated."""
     if path.suffix != ".txt":
         return None
@@ -76,7 +76,7 @@ def tip_radius(path: Path) -> float | None:
     return None
 
 
-def _read_column(curve: Any, name: str) -> np.ndarray:
+def _read_curve_column(curve: Any, name: str) -> np.ndarray:
     """Return a column of a curve, SI units, shape (n,).
 
     Raises:
@@ -93,21 +93,21 @@ def _read_column(curve: Any, name: str) -> np.ndarray:
     return values
 
 
-def _read_height(curve: Any, force: np.ndarray, spring_constant: float | None) -> tuple[np.ndarray, str]:
+def _read_height_and_source(curve: Any, force: np.ndarray, spring_constant: float | None) -> tuple[np.ndarray, str]:
     """Return the height above an arbitrary level, m, shape (n,), and its source in words.
 
     The height is that of the tip or, without a spring constant, that of the piezo.
     """
     if "tip position" in curve:
-        return _read_column(curve, "tip position"), "tip"
-    height = _read_column(curve, next((name for name in ("height (measured)", "height (piezo)") if name in curve),
+        return _read_curve_column(curve, "tip position"), "tip"
+    height = _read_curve_column(curve, next((name for name in ("height (measured)", "height (piezo)") if name in curve),
                                  "height (measured)"))
     if spring_constant is None:
         return height, "piezo: the file has no spring constant, so the deflection of the cantilever is in it"
     return height + force / spring_constant, "tip"
 
 
-def _label_segments(curve: Any, height: np.ndarray) -> np.ndarray:
+def _label_curve_segments(curve: Any, height: np.ndarray) -> np.ndarray:
     """Return the name of the segment of each sample, shape (n,)."""
     numbers, names = np.asarray(curve["segment"], int), SEGMENTS_OF_MODALITY[curve.modality]
     if numbers.max() == numbers.min():
@@ -119,19 +119,19 @@ def _label_segments(curve: Any, height: np.ndarray) -> np.ndarray:
     return np.array(names)[numbers]
 
 
-def _find_contact(force: np.ndarray, approach: np.ndarray) -> tuple[float, int]:
+def _find_force_in_air_and_contact(force: np.ndarray, approach: np.ndarray) -> tuple[float, int]:
     """Return the force in air, N, and the index of the sample at contact."""
     samples = np.flatnonzero(approach)
     if not samples.size:
-        raise InputError("has no approach, which is required to find the contact")
+        raise InputError("has no approach segment, which is required to find the contact; export this segment too")
     baseline = force[samples[:max(MIN_POINTS, round(BASELINE_FRACTION * samples.size))]]
     zero = baseline.mean()
     inside = force[samples] - zero <= 2.0 * abs(baseline - zero).max()
     return zero, samples[np.flatnonzero(inside)[-1]]
 
 
-def _build_metadata(curve: Any, number: int, overrides: Mapping[str, float], tip_radius: float | None
-                    ) -> dict[str, Any]:
+def _build_curve_metadata(curve: Any, number: int, overrides: Mapping[str, float], tip_radius: float | None
+                          ) -> dict[str, Any]:
     """Return the metadata of a recording; see `build_curve_recording`."""
     found: dict[str, Any] = {"format": "afm", "curve": number}
     known = dict(curve.metadata.items())

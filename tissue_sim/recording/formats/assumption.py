@@ -10,8 +10,8 @@ MODULUS_TOLERANCE = 0.05
 
 
 @dataclass(frozen=True)
-class Alternative:
-    """Another value that the evidence does not exclude.
+class AlternativeValue:
+    """Another value of an assumption that the evidence in the file does not exclude.
 
     Attributes:
         value: in words, as `Assumption.value`.
@@ -51,17 +51,17 @@ class Assumption:
     value: str
     evidence: tuple[str, ...] = ()
     against: tuple[str, ...] = ()
-    alternatives: tuple[Alternative, ...] = ()
+    alternatives: tuple[AlternativeValue, ...] = ()
     flag: str = ""
     is_stated: bool = False
 
     @property
-    def is_question(self) -> bool:
+    def needs_user_decision(self) -> bool:
         """Whether the user must decide: an alternative fits as well and changes the modulus."""
         return not self.is_stated and any(each.changes_modulus for each in self.alternatives)
 
     @property
-    def question(self) -> str:
+    def question_text(self) -> str:
         """The question in one sentence, with the flags that decide it."""
         choices = [(self.value, self.flag), *((each.value, each.flag) for each in self.alternatives)]
         listed = " or ".join(f"{value} ({flag})" if flag else value for value, flag in choices)
@@ -72,6 +72,6 @@ class Assumption:
         """JSON object with the fields of this assumption and ``is_question``."""
         return {"subject": self.subject, "value": self.value, "evidence": list(self.evidence),
                 "against": list(self.against), "flag": self.flag, "is_stated": self.is_stated,
-                "is_question": self.is_question,
+                "is_question": self.needs_user_decision,
                 "alternatives": [{"value": each.value, "modulus_ratio": each.modulus_ratio, "flag": each.flag}
                                  for each in self.alternatives]}

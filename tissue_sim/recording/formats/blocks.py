@@ -8,14 +8,14 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tissue_sim.recording.formats.header import (
-    find_first_numbers,
+    find_first_numeric_row,
     find_header,
     find_matching_cells,
-    find_repeated_names,
+    find_repeated_column_positions,
 )
 from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.formats.size_words import classify_size_name
-from tissue_sim.recording.formats.table import Row, Table
+from tissue_sim.recording.formats.table import Table, TableRow
 from tissue_sim.units import known_unit, loose_header
 
 #: A word: two letters or more.
@@ -43,8 +43,8 @@ _SETTINGS = BlockSettings()
 
 
 @dataclass(frozen=True)
-class Block:
-    """One table of numbers.
+class NumberBlock:
+    """One table of numbers below a header row.
 
     Attributes:
         header: row of names; without names the first row of numbers.
@@ -54,19 +54,19 @@ class Block:
         below: whether the block is below another block in the same columns.
     """
 
-    header: Row
-    units: Row | None
-    rows: tuple[Row, ...]
+    header: TableRow
+    units: TableRow | None
+    rows: tuple[TableRow, ...]
     places: tuple[int, ...]
     below: bool = False
 
-    def unit(self, place: int) -> str | None:
-        """Return the unit of a column (from 0) in the row of units; None without a unit."""
+    def get_column_unit(self, place: int) -> str | None:
+        """Return the unit of a column, numbered from 0, in the row of units; None without a known unit."""
         return None if self.units is None or place >= len(self.units.cells) else known_unit(self.units.cells[place])
 
 
-def find_named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Sequence[int] = (),
-                 file: Path) -> tuple[Table, list[Block]]:
+def find_blocks_by_column_names(tables: Iterable[Table], names: Sequence[str], *, also: Sequence[int] = (),
+                 file: Path) -> tuple[Table, list[NumberBlock]]:
     """Return the first table with a row that has all names, and its blocks.
 
     Each such row starts one block for each repetition of the names. A block ends before the first row of text. A row of
@@ -84,20 +84,21 @@ def find_named_blocks(tables: Iterable[Table], names: Sequence[str], *, also: Se
     table, header, below = find_header(tables, names, file=file)
     # A row of names has no number in the first column: this test excludes most rows fast.
     place = find_matching_cells(header.cells, names[0])[0]
-    headers = [header, *(row for row in below if not _count_numbers(row, (place,))
+    headers = [header, *(row for row in below if not _count_numeric_cells(row, (place,))
                          and all(find_matching_cells(row.cells, name) for name in names))]
-    blocks: list[Block] = []
+    blocks: list[NumberBlock] = []
     for number, head in enumerate(headers):
         end = headers[number + 1].line if number + 1 < len(headers) else None
         rows = [row for row in below if row.line > head.line and (end is None or row.line < end)]
-        for places in zip(*find_repeated_names(head, names, file=file), strict=True):
+        for places in zip(*find_repeated_column_positions(head, names, file=file), strict=True):
             wanted = (*places, *also)
-            units, data = _split_below_header(rows, wanted)
-            blocks.append(Block(head, units, tuple(data), wanted, below=number > 0))
+            units, data = _split_unit_row_and_numbers(rows, wanted)
+            blocks.append(NumberBlock(head, units, tuple(data), wanted, below=number > 0))
     return table, blocks
 
 
-def find_numbered_blocks(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, list[Block]]:
+def find_blocks_by_column_numbers(tables: Iterable[Table], places: Sequence[int], *,
+                                  file: Path) -> tuple[Table, list[NumberBlock]]:
     """Return the first table with a row of numbers in the given columns, and its blocks.
 
     A row without any number ends a block.
@@ -110,14 +111,14 @@ def find_numbered_blocks(tables: Iterable[Table], places: Sequence[int], *, file
     Raises:
         InputError: no row has numbers in all columns.
     """
-    table, header, rows = find_first_numbers(tables, places, file=file)
-    runs = [run for run in _numeric_runs(rows, places)
-            if any(_count_numbers(row, places) == len(places) for row in run)]
-    return table, [Block(header if i == 0 else run[0], None, tuple(run), tuple(places), below=i > 0)
+    table, header, rows = find_first_numeric_row(tables, places, file=file)
+    runs = [run for run in _find_numeric_runs(rows, places)
+            if any(_count_numeric_cells(row, places) == len(places) for row in run)]
+    return table, [NumberBlock(header if i == 0 else run[0], None, tuple(run), tuple(places), below=i > 0)
                    for i, run in enumerate(runs)]
 
 
-def find_unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple[str, ...]:
+def find_unread_columns(blocks: Sequence[NumberBlock], used: Collection[int]) -> tuple[str, ...]:
     """Return the names of the columns of numbers that no recording of a table reads.
 
     A column without a name has its number, from 1. A column that repeats one value and is named after a size states
@@ -138,27 +139,27 @@ def find_unread_columns(blocks: Sequence[Block], used: Collection[int]) -> tuple
     return tuple(found)
 
 
-def _split_below_header(rows: list[Row], places: Sequence[int]) -> tuple[Row | None, list[Row]]:
+def _split_unit_row_and_numbers(rows: list[TableRow], places: Sequence[int]) -> tuple[TableRow | None, list[TableRow]]:
     """Return the row of units (None without one), and the rows of numbers."""
-    first = next((i for i, row in enumerate(rows) if _count_numbers(row, places)), len(rows))
+    first = next((i for i, row in enumerate(rows) if _count_numeric_cells(row, places)), len(rows))
     units = next((row for row in rows[:first] if is_unit_row(row, places)), None)
     # Words alone in the first row are a damaged cell, as in any other row; a second row of names is not.
-    return units, _rows_until_text(rows[first:] if first < len(rows) else rows, places)
+    return units, _take_rows_until_text(rows[first:] if first < len(rows) else rows, places)
 
 
-def _rows_until_text(rows: list[Row], places: Sequence[int]) -> list[Row]:
+def _take_rows_until_text(rows: list[TableRow], places: Sequence[int]) -> list[TableRow]:
     """Return the rows above the first row of text that ends the table.
 
     A row of text with more rows of the same table below is kept; the reader of its cells reports an error.
     """
-    labelled = bool(rows) and begins_with_word(rows[0])
+    labelled = bool(rows) and row_begins_with_word(rows[0])
     for i, row in enumerate(rows):
-        if i and is_text_row(row, places, labelled=labelled) and not _table_continues(rows, i, places):
+        if i and is_text_row(row, places, labelled=labelled) and not _continues_after_text_row(rows, i, places):
             return rows[:i]
     return rows
 
 
-def is_text_row(row: Row, places: Sequence[int], *, labelled: bool = False) -> bool:
+def is_text_row(row: TableRow, places: Sequence[int], *, labelled: bool = False) -> bool:
     """Return whether a row is text, and not a row of numbers with a damaged cell.
 
     Args:
@@ -166,37 +167,37 @@ def is_text_row(row: Row, places: Sequence[int], *, labelled: bool = False) -> b
         places: positions of the columns of numbers, from 0.
         labelled: whether the rows of numbers of this table begin with a word.
     """
-    numbers = _count_numbers(row, places)
+    numbers = _count_numeric_cells(row, places)
     if numbers == len(places):
         return False
-    if numbers == 0 or (not labelled and begins_with_word(row)):
+    if numbers == 0 or (not labelled and row_begins_with_word(row)):
         return True
     filled = [cell for cell in row.cells if cell]
     return 2 * sum(map(is_number, filled)) < len(filled)
 
 
-def begins_with_word(row: Row) -> bool:
+def row_begins_with_word(row: TableRow) -> bool:
     """Return whether the first cell with content is a word."""
     first = next((cell for cell in row.cells if cell), "")
     return _WORD.search(first) is not None and not is_number(first)
 
 
-def _table_continues(rows: Sequence[Row], text: int, places: Sequence[int]) -> bool:
+def _continues_after_text_row(rows: Sequence[TableRow], text: int, places: Sequence[int]) -> bool:
     """Return whether rows of the same table follow the row of text with index `text`.
 
     Rows of numbers below a second row of names belong to another table, unless their first column continues evenly.
     """
     named = False
     for row in rows[text:]:
-        if _count_numbers(row, places) == len(places):
-            return not named or _continues_evenly(rows[max(text - 2, 0):text], row, places[0])
+        if _count_numeric_cells(row, places) == len(places):
+            return not named or _continues_even_steps(rows[max(text - 2, 0):text], row, places[0])
         words = sum(place < len(row.cells) and _WORD.search(row.cells[place]) is not None for place in places)
         named = named or (words >= min(2, len(places)) and not is_unit_row(row, places))
     return False
 
 
-def _continues_evenly(before: Sequence[Row], row: Row, place: int) -> bool:
-    """Return whether a number at `place` continues the rows, within `BlockSettings.largest_gap` of their steps."""
+def _continues_even_steps(before: Sequence[TableRow], row: TableRow, place: int) -> bool:
+    """Return whether the step to `row` has the sign of the last step and at most `largest_gap` times its size."""
     values = [parse_any_number(each.cells[place]) for each in (*before, row) if place < len(each.cells)]
     if len(values) < 3:
         return False
@@ -204,30 +205,30 @@ def _continues_evenly(before: Sequence[Row], row: Row, place: int) -> bool:
     return step != 0 and 0 < gap / step <= _SETTINGS.largest_gap
 
 
-def is_unit_row(row: Row, places: Sequence[int]) -> bool:
+def is_unit_row(row: TableRow, places: Sequence[int]) -> bool:
     """Return whether all cells with content in the given columns are units; a word in brackets is a unit."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
     return bool(cells) and all(known_unit(cell) or cell[0] in "[(" for cell in cells)
 
 
-def is_mostly_units(row: Row, places: Sequence[int]) -> bool:
+def is_mostly_units(row: TableRow, places: Sequence[int]) -> bool:
     """Return whether at least two cells at the places, and half of them, hold units, and the others a short word."""
     cells = [row.cells[place] for place in places if place < len(row.cells) and row.cells[place]]
     known = sum(known_unit(cell) is not None for cell in cells)
     return known >= max(2, 0.5 * len(cells)) and all(_SHORT.match(cell) and not is_number(cell) for cell in cells)
 
 
-def _numeric_runs(rows: Iterable[Row], places: Sequence[int]) -> list[list[Row]]:
+def _find_numeric_runs(rows: Iterable[TableRow], places: Sequence[int]) -> list[list[TableRow]]:
     """Return the runs of rows with numbers in the given columns, separated by rows of text."""
-    runs: list[list[Row]] = [[]]
+    runs: list[list[TableRow]] = [[]]
     for row in rows:
-        if _count_numbers(row, places) and not is_text_row(row, places):
+        if _count_numeric_cells(row, places) and not is_text_row(row, places):
             runs[-1].append(row)
         elif runs[-1]:
             runs.append([])
     return [run for run in runs if run]
 
 
-def _count_numbers(row: Row, places: Sequence[int]) -> int:
-    """Return how many of the given columns have a number in a row."""
+def _count_numeric_cells(row: TableRow, places: Sequence[int]) -> int:
+    """Return in how many of the given columns (from 0) a row has a number."""
     return sum(place < len(row.cells) and is_number(row.cells[place]) for place in places)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -12,35 +10,39 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.errors import InputError, located
 from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.recording.formats.blocks import Block, find_named_blocks, find_numbered_blocks, find_unread_columns
-from tissue_sim.recording.formats.cell_units import has_equal_units
+from tissue_sim.recording.formats.blocks import (
+    NumberBlock,
+    find_blocks_by_column_names,
+    find_blocks_by_column_numbers,
+    find_unread_columns,
+)
+from tissue_sim.recording.formats.cell_units import has_units_of_previous_rows
+from tissue_sim.recording.formats.column_options import (
+    normalize_column_mapping,
+    validate_decimal_mark,
+    validate_delimiter,
+)
 from tissue_sim.recording.formats.containers import is_container, read_container
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, detect_number_marks
 from tissue_sim.recording.formats.header import DELIMITERS, DELIMITERS_OF_NUMBERS, split_text_tables
-from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
-from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, is_number
+from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines, split_off_trailing_numbers
+from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.table import (
-    Column,
-    Row,
+    ChannelColumn,
     Table,
-    column_cells,
+    TableRow,
+    collect_column_cells,
+    get_si_conversion,
     read_recording_table,
     select_cells,
-    si_conversion,
 )
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
-from tissue_sim.recording.measures import check_measure, convert_measures
-from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
+from tissue_sim.recording.measures import convert_to_stretch_and_nominal
+from tissue_sim.recording.recording import LABELS, MIN_POINTS, Recording
 from tissue_sim.units import loose_header, split_header
 
-#: Keys of an entry of ``columns``.
-_KEYS = ("name", "column", "unit", "sign", "scale", "offset", "measure")
-#: Largest valid column number.
-_MAX_COLUMN_NUMBER = 1_000_000
-#: Letters of a column of a spreadsheet, up to XFD.
-_LETTERS = re.compile(r"[A-Za-z]{1,3}")
 Sheets = str | int | Sequence[str | int]
 Curves = int | Sequence[int]
 
@@ -62,20 +64,23 @@ class MarkedRecording:
     sheet: str = ""
 
 
-def read_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
+def read_single_recording(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
+                          delimiter: str | None = None,
                  sheet: Sheets | None = None, metadata: Mapping[str, Any] | None = None) -> Recording:
-    """Read a file with exactly one recording; see `read_blocks` for the arguments.
+    """Read a file with exactly one recording; see `read_recordings_from_columns` for the arguments.
 
     Raises:
-        InputError: several recordings, or an error of `read_blocks`.
+        InputError: several recordings, or an error of `read_recordings_from_columns`.
     """
-    found = read_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, metadata=metadata)
+    found = read_recordings_from_columns(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet,
+                                         metadata=metadata)
     if len(found) > 1:
         raise InputError(f"holds {len(found)} tables with these columns, expected one", file=path, field="columns")
     return found[0]
 
 
-def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0, delimiter: str | None = None,
+def read_recordings_from_columns(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
+                                 delimiter: str | None = None,
                 sheet: Sheets | None = None, curve: Curves | None = None, decimal: str | None = None,
                 metadata: Mapping[str, Any] | None = None) -> tuple[Recording, ...]:
     """Read recordings from chosen columns of a delimited text, a spreadsheet or a container of arrays.
@@ -87,7 +92,7 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
 
     The delimiter of a text is the first of comma, semicolon and tab that gives such a row. Rows of text below the
     numbers end a table. Decimal mark and thousands separator are found from all values, see
-    `tissue_sim.recording.formats.decimal_mark.find_marks`.
+    `tissue_sim.recording.formats.decimal_mark.detect_number_marks`.
 
     Args:
         path: the file: text in any usual encoding, xlsx, xls, ods, mat, tdms, h5.
@@ -110,24 +115,28 @@ def read_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int
         InputError: an invalid map (with field), a missing column, an invalid cell (with file and line), an ambiguous
             decimal mark, or a spreadsheet without the extra ``formats``.
     """
-    found = read_marked_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve,
+    found = read_marked_recordings(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve,
                                decimal=decimal, metadata=metadata)
     for each in found:
         if each.marks.is_open:
-            raise InputError(f'{each.marks.question}; give decimal = "." or decimal = ","', file=path, line=each.line,
+            raise InputError(f'{each.marks.question_text}; give decimal = "." or decimal = ","', file=path,
+                             line=each.line,
                              field="decimal")
     return tuple(each.recording for each in found)
 
 
-def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
+def read_marked_recordings(path: str | Path, columns: Mapping[str, Any], *, skip_lines: int = 0,
                        delimiter: str | None = None, sheet: Sheets | None = None, curve: Curves | None = None,
                        decimal: str | None = None, metadata: Mapping[str, Any] | None = None
                        ) -> tuple[MarkedRecording, ...]:
-    """Read recordings like `read_blocks`, each with the marks of its numbers; ambiguous marks are not an error."""
+    """Read recordings like `read_recordings_from_columns`, each with the decimal mark and separator of its numbers.
+
+    Ambiguous decimal marks are not an error.
+    """
     path = Path(path)
     if decimal is not None:
         validate_decimal_mark(decimal)
-    wanted = check_columns(columns)
+    wanted = normalize_column_mapping(columns)
     if isinstance(skip_lines, bool) or not isinstance(skip_lines, int) or skip_lines < 0:
         raise InputError(f"must be a whole number from 0; got {skip_lines!r}. Give a number of lines.",
                          field="skip_lines")
@@ -136,9 +145,9 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
     if is_container(path) or is_workbook(path):
         if delimiter is not None:
             raise InputError("must be omitted, because only a text has a delimiter", file=path, field="delimiter")
-        for each in _select_sheets(path, sheet):
-            with each.located():
-                found += _read_recordings([each.table(skip_lines)], wanted, path, metadata, decimal, alone=True)
+        for each in _read_selected_sheets(path, sheet):
+            with each.add_location_to_errors():
+                found += _read_recordings([each.build_table(skip_lines)], wanted, path, metadata, decimal, alone=True)
     else:
         if sheet is not None:
             raise InputError("must be omitted, because only a spreadsheet (xlsx, xls, ods) or container has sheets",
@@ -147,24 +156,13 @@ def read_marked_blocks(path: str | Path, columns: Mapping[str, Any], *, skip_lin
         expected = "a table with the columns " + ", ".join(map(repr, names)) if names else "a table of numbers"
         text, _ = decode_text(read_bytes(path, expected), path, expected)
         delimiters = ((DELIMITERS if names else DELIMITERS_OF_NUMBERS) if delimiter is None
-                      else (check_delimiter(delimiter),))
+                      else (validate_delimiter(delimiter),))
         found += _read_text_tables(text, skip_lines, delimiters, wanted, path, metadata, decimal)
     for number in chosen:
         if number > len(found):
             raise InputError(f"must be from 1 to {len(found)}, the number of curves in the file; got {number}.",
                              file=path, field="curve")
     return tuple(found[number - 1] for number in chosen) if chosen else tuple(found)
-
-
-def validate_decimal_mark(decimal: Any, field: str = "decimal") -> str:
-    """Require that a decimal mark is valid, and return the mark.
-
-    Raises:
-        InputError: neither point nor comma; with the field.
-    """
-    if decimal not in DECIMAL_MARKS:
-        raise InputError(f'must be "." or ","; got {decimal!r}. The other mark separates thousands.', field=field)
-    return decimal
 
 
 def _check_curve_numbers(curve: Any, path: Path) -> list[int]:
@@ -183,17 +181,17 @@ def _check_curve_numbers(curve: Any, path: Path) -> list[int]:
 
 def _read_text_tables(text: str, skip_lines: int, delimiters: Sequence[str], wanted: Mapping[str, Mapping[str, Any]],
              path: Path, metadata: Mapping[str, Any] | None, decimal: str | None) -> list[MarkedRecording]:
-    """Read the recordings of a text; see `read_blocks` for the arguments."""
-    beginning, end = split_long(text, skip_lines)
+    """Read the recordings of a text; see `read_recordings_from_columns` for the arguments."""
+    beginning, end = split_off_trailing_numbers(text, skip_lines)
     if end is not None:
-        with suppress(InputError, NotPlainError):
+        with suppress(InputError, NotPlainNumbersError):
             tables = split_text_tables(beginning, file=path, skip_lines=skip_lines, delimiters=delimiters)
             return _read_recordings(tables, wanted, path, metadata, decimal, end=end)
     tables = split_text_tables(text, file=path, skip_lines=skip_lines, delimiters=delimiters)
     return _read_recordings(tables, wanted, path, metadata, decimal)
 
 
-def _select_sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
+def _read_selected_sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
     """Read the requested sheets of a spreadsheet or tables of a container."""
     if is_container(path):
         return read_container(path, sheet)
@@ -202,25 +200,26 @@ def _select_sheets(path: Path, sheet: Sheets | None) -> Sequence[Sheet]:
 
 
 def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path, metadata: Mapping[str, Any] | None,
-                decimal: str | None, *, alone: bool = False, end: PlainEnd | None = None) -> list[MarkedRecording]:
-    """Return the recordings of the first table with the columns; a table with a plain end has one recording."""
+                decimal: str | None, *, alone: bool = False,
+                     end: TrailingNumberLines | None = None) -> list[MarkedRecording]:
+    """Return the recordings of the first table with the columns; with trailing number lines, one recording."""
     names = [entry["name"] for entry in wanted.values() if "name" in entry]
     places = [entry["column"] - 1 for entry in wanted.values() if "column" in entry]
     table: Table
-    blocks: list[Block]
-    table, blocks = (find_named_blocks(tables, names, also=places, file=path) if names
-                     else find_numbered_blocks(tables, places, file=path))
-    # A plain end continues the only block of the table.
+    blocks: list[NumberBlock]
+    table, blocks = (find_blocks_by_column_names(tables, names, also=places, file=path) if names
+                     else find_blocks_by_column_numbers(tables, places, file=path))
+    # The trailing number lines continue the only block of the table.
     if end is not None and (len(blocks) > 1 or not blocks[0].rows or blocks[0].rows[-1].line != table.rows[-1].line
-                            or not has_equal_units(table.rows, end)):
-        raise NotPlainError
+                            or not has_units_of_previous_rows(table.rows, end)):
+        raise NotPlainNumbersError
     # A short block is a summary with the same header.
     blocks = [block for block in blocks if len(block.rows) >= MIN_POINTS] or blocks
-    chosen: list[list[Column]] = []
+    chosen: list[list[ChannelColumn]] = []
     for block in blocks:
         order = iter(block.places[:len(names)]), iter(block.places[len(names):])
         positions = {channel: next(order["column" in entry]) for channel, entry in wanted.items()}
-        chosen.append(_choose_columns(wanted, positions, block, bool(names), path))
+        chosen.append(_map_channels_to_columns(wanted, positions, block, bool(names), path))
     marks = _find_common_marks(blocks, chosen, table.delimiter, decimal)
     unread = find_unread_columns(blocks, {column.index for columns in chosen for column in columns})
     metadata = {**(metadata or {}), "unread_columns": list(unread)} if unread else metadata
@@ -228,8 +227,8 @@ def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path
     for block, columns in zip(blocks, chosen, strict=True):
         header, rows = block.header, list(block.rows)
         if alone or len(blocks) > 1:
-            rows, columns = _select_chosen_columns(rows, columns)
-            header = Row(header.line, tuple(column.header for column in columns))
+            rows, columns = _crop_to_chosen_columns(rows, columns)
+            header = TableRow(header.line, tuple(column.header for column in columns))
         recording = read_recording_table(header, rows, columns, file=path, delimiter=table.delimiter or ";",
                                          metadata=metadata, end=end, marks=marks)
         if block.below and found and _continues_recording(found[-1].recording, recording):
@@ -244,16 +243,17 @@ def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path
     if not measures:
         return found
     with located(file=path):
-        return [replace(each, recording=convert_measures(each.recording, measures)) for each in found]
+        return [replace(each, recording=convert_to_stretch_and_nominal(each.recording, measures)) for each in found]
 
 
-def _find_common_marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column]], delimiter: str | None,
+def _find_common_marks(blocks: Sequence[NumberBlock], chosen: Sequence[Sequence[ChannelColumn]], delimiter: str | None,
            decimal: str | None) -> NumberMarks:
     """Return the common marks of the numbers of all blocks; columns that are read have precedence."""
-    used = [cells for block, columns in zip(blocks, chosen, strict=True) for cells in column_cells(block.rows, columns)]
+    used = [cells for block, columns in zip(blocks, chosen, strict=True)
+            for cells in collect_column_cells(block.rows, columns)]
     places = {column.index for columns in chosen for column in columns}
 
-    def others() -> Iterator[list[str]]:
+    def list_other_marks() -> Iterator[list[str]]:
         for block in blocks:
             for place in range(len(block.header.cells)):
                 if place not in places:
@@ -261,11 +261,11 @@ def _find_common_marks(blocks: Sequence[Block], chosen: Sequence[Sequence[Column
                     if 2 * sum(map(is_number, cells[:100])) > len(cells[:100]):
                         yield cells
 
-    return find_marks(used, others(), delimiter=delimiter, stated=decimal)
+    return detect_number_marks(used, list_other_marks(), delimiter=delimiter, stated=decimal)
 
 
 def _continues_recording(first: Recording, second: Recording) -> bool:
-    """Return whether the second recording is a later part of the same test, with a continuing clock."""
+    """Return whether the second recording continues the first one: same labels, and no earlier time."""
     return ("time" in first and "time" in second and first.labels.keys() == second.labels.keys()
             and second.time[0] >= first.time[-1] > first.time[0])
 
@@ -277,10 +277,11 @@ def _join_recordings(first: Recording, second: Recording) -> Recording:
                      first.metadata)
 
 
-def _choose_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: Block, named: bool,
-            path: Path) -> list[Column]:
+def _map_channels_to_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str, int], block: NumberBlock,
+                             named: bool,
+            path: Path) -> list[ChannelColumn]:
     """Return the column of each channel under the header (without names: the first row of numbers)."""
-    chosen: list[Column] = []
+    chosen: list[ChannelColumn] = []
     faults: list[InputError] = []
     header = block.header
     for channel, entry in wanted.items():
@@ -293,11 +294,11 @@ def _choose_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str
             raise InputError(f"column {cell!r} is named for two channels; name another column for each channel",
                              file=path, line=header.line, field=field)
         if channel in LABELS:
-            chosen.append(Column(channel, index, cell))
+            chosen.append(ChannelColumn(channel, index, cell))
             continue
-        unit = entry.get("unit", loose_header(cell)[1] or block.unit(index) or split_header(cell)[1])
+        unit = entry.get("unit", loose_header(cell)[1] or block.get_column_unit(index) or split_header(cell)[1])
         try:
-            factor, offset = si_conversion(channel, unit, entry.get("scale"))
+            factor, offset = get_si_conversion(channel, unit, entry.get("scale"))
         except InputError as error:
             key, value = ("name", f'"{entry["name"]}"') if "name" in entry else ("column", entry["column"])
             faults.append(InputError(
@@ -307,7 +308,7 @@ def _choose_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str
         sign = entry.get("sign", 1)
         stated = entry.get("offset", 0.0)
         added = 0.0 if isinstance(stated, str) else stated * factor / entry.get("scale", 1.0)
-        chosen.append(Column(channel, index, cell, sign * factor, sign * offset + added))
+        chosen.append(ChannelColumn(channel, index, cell, sign * factor, sign * offset + added))
     if faults:
         # One error lists all faults, so that the user can correct them together.
         raise InputError("; ".join(fault.problem for fault in faults), file=path, line=header.line,
@@ -315,81 +316,9 @@ def _choose_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str
     return chosen
 
 
-def _select_chosen_columns(rows: Sequence[Row], chosen: Sequence[Column]) -> tuple[list[Row], list[Column]]:
+def _crop_to_chosen_columns(rows: Sequence[TableRow], chosen: Sequence[ChannelColumn]) -> tuple[list[TableRow],
+                                                                                                list[ChannelColumn]]:
     """Select the chosen columns, and the rows with content in them; a sheet may have other content around a table."""
     return (select_cells(rows, [column.index for column in chosen]),
-            [Column(column.channel, i, column.header, column.factor, column.offset)
+            [ChannelColumn(column.channel, i, column.header, column.factor, column.offset)
              for i, column in enumerate(chosen)])
-
-
-def check_delimiter(delimiter: Any, field: str = "delimiter") -> str:
-    """Return the delimiter if it is valid.
-
-    Raises:
-        InputError: not one character, or a character of numbers or quoted cells; with the field.
-    """
-    if not isinstance(delimiter, str) or len(delimiter) != 1 or delimiter.isalnum() or delimiter in "\"'.+-\r\n":
-        raise InputError(f'must be one character such as " ", "|" or ";"; got {delimiter!r}', field=field)
-    return delimiter
-
-
-def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
-    """Return the map with each entry as a mapping with ``name`` or ``column`` (from 1), and the other given keys.
-
-    Raises:
-        InputError: unknown channel or key, wrong type; with the field, such as ``columns.force.sign``.
-    """
-    if not isinstance(columns, Mapping) or not columns:
-        raise InputError('expected a map of channels to column names such as { force = "Load (N)" }', field="columns")
-    checked = {}
-    for channel, entry in columns.items():
-        field = f"columns.{channel}"
-        if channel not in CHANNELS and channel not in LABELS:
-            raise InputError(f"unknown channel{nearest(str(channel), (*CHANNELS, *LABELS))}", field=field)
-        entry = {"name": entry} if isinstance(entry, str) else entry
-        if not isinstance(entry, Mapping):
-            raise InputError(f"must be a column name or a map with name or column, unit and sign; got {entry!r}",
-                             field=field)
-        for key, value in entry.items():
-            if key not in _KEYS:
-                raise InputError(f"unknown key{nearest(str(key), _KEYS)}", field=f"{field}.{key}")
-            if key == "sign" and (isinstance(value, bool) or value not in (1, -1)):
-                raise InputError(f"must be 1 or -1; got {value!r}", field=f"{field}.sign")
-            if key in ("name", "unit") and not isinstance(value, str):
-                raise InputError(f"must be text in quotation marks; got {value!r}", field=f"{field}.{key}")
-            number = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
-            if key == "scale" and not (number and value > 0):
-                raise InputError(f"must be a positive number; got {value!r}. State the direction with sign.",
-                                 field=f"{field}.scale")
-            if key == "offset" and not number and value != "start":
-                raise InputError(f'must be a finite number or "start"; got {value!r}. "start" subtracts the first '
-                                 "value.", field=f"{field}.offset")
-        if "column" in entry:
-            if "name" in entry:
-                raise InputError("give either the name or the number of the column", field=f"{field}.column")
-            entry = {**entry, "column": column_number(entry["column"], f"{field}.column")}
-        elif not entry.get("name", "").strip():
-            raise InputError("the name of the column is missing", field=f"{field}.name")
-        if "measure" in entry:
-            check_measure(entry["measure"], channel, columns, field)
-        if channel in LABELS and set(entry) & {"unit", "sign", "scale", "offset"}:
-            raise InputError("a label has no unit, sign, scale or offset; give only the name of the column",
-                             field=field)
-        checked[channel] = dict(entry)
-    return checked
-
-
-def column_number(column: Any, field: str = "column") -> int:
-    """Return the number of a column, from 1, for a number or for letters of a spreadsheet: ``"AB"`` gives 28.
-
-    Raises:
-        InputError: neither; with the field.
-    """
-    if isinstance(column, str) and _LETTERS.fullmatch(column):
-        number = 0
-        for letter in column.upper():
-            number = 26 * number + ord(letter) - ord("A") + 1
-        column = number
-    if isinstance(column, bool) or not isinstance(column, int) or not 1 <= column <= _MAX_COLUMN_NUMBER:
-        raise InputError(f'must be a number from 1 or a letter such as "C"; got {column!r}', field=field)
-    return column

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.cleaning import clean
+from tissue_sim.recording.cleaning import remove_outliers_and_saturation
 from tissue_sim.recording.recording import Recording
 
 
-def get_shared_values(first: Sequence[Recording], second: Sequence[Recording], channel: str
-                      ) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Return the values of a channel in two readings of a table, without outliers and saturated samples.
+def get_valid_values_of_both(first: Sequence[Recording], second: Sequence[Recording], channel: str
+                             ) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return a channel of two interpretations of a table, only samples that are valid in both.
 
     A sample that is invalid in one reading is omitted in both, because one lost value of 9999 would determine the
     result of the comparison.
@@ -30,13 +30,15 @@ def get_shared_values(first: Sequence[Recording], second: Sequence[Recording], c
     if [len(each) for each in first] != [len(each) for each in second]:
         return []
     try:
-        masks = [_valid_samples(one) & _valid_samples(other) for one, other in zip(first, second, strict=True)]
+        masks = [_find_valid_samples(one) & _find_valid_samples(other) for one,
+                 other in zip(first, second, strict=True)]
     except InputError:
         return []
     return [(one.channel(channel)[mask], other.channel(channel)[mask])
             for one, other, mask in zip(first, second, masks, strict=True)]
 
 
-def _valid_samples(recording: Recording) -> np.ndarray:
+def _find_valid_samples(recording: Recording) -> np.ndarray:
     """Return whether each sample is neither an outlier nor saturated, shape (n,)."""
-    return ~np.isin(np.arange(1, len(recording) + 1), clean(recording)[1].samples)
+    _, screening = remove_outliers_and_saturation(recording)
+    return ~np.isin(np.arange(1, len(recording) + 1), screening.left_out_sample_numbers)

@@ -18,9 +18,9 @@ import numpy as np
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import first_bytes, read_bytes
-from tissue_sim.recording.formats.extra import require
+from tissue_sim.recording.formats.extra import import_optional_package
 from tissue_sim.recording.formats.number_text import ExactNumber
-from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.formats.workbook import Sheet
 from tissue_sim.recording.recording import MIN_POINTS
 
@@ -73,7 +73,7 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            tree = _read_tree(data, path)
+            tree = _read_container_tree(data, path)
             sheets = [Sheet(path, name, rows) for name, rows in _find_tables(tree, "")]
     except InputError:
         raise
@@ -93,24 +93,24 @@ def read_container(path: Path, table: str | int | Sequence[str | int] | None = N
     return tuple(chosen) if wanted else tuple(sheets)
 
 
-def _read_tree(data: bytes, path: Path) -> Mapping[str, Any]:
+def _read_container_tree(data: bytes, path: Path) -> Mapping[str, Any]:
     """Return the groups of a container as nested maps: name -> group or array.
 
     Raises:
         ValueError: not a container.
     """
     if data[:4] == _TDMS:
-        nptdms = require("nptdms", path)
+        nptdms = import_optional_package("nptdms", path)
         nptdms.log.log_manager.set_level(logging.CRITICAL)
         return _read_tdms_file(nptdms.TdmsFile.read(io.BytesIO(data)))
     if data[:4] == _HDF5:
-        with require("h5py", path).File(io.BytesIO(data), "r") as file:
+        with import_optional_package("h5py", path).File(io.BytesIO(data), "r") as file:
             return _read_hdf5_group(file)
     # The oldest MATLAB files have no common first bytes.
     if data[:4] != _MATLAB and path.suffix.lower() != ".mat":
-        raise ValueError("the first bytes are those of another kind of file")
+        raise ValueError("the first bytes must be those of an HDF5, TDMS or MATLAB file")
     # A wrong length in a file may crash loadmat: `tissue_sim.bounded` reads the file in a separate process.
-    return require("scipy.io", path).loadmat(io.BytesIO(data), simplify_cells=True)
+    return import_optional_package("scipy.io", path).loadmat(io.BytesIO(data), simplify_cells=True)
 
 
 def _read_hdf5_group(group: Any) -> dict[str, Any]:
@@ -123,7 +123,7 @@ def _read_hdf5_group(group: Any) -> dict[str, Any]:
         unit = item.attrs.get("units", item.attrs.get("unit"))
         unit = unit.decode("utf-8", "replace") if isinstance(unit, bytes) else unit
         if item.size is not None and item.size > _SETTINGS.most_numbers:
-            raise ValueError(f"{name} has {item.size:g} numbers")
+            raise ValueError(f"{name} has {item.size:g} numbers, more than {_SETTINGS.most_numbers:g}")
         value = item[()]
         if getattr(value, "dtype", None) is not None and value.dtype.names:
             tree[name] = {column: value[column] for column in value.dtype.names}
@@ -148,8 +148,8 @@ def _read_tdms_file(file: Any) -> dict[str, Any]:
     return tree
 
 
-def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[Row, ...]]]:
-    """Yield (name, rows) of each table in a tree, depth first; `place` is the path of the tree."""
+def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tuple[TableRow, ...]]]:
+    """Yield (name, rows) of each table in a tree of groups, depth first; `place` is the path of the root."""
     vectors: dict[int, dict[str, np.ndarray]] = {}
     for name, value in tree.items():
         if str(name).startswith(("__", "#")):
@@ -168,14 +168,14 @@ def _find_tables(tree: Mapping[str, Any], place: str) -> Iterator[tuple[str, tup
         if array.ndim == 1 and array.size >= MIN_POINTS:
             vectors.setdefault(array.size, {})[str(name)] = array
         elif array.ndim == 2 and max(array.shape) >= MIN_POINTS and min(array.shape) <= _SETTINGS.most_columns:
-            yield below, _format_rows([], array if array.shape[0] >= array.shape[1] else array.T)
+            yield below, _format_matrix_rows([], array if array.shape[0] >= array.shape[1] else array.T)
     for size, columns in vectors.items():
         suffix = "" if len(vectors) == 1 else f" ({size})"
-        yield (place or "arrays") + suffix, _format_rows(list(columns), np.column_stack(list(columns.values())))
+        yield (place or "arrays") + suffix, _format_matrix_rows(list(columns), np.column_stack(list(columns.values())))
 
 
-def _format_rows(names: list[str], values: np.ndarray) -> tuple[Row, ...]:
+def _format_matrix_rows(names: list[str], values: np.ndarray) -> tuple[TableRow, ...]:
     """Return a matrix, shape (rows, columns), as rows of text below a header; an empty list means no header."""
-    header = [Row(1, tuple(names))] if names else []
-    return (*header, *(Row(line, tuple(ExactNumber(repr(each)) for each in numbers))
+    header = [TableRow(1, tuple(names))] if names else []
+    return (*header, *(TableRow(line, tuple(ExactNumber(repr(each)) for each in numbers))
                        for line, numbers in enumerate(values.tolist(), start=2)))

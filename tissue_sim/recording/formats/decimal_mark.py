@@ -10,13 +10,13 @@ from itertools import islice
 
 import numpy as np
 
-from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, ExactNumber, find_thousands_separator, parse_number
 
 
 @dataclass(frozen=True)
 class DecimalMarkSettings:
-    """Settings of `find_marks`.
+    """Settings of `detect_number_marks`.
 
     Attributes:
         damaged_fraction: largest fraction of the cells of a column that may contradict an interpretation: one damaged
@@ -84,23 +84,24 @@ class NumberMarks:
     example: str = ""
 
     @property
-    def other(self) -> str:
-        """The other decimal mark."""
-        return _other_mark(self.decimal)
+    def other_decimal_mark(self) -> str:
+        """The decimal mark other than `decimal`: a comma for a point, and a point for a comma."""
+        return _get_other_decimal_mark(self.decimal)
 
     @property
-    def question(self) -> str:
+    def question_text(self) -> str:
         """The question to the user if both decimal marks are possible, in one sentence."""
-        return (f"{self.example!r} is {_format_number(self.example, '.')} with a decimal point and "
-                f"{_format_number(self.example, ',')} with a decimal comma, and the values fit both")
+        return (f"{self.example!r} is {_format_parsed_number(self.example, '.')} with a decimal point and "
+                f"{_format_parsed_number(self.example, ',')} with a decimal comma, and the values fit both")
 
-    def assumptions(self) -> tuple[Assumption, ...]:
+    def list_assumptions(self) -> tuple[Assumption, ...]:
         """Return decimal mark and thousands separator with their evidence; empty if no number has a mark."""
         if not self.example and not self.thousands and not self.evidence:
             return ()
-        reading = f"{self.example!r} is {_format_number(self.example, self.decimal)}"
-        other = f"{DECIMAL_WORDS[self.other]}: {self.example!r} is {_format_number(self.example, self.other)}"
-        alternatives = (Alternative(other, None, f'--decimal "{self.other}"'),) if self.is_open else ()
+        reading = f"{self.example!r} is {_format_parsed_number(self.example, self.decimal)}"
+        mark = self.other_decimal_mark
+        other = f"{DECIMAL_WORDS[mark]}: {self.example!r} is {_format_parsed_number(self.example, mark)}"
+        alternatives = (AlternativeValue(other, None, f'--decimal "{mark}"'),) if self.is_open else ()
         value = f"{DECIMAL_WORDS[self.decimal]}: {reading}" if self.is_open else DECIMAL_WORDS[self.decimal]
         found = [Assumption("decimal mark", value, self.evidence, self.against, alternatives,
                             f'--decimal "{self.decimal}"', self.is_stated)]
@@ -113,7 +114,7 @@ class NumberMarks:
 
 
 @dataclass(frozen=True)
-class _Vote:
+class _DecimalMarkEvidence:
     """Decimal mark that the values of a column support (None: both), with the evidence."""
 
     decimal: str | None
@@ -122,8 +123,9 @@ class _Vote:
     example: str = ""
 
 
-def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = (), *, delimiter: str | None = None,
-               stated: str | None = None) -> NumberMarks:
+def detect_number_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = (), *,
+                        delimiter: str | None = None,
+                        stated: str | None = None) -> NumberMarks:
     """Find the decimal mark of a table.
 
     Args:
@@ -135,16 +137,16 @@ def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = 
     """
     columns = [list(cells) for cells in used]
     if stated is not None:
-        return _add_separators(NumberMarks(stated, evidence=("stated",), is_stated=True,
-                                            example=_first_example(columns)), columns)
-    votes = [vote for cells in columns if (vote := _vote_of_column(cells)) is not None]
+        return _add_thousands_separators(NumberMarks(stated, evidence=("stated",), is_stated=True,
+                                            example=_find_first_ambiguous_cell(columns)), columns)
+    votes = [vote for cells in columns if (vote := _collect_column_evidence(cells)) is not None]
     if not votes:
-        return _add_separators(NumberMarks(), columns)
+        return _add_thousands_separators(NumberMarks(), columns)
     example = next((vote.example for vote in votes if vote.example), "")
     deciding = [vote for vote in votes if vote.decimal is not None]
     if not deciding:
         deciding = [vote for cells in others
-                    if (vote := _vote_of_column(list(cells))) is not None and vote.decimal is not None]
+                    if (vote := _collect_column_evidence(list(cells))) is not None and vote.decimal is not None]
     chosen = {vote.decimal for vote in deciding}
     if len(chosen) == 1:
         decimal = deciding[0].decimal or "."
@@ -152,13 +154,13 @@ def find_marks(used: Iterable[Sequence[str]], others: Iterable[Sequence[str]] = 
         found = NumberMarks(decimal, "", reasons, is_certain=any(vote.is_certain for vote in deciding),
                             example=example)
     elif chosen:
-        found = _resolve_contradiction(deciding, example)
+        found = _resolve_contradictory_columns(deciding, example)
     else:
         mark = next(each for each in DECIMAL_MARKS if each in example)
         sure = delimiter == "," and mark == "."
         reasons = ("the cells are separated by commas",) if sure else ()
         found = NumberMarks(mark, "", reasons, is_open=not sure, example=example)
-    return _add_separators(found, columns)
+    return _add_thousands_separators(found, columns)
 
 
 def resolve_marks_by_text(marks: NumberMarks, text: str) -> NumberMarks:
@@ -167,11 +169,12 @@ def resolve_marks_by_text(marks: NumberMarks, text: str) -> NumberMarks:
     if len(found) != 1:
         return marks
     (mark, quantity), = found.items()
-    return replace(marks, decimal=mark, is_open=False, thousands="".join({*marks.example} & {_other_mark(mark)}),
+    return replace(marks, decimal=mark, is_open=False,
+                   thousands="".join({*marks.example} & {_get_other_decimal_mark(mark)}),
                    evidence=(f"{quantity!r} outside of the table has {DECIMAL_WORDS[mark]}",))
 
 
-def _resolve_contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
+def _resolve_contradictory_columns(votes: Sequence[_DecimalMarkEvidence], example: str) -> NumberMarks:
     """Return the marks of columns with contradictory votes: a question, unless both marks are certain.
 
     If both marks are certain, reading the cells raises an error with the line of the cell.
@@ -184,12 +187,12 @@ def _resolve_contradiction(votes: Sequence[_Vote], example: str) -> NumberMarks:
                        example=doubted)
 
 
-def _add_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
+def _add_thousands_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> NumberMarks:
     """Add the thousands separators that occur in the columns to the marks."""
     seen: dict[str, str] = {}
     for cells in columns:
         text = "\n".join(cells)
-        if marks.other in text or not text.isascii() or " " in text or "'" in text:
+        if marks.other_decimal_mark in text or not text.isascii() or " " in text or "'" in text:
             for cell in cells:
                 if separator := find_thousands_separator(cell, marks.decimal):
                     seen.setdefault(separator, cell)
@@ -200,20 +203,20 @@ def _add_separators(marks: NumberMarks, columns: Iterable[Sequence[str]]) -> Num
     return replace(marks, thousands="".join(sorted(seen)), example=marks.example or next(iter(seen.values())))
 
 
-def _first_example(columns: Iterable[Sequence[str]]) -> str:
-    """Return the first cell whose number depends on the decimal mark; empty without such a cell."""
-    return next((cell for cells in columns for cell in cells if _depends_on_mark(cell)), "")
+def _find_first_ambiguous_cell(columns: Iterable[Sequence[str]]) -> str:
+    """Return the first cell whose value depends on the decimal mark, such as ``1,234``; else an empty text."""
+    return next((cell for cells in columns for cell in cells if _does_value_depend_on_mark(cell)), "")
 
 
-def _depends_on_mark(cell: str) -> bool:
-    """Return whether the two decimal marks give two numbers."""
+def _does_value_depend_on_mark(cell: str) -> bool:
+    """Return whether a cell gives different numbers with a decimal point and with a decimal comma."""
     if isinstance(cell, ExactNumber) or not ("." in cell or "," in cell):
         return False
     point, comma = parse_number(cell, "."), parse_number(cell, ",")
     return not (math.isnan(point) or math.isnan(comma)) and point != comma
 
 
-def _vote_of_column(cells: Sequence[str]) -> _Vote | None:
+def _collect_column_evidence(cells: Sequence[str]) -> _DecimalMarkEvidence | None:
     """Return the evidence of the values of one column; None: no value has a point or comma."""
     text = "\n".join(cell for cell in cells if not isinstance(cell, ExactNumber))
     marks = [mark for mark in DECIMAL_MARKS if mark in text]
@@ -222,27 +225,27 @@ def _vote_of_column(cells: Sequence[str]) -> _Vote | None:
     if len(marks) == 1:
         mark, = marks
         uses = text.count(mark)
-        odd = sum(1 for _ in islice(_NO_GROUP[mark].finditer(text), 1 + int(_count_tolerated_cells(uses))))
-        if odd > _count_tolerated_cells(uses):
+        odd = sum(1 for _ in islice(_NO_GROUP[mark].finditer(text), 1 + int(_count_tolerated_damaged_cells(uses))))
+        if odd > _count_tolerated_damaged_cells(uses):
             found = _NO_GROUP[mark].search(text)
-            cell = "" if found is None else _cell_at(text, found.start())
+            cell = "" if found is None else _get_line_at_position(text, found.start())
             zero = cell.lstrip("+-").startswith(f"0{mark}")
             why = "a zero before its mark" if zero else "no group of three digits after its mark"
-            return _Vote(mark, f"{cell!r} has {why}", True)
-    return _vote_of_values(cells)
+            return _DecimalMarkEvidence(mark, f"{cell!r} has {why}", True)
+    return _collect_value_evidence(cells)
 
 
-def _count_tolerated_cells(count: int) -> float:
-    """Return how many of `count` cells may be damaged."""
+def _count_tolerated_damaged_cells(count: int) -> float:
+    """Return how many of `count` cells may be unreadable before a decimal mark is excluded."""
     return max(1.0, _SETTINGS.damaged_fraction * count) if count > _SETTINGS.fewest_marked else 0.0
 
 
-def _cell_at(text: str, position: int) -> str:
-    """Return the line of a text that contains a position."""
+def _get_line_at_position(text: str, position: int) -> str:
+    """Return the line of a text that contains the character at index `position`."""
     return text[text.rfind("\n", 0, position) + 1:].partition("\n")[0]
 
 
-def _vote_of_values(cells: Sequence[str]) -> _Vote | None:
+def _collect_value_evidence(cells: Sequence[str]) -> _DecimalMarkEvidence | None:
     """Return the evidence of the values of one column, from each value and from the jumps between values."""
     cells = [cell for cell in cells if cell]
     readings = {mark: np.array([parse_number(cell, mark) for cell in cells]) for mark in DECIMAL_MARKS}
@@ -255,26 +258,29 @@ def _vote_of_values(cells: Sequence[str]) -> _Vote | None:
     if not number.any():
         return None
     smoother = _find_smoother_mark(readings, known["."] & known[","]) if example else None
-    if smoother is not None and refused[smoother].sum() <= _count_tolerated_cells(int(number.sum())):
-        other = _other_mark(smoother)
-        jumps = f"{_describe_jump(cells, readings, smoother)} with {DECIMAL_WORDS[other]}"
-        return _Vote(smoother, jumps, bool(refused[other].any()) and not refused[smoother].any(), example)
+    if smoother is not None and refused[smoother].sum() <= _count_tolerated_damaged_cells(int(number.sum())):
+        other = _get_other_decimal_mark(smoother)
+        jumps = f"{_describe_largest_jump(cells, readings, smoother)} with {DECIMAL_WORDS[other]}"
+        return _DecimalMarkEvidence(smoother, jumps, bool(refused[other].any()) and not refused[smoother].any(),
+                                    example)
     fewest = min(DECIMAL_MARKS, key=lambda mark: int(refused[mark].sum()))
-    if refused[_other_mark(fewest)].any():
-        if example and not refused[fewest].any() and _may_be_damaged(cells, refused[_other_mark(fewest)],
-                                                                     int(number.sum())):
-            return _Vote(None, example=example)
-        return _Vote(fewest, _describe_only_mark(cells, refused[_other_mark(fewest)], fewest), True, example)
-    return _vote_by_digits(cells, marked, readings, example) if example else None
+    if refused[_get_other_decimal_mark(fewest)].any():
+        if example and not refused[fewest].any() and _may_cells_be_damaged(cells,
+                                                                           refused[_get_other_decimal_mark(fewest)],
+                                                                           int(number.sum())):
+            return _DecimalMarkEvidence(None, example=example)
+        return _DecimalMarkEvidence(fewest, _describe_only_mark(cells, refused[_get_other_decimal_mark(fewest)],
+                                                                fewest), True, example)
+    return _collect_digit_evidence(cells, marked, readings, example) if example else None
 
 
-def _other_mark(mark: str) -> str:
+def _get_other_decimal_mark(mark: str) -> str:
     """Return the other decimal mark."""
     return "," if mark == "." else "."
 
 
-def _may_be_damaged(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
-    """Return whether the refused cells are few and may be damaged; a cell that begins with a zero is intact."""
+def _may_cells_be_damaged(cells: Sequence[str], refused: np.ndarray, count: int) -> bool:
+    """Return whether the cells that a mark cannot read may be damaged: they are few, and none begins with zero."""
     odd = [cell for cell, is_odd in zip(cells, refused.tolist(), strict=True) if is_odd]
     return len(odd) <= _SETTINGS.damaged_fraction * count + 1 and count > _SETTINGS.most_short and not any(
         cell.lstrip("+-").startswith("0") for cell in odd)
@@ -285,8 +291,9 @@ def _describe_only_mark(cells: Sequence[str], refused: np.ndarray, mark: str) ->
     return f"{cells[int(np.argmax(refused))]!r} is a number only with {DECIMAL_WORDS[mark]}"
 
 
-def _vote_by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.ndarray], example: str) -> _Vote:
-    """Return the evidence of the numbers of digits, if exactly three digits follow each mark.
+def _collect_digit_evidence(cells: Sequence[str], marked: np.ndarray, readings: dict[str, np.ndarray],
+                            example: str) -> _DecimalMarkEvidence:
+    """Return the evidence for the decimal mark if exactly three digits follow each mark, as with thousands.
 
     Values below 1000 without a mark support a thousands separator.
     """
@@ -296,43 +303,45 @@ def _vote_by_digits(cells: Sequence[str], marked: np.ndarray, readings: dict[str
                 if not has_mark and not isinstance(cell, ExactNumber)]
     plain = np.abs([parse_number(cell) for cell in unmarked])
     large = next((cell for cell, value in zip(unmarked, plain, strict=True) if value >= 1000.0), None)
-    if large is not None and (len(large.lstrip("+-")) > 4 or (readings[_other_mark(mark)][marked] < 10_000.0).any()):
-        return _Vote(mark, f"{large!r} has no thousands separator", False, example)
+    if large is not None and (len(large.lstrip("+-")) > 4
+                              or (readings[_get_other_decimal_mark(mark)][marked] < 10_000.0).any()):
+        return _DecimalMarkEvidence(mark, f"{large!r} has no thousands separator", False, example)
     plain = plain[np.isfinite(plain)]
     zeros = int((plain == 0.0).sum())
     evidence = (count * _SETTINGS.three_decimals + (_SETTINGS.no_mark if plain.size > zeros else 0.0)
                 + (_SETTINGS.zero_without_mark if zeros else 0.0))
     if plain.size and count >= _SETTINGS.fewest_marked and evidence > _SETTINGS.digits_decide:
-        return _Vote(_other_mark(mark), f"all {count} values from 1000 have exactly three digits after each "
+        return _DecimalMarkEvidence(_get_other_decimal_mark(mark),
+                                    f"all {count} values from 1000 have exactly three digits after each "
                      f"mark, and {plain.size} smaller {'value has' if plain.size == 1 else 'values have'} no mark",
-                     False, example)
-    return _Vote(None, example=example)
+                                    False, example)
+    return _DecimalMarkEvidence(None, example=example)
 
 
 def _find_smoother_mark(readings: dict[str, np.ndarray], known: np.ndarray) -> str | None:
     """Return the decimal mark with smooth values if the other mark gives a jump; None: no mark is smoother."""
-    rough = {mark: _roughness(values[known]) for mark, values in readings.items()}
+    rough = {mark: _compute_roughness(values[known]) for mark, values in readings.items()}
     smooth, other = sorted(rough, key=lambda mark: rough[mark])
     if rough[other] >= _SETTINGS.jump_roughness and rough[other] > _SETTINGS.roughness_ratio * rough[smooth]:
         return smooth
     return None
 
 
-def _roughness(values: np.ndarray) -> float:
+def _compute_roughness(values: np.ndarray) -> float:
     """Return the sum of the absolute second differences over the range; 0 for constant values."""
     extent = float(np.ptp(values)) if values.size > 2 else 0.0
     return float(np.abs(np.diff(values, 2)).sum() / extent) if extent > 0 else 0.0
 
 
-def _describe_jump(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
+def _describe_largest_jump(cells: Sequence[str], readings: dict[str, np.ndarray], smoother: str) -> str:
     """Return the largest jump of the other interpretation, in the spelling of the cells."""
-    rough = readings[_other_mark(smoother)]
+    rough = readings[_get_other_decimal_mark(smoother)]
     steps = np.abs(np.diff(rough))
     jump = int(np.nanargmax(steps)) if np.isfinite(steps).any() else 0
     return (f"the column jumps from {cells[jump]!r} to {cells[jump + 1]!r}, while the neighbours change evenly, if "
             "read")
 
 
-def _format_number(cell: str, decimal: str) -> str:
+def _format_parsed_number(cell: str, decimal: str) -> str:
     """Return the number in a cell with up to twelve digits."""
     return f"{parse_number(cell, decimal):.12g}"

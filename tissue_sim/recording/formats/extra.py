@@ -10,7 +10,7 @@ from tissue_sim.bounded import exclude_cpu_time
 from tissue_sim.errors import InputError
 
 
-def require(package: str, file: Path) -> ModuleType:
+def import_optional_package(package: str, file: Path) -> ModuleType:
     """Import an optional package.
 
     Raises:

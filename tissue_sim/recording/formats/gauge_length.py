@@ -6,14 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.kind_hints import title_hints
+from tissue_sim.recording.formats.kind_hints import collect_title_hints
 from tissue_sim.recording.formats.kind_words import find_named_tests
 from tissue_sim.recording.formats.sizes import find_sizes
-from tissue_sim.recording.formats.sources import Numbers
+from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.units import to_si
 
 
-def find_gauge_length(numbers: Numbers, statements: Mapping[str, str], hints: ColumnHints) -> tuple[float, str] | None:
+def find_gauge_length(numbers: NumberTable, statements: Mapping[str, str], hints: ColumnHints) -> tuple[float,
+                                                                                                        str] | None:
     """Return the gauge length, m, and its source: the user or the file; None: unknown.
 
     Args:
@@ -23,40 +24,42 @@ def find_gauge_length(numbers: Numbers, statements: Mapping[str, str], hints: Co
     """
     if hints.height is not None:
         return hints.height, "stated"
-    kinds = {each.kind for each in find_named_tests(title_hints(numbers)) if each.kind}
+    kinds = {each.kind for each in find_named_tests(collect_title_hints(numbers)) if each.kind}
     kind = hints.kind or (kinds.pop() if len(kinds) == 1 else None)
     size = find_sizes(statements, kind).get("height_mm")
     return None if size is None or kind is None else (1e-3 * size.value, size.reason)
 
 
-def strain_to_displacement(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
+def convert_strain_to_displacement(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
     """Return a column of engineering or shear strain as a displacement in mm, by the gauge length (m, source)."""
     length, source = gauge
     factor = (column.scale or 1.0) * to_si(column.unit or "-", "ratio")[0]
     return replace(column, channel="displacement", unit="mm", scale=round(1e3 * length * factor, 9), offset=None,
                    strain_unit=column.unit or "-",
-                   reason=f"{_original_reason(column)}; displacement = strain x {1e3 * length:g} mm ({source})")
+                   reason=f"{_strip_conversion_from_reason(column)}; displacement = strain x {1e3 * length:g} mm "
+                          f"({source})")
 
 
-def displacement_to_stretch(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
+def convert_displacement_to_stretch(column: ColumnGuess, gauge: tuple[float, str]) -> ColumnGuess:
     """Return a column of displacement as a stretch, by the gauge length (m, source)."""
     length, source = gauge
     factor = (column.scale or 1.0) * to_si(column.unit or "m", "length")[0]
     return replace(column, channel="stretch", unit="-", scale=factor / length, offset=1.0,
-                   reason=f"{_original_reason(column)}; stretch = 1 + displacement / {1e3 * length:g} mm ({source})")
+                   reason=f"{_strip_conversion_from_reason(column)}; stretch = 1 + displacement / {1e3 * length:g} mm "
+                          f"({source})")
 
 
-def _original_reason(column: ColumnGuess) -> str:
-    """Return the reason of a column without the replaced conversion."""
+def _strip_conversion_from_reason(column: ColumnGuess) -> str:
+    """Return the reason of a column guess without the sentence about its earlier conversion by the gauge length."""
     return column.reason.split("; a strain, ")[0]
 
 
-def is_derived(column: ColumnGuess) -> bool:
-    """Return whether a column was converted to its channel by the gauge length."""
+def is_converted_by_gauge_length(column: ColumnGuess) -> bool:
+    """Return whether the channel of a column was computed with the gauge length (strain <-> displacement)."""
     return (column.channel, column.role) in (("displacement", "strain"), ("displacement", "shear strain"),
                                              ("stretch", "displacement"))
 
 
 def uses_gauge_length(columns: Sequence[ColumnGuess]) -> bool:
     """Return whether one of the columns was converted by the gauge length."""
-    return any(is_derived(column) for column in columns)
+    return any(is_converted_by_gauge_length(column) for column in columns)

@@ -74,16 +74,16 @@ class ColumnGuess:
     other_unit: str | None = None
     strain_unit: str | None = None
 
-    def entry(self) -> dict[str, Any]:
-        """Return the entry of the column in ``columns`` of a campaign."""
+    def to_campaign_entry(self) -> dict[str, Any]:
+        """Return the mapping that describes this column in the key ``columns`` of a campaign file."""
         entry: dict[str, Any] = {"name": self.header} if self.by_name else {"column": self.place}
         stated = {"unit": self.unit, "sign": self.sign if self.sign != 1 else None, "scale": self.scale,
                   "offset": self.offset, "measure": self.measure}
         return entry | {key: value for key, value in stated.items() if value is not None}
 
     @property
-    def missing(self) -> str | None:
-        """Missing information that only the user knows, in words; None: complete."""
+    def missing_information(self) -> str | None:
+        """Information about this column that only the user knows, such as its unit, in words; None: complete."""
         name = repr(self.header) if self.header else str(self.place)
         if self.unit is None and self.scale is None and CHANNELS[self.channel] != "ratio":
             return f"the unit of column {name} ({self.channel})"
@@ -95,8 +95,8 @@ class ColumnGuess:
 
 
 @dataclass(frozen=True, eq=False)
-class Reading:
-    """Tables of a file that are read with the same options.
+class TableGroup:
+    """Tables of one file that are read with the same options, their recordings and the assumptions about them.
 
     Attributes:
         name: name that distinguishes the tables from others of the file; empty without others.
@@ -130,14 +130,14 @@ class Reading:
     speed: tuple[float, str] | None = None
 
     @property
-    def missing(self) -> tuple[str, ...]:
-        """Missing information about the columns that only the user knows."""
-        return tuple(column.missing for column in self.columns if column.missing)
+    def missing_information(self) -> tuple[str, ...]:
+        """Information about the columns that only the user knows, in words; empty: complete."""
+        return tuple(column.missing_information for column in self.columns if column.missing_information)
 
 
 @dataclass(frozen=True, eq=False)
-class Understanding:
-    """Interpretation of a file.
+class FileInterpretation:
+    """Interpretation of a file of measurements: machine, format, table groups, warnings and assumptions.
 
     Attributes:
         file: path.
@@ -155,7 +155,7 @@ class Understanding:
     delimiter: str | None
     decimal_mark: str | None
     encoding: str | None
-    readings: tuple[Reading, ...]
+    readings: tuple[TableGroup, ...]
     warnings: tuple[str, ...] = ()
     assumptions: tuple[Assumption, ...] = ()
 

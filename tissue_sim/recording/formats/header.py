@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.recording.formats.cell_units import without_cell_units
+from tissue_sim.recording.formats.cell_units import extract_cell_units
 from tissue_sim.recording.formats.number_text import is_number
-from tissue_sim.recording.formats.table import Row, Table, split_rows
+from tissue_sim.recording.formats.table import Table, TableRow, split_rows
 from tissue_sim.units import loose_header, split_header
 
 #: A letter.
@@ -28,10 +28,10 @@ def split_text_tables(text: str, *, file: Path, skip_lines: int = 0,
     content = list(io.StringIO(text, newline=None))
     kept = "\n" * min(skip_lines, len(content)) + "".join(content[skip_lines:])
     for delimiter in delimiters:
-        yield Table(without_cell_units(split_rows(kept, delimiter, file=file), kept), delimiter)
+        yield Table(extract_cell_units(split_rows(kept, delimiter, file=file), kept), delimiter)
 
 
-def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) -> tuple[Table, Row, list[Row]]:
+def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) -> tuple[Table, TableRow, list[TableRow]]:
     """Return the first table with all named columns, its header row and its data rows.
 
     Raises:
@@ -46,21 +46,23 @@ def find_header(tables: Iterable[Table], names: Sequence[str], *, file: Path) ->
             if lettered and closest is not None and not _LETTER.search("".join(row.cells)):
                 continue
             # numpy.savetxt writes its header as a comment.
-            row = Row(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
+            row = TableRow(row.line, (row.cells[0].lstrip("# "), *row.cells[1:]))
             found = [find_matching_cells(row.cells, name) for name in names]
             if all(found):
-                find_repeated_names(row, names, file=file)
-                return table, Row(row.line, strip_empty_end(row.cells)), _without_comments(table.rows[i + 1:])
+                find_repeated_column_positions(row, names, file=file)
+                return table, TableRow(row.line,
+                                       strip_empty_trailing_cells(row.cells)), _remove_comment_rows(table.rows[i + 1:])
             # The error is about the most similar row: most matches, then a header directly above numbers.
-            above_numbers = (i + 1 < len(table.rows) and _is_data(table.rows[i + 1])
-                             and not _is_data(row))
+            above_numbers = (i + 1 < len(table.rows) and _is_numeric_row(table.rows[i + 1])
+                             and not _is_numeric_row(row))
             score = (sum(map(bool, found)), above_numbers, len(row.cells) if above_numbers else 0)
             if closest is None or score > closest[0]:
                 closest = (score, row)
-    raise _missing_column_error(closest, names, file, delimiters)
+    raise _make_missing_column_error(closest, names, file, delimiters)
 
 
-def find_first_numbers(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, Row, list[Row]]:
+def find_first_numeric_row(tables: Iterable[Table], places: Sequence[int], *, file: Path) -> tuple[Table, TableRow,
+                                                                                                   list[TableRow]]:
     """Return the first table with numbers in all `places` (from 0), the first such row, and all rows from it.
 
     Raises:
@@ -69,13 +71,14 @@ def find_first_numbers(tables: Iterable[Table], places: Sequence[int], *, file: 
     for table in tables:
         for i, row in enumerate(table.rows):
             if all(place < len(row.cells) and is_number(row.cells[place]) for place in places):
-                return table, Row(row.line, strip_empty_end(row.cells)), _without_comments(table.rows[i:])
+                return table, TableRow(row.line,
+                                       strip_empty_trailing_cells(row.cells)), _remove_comment_rows(table.rows[i:])
     wanted = ", ".join(str(place + 1) for place in places)
     raise InputError(f"no row has a number in each of the columns {wanted}; check the numbers of the columns",
                      file=file)
 
 
-def find_repeated_names(row: Row, names: Sequence[str], *, file: Path) -> list[list[int]]:
+def find_repeated_column_positions(row: TableRow, names: Sequence[str], *, file: Path) -> list[list[int]]:
     """Return the positions of each name in a row with all names: one for each of the replicates side by side.
 
     Raises:
@@ -90,34 +93,35 @@ def find_repeated_names(row: Row, names: Sequence[str], *, file: Path) -> list[l
 
 
 def find_matching_cells(cells: Sequence[str], name: str) -> list[int]:
-    """Return the positions of the cells that are `name`; without such a cell, those that are `name` and a unit."""
-    def plain(text: str) -> str:
+    """Return the positions of the cells that equal `name`, or else of those that are `name` followed by a unit."""
+    def normalize_cell(text: str) -> str:
         return " ".join(text.casefold().split())
 
-    wanted = plain(name)
-    exact = [i for i, cell in enumerate(cells) if plain(cell) == wanted]
+    wanted = normalize_cell(name)
+    exact = [i for i, cell in enumerate(cells) if normalize_cell(cell) == wanted]
     return exact or [i for i, cell in enumerate(cells)
-                     if cell and wanted in (plain(split_header(cell)[0]), plain(loose_header(cell)[0]))]
+                     if cell
+                     and wanted in (normalize_cell(split_header(cell)[0]), normalize_cell(loose_header(cell)[0]))]
 
 
-def strip_empty_end(cells: tuple[str, ...]) -> tuple[str, ...]:
-    """Return the cells up to the last one with content."""
+def strip_empty_trailing_cells(cells: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the cells of a row without the empty cells at its end."""
     while cells and not cells[-1]:
         cells = cells[:-1]
     return cells
 
 
-def _without_comments(rows: Sequence[Row]) -> list[Row]:
+def _remove_comment_rows(rows: Sequence[TableRow]) -> list[TableRow]:
     """Return the rows whose first cell does not begin with ``#``."""
     return [row for row in rows if not row.cells[0].startswith("#")]
 
 
-def _is_data(row: Row) -> bool:
+def _is_numeric_row(row: TableRow) -> bool:
     """Return whether all cells with content are numbers."""
     return all(is_number(cell) for cell in row.cells if cell)
 
 
-def _missing_column_error(closest, names, file, delimiters) -> InputError:
+def _make_missing_column_error(closest, names, file, delimiters) -> InputError:
     """Return the error for a table without the named columns; it names the most similar row and header."""
     if closest is None:
         return InputError(f"no lines remain, expected a header with {names[0]!r}; skip fewer lines", file=file)

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from tissue_sim.files import read_text
-from tissue_sim.recording.formats.columns import read_columns
+from tissue_sim.recording.formats.columns import read_single_recording
 from tissue_sim.recording.formats.header import find_header, split_text_tables
-from tissue_sim.recording.formats.long_text import split_long
+from tissue_sim.recording.formats.long_text import split_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number, parse_any_number
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header, to_si
@@ -35,12 +35,13 @@ def read_instron(path: str | Path) -> Recording:
     """
     path = Path(path)
     text = read_text(path, "an Instron export with the columns Time, Compression and Load")
-    _, header, _ = find_header(split_text_tables(split_long(text)[0], file=path), list(COLUMNS.values()), file=path)
+    _, header, _ = find_header(split_text_tables(split_off_trailing_numbers(text)[0], file=path),
+                               list(COLUMNS.values()), file=path)
     lines = [line.strip() for line in text.splitlines()[:header.line - 1] if line.strip(" ;,\t")]
-    return read_columns(path, COLUMNS, skip_lines=header.line - 1, metadata=_parse_metadata(lines))
+    return read_single_recording(path, COLUMNS, skip_lines=header.line - 1, metadata=_parse_header_metadata(lines))
 
 
-def _parse_metadata(lines: list[str]) -> dict:
+def _parse_header_metadata(lines: list[str]) -> dict:
     """Return the metadata in the lines above the header."""
     pairs = {match["key"].strip().casefold(): match["value"].strip() for match in map(_PAIR.match, lines) if match}
     metadata: dict[str, Any] = {"format": "instron"}

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.formats.comparison import get_shared_values
-from tissue_sim.recording.formats.gauge_length import is_derived
+from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
+from tissue_sim.recording.formats.comparison import get_valid_values_of_both
+from tissue_sim.recording.formats.gauge_length import is_converted_by_gauge_length
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
-from tissue_sim.recording.formats.pairing import apply_measure
-from tissue_sim.recording.formats.vocabulary import Machine, find_source, normalize_words
+from tissue_sim.recording.formats.pairing import apply_measure_conversion
+from tissue_sim.recording.formats.vocabulary import MachineFormat, find_source, normalize_words
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure, find_other_measures
 from tissue_sim.recording.recording import CHANNELS, Recording
 from tissue_sim.units import UNITS, loose_header
@@ -58,12 +58,12 @@ _TURNED = {"displacement": "falls under load", "force": "against the motion", "n
            "stretch": "positive in compression"}
 
 
-def flag_name(channel: str) -> str:
+def get_channel_flag_name(channel: str) -> str:
     """Return the name of a channel on the command line."""
     return {"nominal stress": "stress"}.get(channel, channel.replace(" ", "_"))
 
 
-def format_assumption(machine: Machine | None, hints: ColumnHints) -> Assumption:
+def make_machine_assumption(machine: MachineFormat | None, hints: ColumnHints) -> Assumption:
     """Return the assumption about the machine that wrote the file."""
     if machine is None:
         return Assumption("format", "table", ("no mark of a known machine",), flag="--format table",
@@ -84,12 +84,13 @@ def list_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordin
         hints: hints of the user.
     """
     for column in columns:
-        channel, flag = column.channel, flag_name("strain" if column.role == "strain" else column.channel)
+        channel, flag = column.channel, get_channel_flag_name("strain" if column.role == "strain" else column.channel)
         name = column.header or f"column {column.place}"
         is_named = bool(hints.columns)
         yield Assumption(f"column of {channel}", name, () if is_named else (column.reason.split(";")[0],),
-                         is_stated=is_named, flag=f"--column {flag}={_quote(column.header or str(column.place))}")
-        yield _unit_assumption(read, column, columns, recordings, others, hints, flag)
+                         is_stated=is_named,
+                         flag=f"--column {flag}={_quote_for_command_line(column.header or str(column.place))}")
+        yield _make_unit_assumption(read, column, columns, recordings, others, hints, flag)
         if channel not in ("time", "temperature"):
             is_signed = not hints.signs.keys().isdisjoint({channel, column.role})
             turned = column.sign < 0
@@ -98,10 +99,10 @@ def list_column_assumptions(read: Read, columns: Sequence[ColumnGuess], recordin
             yield Assumption(f"sign of {channel}", "turned" if turned else "as in the file", evidence,
                              flag=f"--sign {flag}={column.sign}", is_stated=is_signed)
         if channel in ("stretch", "nominal stress") or column.measure:
-            yield _measure_assumption(read, column, columns, recordings, hints, flag)
+            yield _make_measure_assumption(read, column, columns, recordings, hints, flag)
 
 
-def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) -> Assumption:
+def make_constant_speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) -> Assumption:
     """Return the assumption of a constant speed for a table of time and force without a displacement."""
     value, source = speed
     against = []
@@ -116,7 +117,7 @@ def speed_assumption(speed: tuple[float, str], recordings: Sequence[Recording]) 
                       is_stated=source == "stated")
 
 
-def compare_rival_columns(read: Read, columns: tuple[ColumnGuess, ...], recordings: tuple[Recording, ...],
+def compare_columns_of_same_quantity(read: Read, columns: tuple[ColumnGuess, ...], recordings: tuple[Recording, ...],
                   rivals: Sequence[ColumnGuess]
                   ) -> tuple[tuple[ColumnGuess, ...], tuple[Recording, ...], tuple[Assumption, ...], tuple[str, ...]]:
     """Compare each column with other columns of the same quantity.
@@ -137,14 +138,14 @@ def compare_rival_columns(read: Read, columns: tuple[ColumnGuess, ...], recordin
     remarks: list[str] = []
     for rival in rivals:
         column = next((each for each in columns if each.channel == rival.channel), None)
-        if column is None or column.missing or rival.missing or column.measure != rival.measure:
+        if column is None or column.missing_information or rival.missing_information or column.measure != rival.measure:
             continue
         swapped = tuple(replace(rival, sign=each.sign) if each is column else each for each in columns)
         try:
             other = read(swapped)
         except InputError:
             continue
-        pairs = [pair for pair in get_shared_values(recordings, other, column.channel) if pair[0].size]
+        pairs = [pair for pair in get_valid_values_of_both(recordings, other, column.channel) if pair[0].size]
         if not pairs:
             continue
         own, its = (np.concatenate([pair[which] - pair[which][0] for pair in pairs]) for which in (0, 1))
@@ -159,45 +160,49 @@ def compare_rival_columns(read: Read, columns: tuple[ColumnGuess, ...], recordin
         ratio = float(np.ptp(its) / np.ptp(own))
         if abs(ratio - 1.0) <= _SETTINGS.noted_difference:
             continue
-        means = f" ({rival.reason.split('; ')[-1]})" if is_derived(rival) else ""
+        means = f" ({rival.reason.split('; ')[-1]})" if is_converted_by_gauge_length(rival) else ""
         said = (f"{rival.header!r} has {abs(100 * (ratio - 1)):.0f} % {'more' if ratio > 1 else 'less'} "
                 f"{column.channel} than {column.header!r}{means}")
         modulus = ratio if CHANNELS[column.channel] in ("force", "stress") else 1.0 / ratio
         is_question = rival.rank == column.rank and abs(ratio - 1.0) > _SETTINGS.decisive_difference
-        alternatives = (Alternative(rival.header, modulus, _flags_of_all_columns(swapped)),) if is_question else ()
+        flags = _make_flags_of_all_columns(swapped)
+        alternatives = (AlternativeValue(rival.header, modulus, flags),) if is_question else ()
         if find_source(normalize_words(column.header)) == "specimen":
             said += "; the height must be the gauge length of this sensor"
         assumptions.append(Assumption(f"source of {column.channel}", column.header, () if is_question else (
             "measured on the specimen, corrected, or the more specific name",), (said,), alternatives,
-            _flags_of_all_columns(columns) if is_question else ""))
+            _make_flags_of_all_columns(columns) if is_question else ""))
         if not is_question:
             remarks.append(said)
     return columns, recordings, tuple(assumptions), tuple(remarks)
 
 
-def _flags_of_all_columns(columns: Sequence[ColumnGuess]) -> str:
+def _make_flags_of_all_columns(columns: Sequence[ColumnGuess]) -> str:
     """Return flags that name all columns, because a named column is read only with other named columns."""
-    return " ".join(f"--column {flag_name(each.role if is_derived(each) else each.channel)}="
-                    f"{_quote(each.header or str(each.place))}" for each in columns)
+    channels = [each.role if is_converted_by_gauge_length(each) else each.channel for each in columns]
+    return " ".join(f"--column {get_channel_flag_name(channel)}="
+                    f"{_quote_for_command_line(each.header or str(each.place))}"
+                    for channel, each in zip(channels, columns, strict=True))
 
 
-def _quote(text: str) -> str:
+def _quote_for_command_line(text: str) -> str:
     """Return a text with quotation marks for the command line if necessary."""
     return f'"{text}"' if not text.isalnum() else text
 
 
-def _unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
-                     others: Sequence[ColumnGuess], hints: ColumnHints, flag: str) -> Assumption:
+def _make_unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
+                          recordings: Sequence[Recording],
+                          others: Sequence[ColumnGuess], hints: ColumnHints, flag: str) -> Assumption:
     """Return the assumption about the unit of a column, with % or a contradictory unit as an alternative."""
     channel, subject = column.channel, f"unit of {column.channel}"
     is_stated = not (hints.units.keys() | hints.scales.keys()).isdisjoint({channel, column.role})
-    alternatives = () if is_stated or not _is_ratio(column) else _percent_alternatives(
+    alternatives = () if is_stated or not _is_dimensionless_deformation(column) else _list_percent_alternatives(
         read, column, columns, recordings, others, flag, is_named=bool(hints.columns))
     if column.unit is None and CHANNELS[channel] == "ratio" and column.scale is None:
         return Assumption(subject, "-", ("no unit in the file: a ratio",), alternatives=alternatives,
                           flag=f"--unit {flag}=-", is_stated=is_stated)
     value = column.unit or "not stated"
-    if is_derived(column):
+    if is_converted_by_gauge_length(column):
         if alternatives:
             return Assumption("unit of strain", column.strain_unit or "-", (column.reason.split("; ")[-1],), (),
                               alternatives, f"--unit {flag}={column.strain_unit}")
@@ -206,10 +211,10 @@ def _unit_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGu
         own, other = (UNITS[unit][1] for unit in (column.unit, column.other_unit))
         grows = CHANNELS[channel] in ("force", "stress")
         rival = f"the {'cells have' if _has_cell_units(column) else 'row of units has'} {column.other_unit}"
-        return Assumption(subject, value, (f"in the header {column.header!r}",), (rival,), (Alternative(
+        return Assumption(subject, value, (f"in the header {column.header!r}",), (rival,), (AlternativeValue(
                 column.other_unit, other / own if grows else None if channel == "time" else own / other,
                 f"--unit {flag}={column.other_unit}"),), f"--unit {flag}={column.unit}")
-    if is_stated or column.missing:
+    if is_stated or column.missing_information:
         evidence: tuple[str, ...] = ()
     elif loose_header(column.header)[1] is not None:
         evidence = (f"in the header {column.header!r}",)
@@ -226,7 +231,7 @@ def _has_cell_units(column: ColumnGuess) -> bool:
     return "unit after each number" in column.reason
 
 
-def _is_ratio(column: ColumnGuess) -> bool:
+def _is_dimensionless_deformation(column: ColumnGuess) -> bool:
     """Return whether the numbers of a column, without a unit or in mm/mm, are strains or stretches without a factor."""
     if column.strain_unit is not None:
         return UNITS.get(column.strain_unit) == UNITS["-"]
@@ -234,14 +239,14 @@ def _is_ratio(column: ColumnGuess) -> bool:
         column.unit is None or UNITS.get(column.unit) == UNITS["-"])
 
 
-def _percent_alternatives(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
+def _list_percent_alternatives(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
                           recordings: Sequence[Recording], others: Sequence[ColumnGuess], flag: str, *, is_named: bool
-                          ) -> tuple[Alternative, ...]:
+                               ) -> tuple[AlternativeValue, ...]:
     """Return the unit % as an alternative for large strains without a unit; empty if % is excluded.
 
     Another measure of strain, or displacement over gauge length, that agrees with the strains excludes %.
     """
-    values = np.concatenate([own for own, _ in get_shared_values(recordings, recordings, column.channel)])
+    values = np.concatenate([own for own, _ in get_valid_values_of_both(recordings, recordings, column.channel)])
     # A derived displacement is the strain times the gauge length, which is its scale in mm.
     length = 1e-3 * (column.scale or 1e3)
     largest = float(np.abs(values - (column.channel == "stretch" and column.role == "strain")).max()) / length
@@ -249,25 +254,26 @@ def _percent_alternatives(read: Read, column: ColumnGuess, columns: Sequence[Col
     if column.measure or largest <= (_SETTINGS.largest_certain_strain if is_sure else _SETTINGS.largest_strain):
         return ()
     for other in others:
-        same = other.measure == column.measure and is_derived(other) == is_derived(column)
-        if other.channel != column.channel or same or other.missing:
+        same = (other.measure == column.measure
+                and is_converted_by_gauge_length(other) == is_converted_by_gauge_length(column))
+        if other.channel != column.channel or same or other.missing_information:
             continue
         try:
             rival = read([other if each is column else each for each in columns])
         except InputError:
             continue
-        pairs = [pair for pair in get_shared_values(recordings, rival, column.channel) if pair[0].size]
+        pairs = [pair for pair in get_valid_values_of_both(recordings, rival, column.channel) if pair[0].size]
         limit = (_SETTINGS.agreement if other.measure != column.measure else _SETTINGS.same_unit) * largest * length
         if pairs and max(float(np.abs(its - own).max()) for own, its in pairs) <= limit:
             return ()
-    percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_derived(column) else replace(
+    percent = replace(column, scale=0.01 * (column.scale or 1.0)) if is_converted_by_gauge_length(column) else replace(
         column, unit="%", offset=100.0 if column.offset == 1.0 else column.offset)
-    ratio = _modulus_ratio_of_strains(read, column, percent, columns, recordings)
-    return (Alternative("%", ratio, f"--unit {flag}=%"),)
+    ratio = _compute_modulus_ratio_of_strains(read, column, percent, columns, recordings)
+    return (AlternativeValue("%", ratio, f"--unit {flag}=%"),)
 
 
-def _measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
-                        recordings: Sequence[Recording], hints: ColumnHints, flag: str) -> Assumption:
+def _make_measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[ColumnGuess],
+                             recordings: Sequence[Recording], hints: ColumnHints, flag: str) -> Assumption:
     """Return the assumption about the measure of a strain or stress, with measures that other columns suggest."""
     words = normalize_words(column.header)
     named = find_measure(words, column.role)
@@ -289,14 +295,15 @@ def _measure_assumption(read: Read, column: ColumnGuess, columns: Sequence[Colum
     alternatives = []
     for other in dict.fromkeys(others):
         bare = replace(column, measure=None, offset=None)
-        changed = apply_measure(bare, other)
-        alternatives.append(Alternative(other, _modulus_ratio(read, column, changed, recordings, columns),
-                                        f"--measure {flag}={other}"))
+        changed = apply_measure_conversion(bare, other)
+        alternatives.append(AlternativeValue(other, _compute_modulus_ratio(read, column, changed, recordings, columns),
+                                             f"--measure {flag}={other}"))
     return Assumption(f"measure of {column.channel}", value, evidence, alternatives=tuple(alternatives),
                       flag=f"--measure {flag}={column.measure or ENGINEERING}", is_stated=is_stated)
 
 
-def _modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess, columns: Sequence[ColumnGuess],
+def _compute_modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGuess,
+                                      columns: Sequence[ColumnGuess],
                       recordings: Sequence[Recording]) -> float | None:
     """Return the ratio of the shear moduli with the changed and with the original column of strain.
 
@@ -307,38 +314,39 @@ def _modulus_ratio_of_strains(read: Read, column: ColumnGuess, changed: ColumnGu
     except InputError:
         return None
     rest = float(column.channel == "stretch")
-    pairs = [pair for pair in get_shared_values(recordings, other, column.channel) if pair[0].size]
+    pairs = [pair for pair in get_valid_values_of_both(recordings, other, column.channel) if pair[0].size]
     own, its = (max((float(np.abs(pair[which] - rest).max()) for pair in pairs), default=0.0) for which in (0, 1))
     return own / its if its > 0 else None
 
 
-def _modulus_ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
+def _compute_modulus_ratio(read: Read, column: ColumnGuess, changed: ColumnGuess, recordings: Sequence[Recording],
            columns: Sequence[ColumnGuess]) -> float | None:
-    """Return the ratio of the shear moduli with the changed and with the original column; None: not readable."""
+    """Return shear modulus with the changed column over that with the original column; None: not readable."""
     try:
         other = read([changed if each is column else each for each in columns])
     except InputError:
         return None
-    own, its = _shear_moduli(recordings, other)
+    own, its = _fit_shear_moduli_of_both(recordings, other)
     return its / own if own and its else None
 
 
-def _shear_moduli(first: Sequence[Recording], second: Sequence[Recording]) -> tuple[float | None, float | None]:
+def _fit_shear_moduli_of_both(first: Sequence[Recording], second: Sequence[Recording]) -> tuple[float | None,
+                                                                                                float | None]:
     """Return the least-squares shear moduli, Pa, of a neo-Hookean specimen for two readings of a table.
 
     The law is P = mu (l - l^-2). None: the readings have no stretch and stress.
     """
     if not all({"stretch", "nominal stress"} <= set(each.channels) for each in (*first, *second)):
         return None, None
-    parts = [get_shared_values(first, second, name) for name in ("stretch", "nominal stress")]
+    parts = [get_valid_values_of_both(first, second, name) for name in ("stretch", "nominal stress")]
     if not parts[0]:
         return None, None
     stretches, stresses = ([np.concatenate([pair[which] for pair in part]) for which in (0, 1)] for part in parts)
-    one, other = (_shear_modulus(*each) for each in zip(stretches, stresses, strict=True))
+    one, other = (_fit_shear_modulus(*each) for each in zip(stretches, stresses, strict=True))
     return one, other
 
 
-def _shear_modulus(stretch: np.ndarray, stress: np.ndarray) -> float | None:
+def _fit_shear_modulus(stretch: np.ndarray, stress: np.ndarray) -> float | None:
     """Return the least-squares shear modulus, Pa; None without a finite value."""
     if not stretch.size or stretch.min() <= 0:
         return None

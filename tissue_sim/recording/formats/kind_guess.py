@@ -9,11 +9,11 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.recording.formats.assumption import Alternative, Assumption
+from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
 from tissue_sim.recording.formats.guesses import ColumnGuess, KindGuess
-from tissue_sim.recording.formats.kind_words import Hint, NamedTest, find_named_tests
-from tissue_sim.recording.formats.orientation import largest_excursion
-from tissue_sim.recording.formats.vocabulary import Machine
+from tissue_sim.recording.formats.kind_words import KindHint, NamedTest, find_named_tests
+from tissue_sim.recording.formats.orientation import find_largest_excursion
+from tissue_sim.recording.formats.vocabulary import MachineFormat
 from tissue_sim.recording.recording import Recording
 
 #: Assumption about compression, completes the reason of a guess.
@@ -23,8 +23,8 @@ _BETWEEN_PLATES = ("assumed homogeneous, between plates without friction; with g
 KIND_OF_TEST = "kind of test"
 
 
-def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], hints: Sequence[Hint],
-               machine: Machine | None, stated: str | None = None) -> KindGuess:
+def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], hints: Sequence[KindHint],
+               machine: MachineFormat | None, stated: str | None = None) -> KindGuess:
     """Find the kind of test of a table.
 
     A word for a test without a registered kind (`UNKNOWN_TESTS`) has precedence over all other evidence. Exception: a
@@ -39,7 +39,7 @@ def guess_kind(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], 
     """
     named = find_named_tests(hints)
     if stated is not None:
-        return KindGuess(stated, "stated", against=_contradicting_words(stated, named), is_stated=True)
+        return KindGuess(stated, "stated", against=_find_contradicting_words(stated, named), is_stated=True)
     refused = _find_unknown_test(named, hints)
     if refused is not None:
         return KindGuess(None, f"{refused.word!r} {refused.where}", refused=refused)
@@ -64,7 +64,7 @@ def _reconcile_guesses(by_columns: KindGuess, by_words: KindGuess, columns: Sequ
     return replace(by_columns, against=(by_words.reason,), alternatives=other)
 
 
-def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
+def require_same_test_in_all_tables(texts: Sequence[Sequence[KindHint]]) -> None:
     """Check that the words of all tables name the same test, because tables with equal columns are replicates.
 
     Args:
@@ -76,7 +76,7 @@ def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
     found: dict[frozenset[str], str] = {}
     for hints in texts:
         named = find_named_tests(hints)
-        tests = frozenset(each.title for each in named)
+        tests = frozenset(each.test_title for each in named)
         if tests:
             found.setdefault(tests, " and ".join(dict.fromkeys(each.word for each in named)))
     if len(found) > 1:
@@ -85,14 +85,15 @@ def require_one_test(texts: Sequence[Sequence[Hint]]) -> None:
                          "to a separate file")
 
 
-def kind_assumption(guess: KindGuess) -> Assumption:
+def make_kind_assumption(guess: KindGuess) -> Assumption:
     """Return the assumption about the kind of test: evidence, counter-evidence, and alternative kinds."""
     return Assumption(KIND_OF_TEST, guess.kind or "not known", () if guess.is_stated else (guess.reason,),
-                      guess.against, tuple(Alternative(kind, None, f"--kind {kind}") for kind in guess.alternatives),
+                      guess.against,
+                      tuple(AlternativeValue(kind, None, f"--kind {kind}") for kind in guess.alternatives),
                       f"--kind {guess.kind}" if guess.kind else "--kind", guess.is_stated)
 
 
-def _contradicting_words(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
+def _find_contradicting_words(kind: str, named: Sequence[NamedTest]) -> tuple[str, ...]:
     """Return the evidence in the words of the file against a kind that the user states."""
     found = []
     for each in named:
@@ -103,7 +104,7 @@ def _contradicting_words(kind: str, named: Sequence[NamedTest]) -> tuple[str, ..
     return tuple(dict.fromkeys(found))
 
 
-def _find_unknown_test(named: Sequence[NamedTest], hints: Sequence[Hint]) -> NamedTest | None:
+def _find_unknown_test(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> NamedTest | None:
     """Return the first word for a test without a registered kind that other words do not overrule; None: no word."""
     of_file = {hint.where for hint in hints if hint.is_file_name}
     known = [each for each in named if each.kind is not None and each.where not in of_file]
@@ -132,7 +133,7 @@ def _guess_by_columns(recordings: Sequence[Recording], columns: Sequence[ColumnG
         KindGuess("lubricated_compression", f"stretches below 1; {_BETWEEN_PLATES}")
 
 
-def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGuess | None:
+def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[KindHint]) -> KindGuess | None:
     """Return the kind of the first text that names exactly one kind; None: no such text.
 
     If the headers only name a direction of loading, a title with the same direction determines the kind.
@@ -147,10 +148,10 @@ def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGu
     first, *others = levels
     of_file = {hint.where for hint in hints if hint.is_file_name}
     title = next((each for each in others if each.where not in of_file), None)
-    if title is not None and first.where == hints[0].where and _loading_sign(title) == _loading_sign(first):
+    if title is not None and first.where == hints[0].where and _get_loading_sign(title) == _get_loading_sign(first):
         first = title
     conflicts = [each for each in levels if each.kind != first.kind and not (
-        each.where == hints[0].where and _loading_sign(each) == _loading_sign(first)) and not each.is_short]
+        each.where == hints[0].where and _get_loading_sign(each) == _get_loading_sign(first)) and not each.is_short]
     kind = first.kind
     between = f"; {_BETWEEN_PLATES}" if kind == "lubricated_compression" else ""
     return KindGuess(kind, f"{first.word!r} {first.where}{between}", is_weak=first.where in of_file,
@@ -158,22 +159,22 @@ def _guess_by_words(named: Sequence[NamedTest], hints: Sequence[Hint]) -> KindGu
                      alternatives=tuple(dict.fromkeys(each.kind for each in conflicts if each.kind)))
 
 
-def _loading_sign(named: NamedTest) -> float:
+def _get_loading_sign(named: NamedTest) -> float:
     """Return 1 for a kind that stretches the specimen, and -1 for compression."""
     return KINDS[named.kind or ""].sign
 
 
-def _guess_by_sign(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], machine: Machine | None
+def _guess_by_sign(recordings: Sequence[Recording], columns: Sequence[ColumnGuess], machine: MachineFormat | None
              ) -> KindGuess | None:
     """Return compression if load and displacement, or the strain, are negative; None: no evidence."""
     roles = {column.role for column in columns}
     if recordings and {"displacement", "force"} <= roles and machine is not None and machine.compresses_negative:
-        motion, load = (largest_excursion(np.asarray(recordings[0].channel(name)))
+        motion, load = (find_largest_excursion(np.asarray(recordings[0].channel(name)))
                         for name in ("displacement", "force"))
         if motion < 0 and load < 0:
             return KindGuess("lubricated_compression", f"displacement and load are negative, the sign of compression "
                              f"of {machine.title}; {_BETWEEN_PLATES}")
     if "strain" in roles and recordings and "stretch" in recordings[0] \
-            and largest_excursion(recordings[0].channel("stretch")) < 0:
+            and find_largest_excursion(recordings[0].channel("stretch")) < 0:
         return KindGuess("lubricated_compression", f"strains are negative; {_BETWEEN_PLATES}")
     return None

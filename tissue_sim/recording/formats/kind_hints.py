@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.kind_words import Hint, find_named_tests
-from tissue_sim.recording.formats.sources import Numbers, Source
+from tissue_sim.recording.formats.kind_words import KindHint, find_named_tests
+from tissue_sim.recording.formats.sources import FileContent, NumberTable
 
 
 @dataclass(frozen=True)
-class HintSettings:
+class KindHintSettings:
     """Limits of the search for names of tests.
 
     Attributes:
@@ -26,38 +26,39 @@ class HintSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = HintSettings()
+_SETTINGS = KindHintSettings()
 
 
-def title_hints(numbers: Numbers) -> list[Hint]:
+def collect_title_hints(numbers: NumberTable) -> list[KindHint]:
     """Return the text above a table, and the name of its sheet."""
     above = "\n".join(" ".join(row.cells) for row in numbers.above[-_SETTINGS.title_rows:])
-    return [Hint(above, "above the numbers"), Hint(numbers.table.name, "in the name of the sheet")]
+    return [KindHint(above, "above the numbers"), KindHint(numbers.table.name, "in the name of the sheet")]
 
 
-def file_hints(source: Source, found: Sequence[Numbers]) -> list[Hint]:
+def collect_file_hints(source: FileContent, found: Sequence[NumberTable]) -> list[KindHint]:
     """Return the text at the top of the file, and in sheets without numbers."""
     first = found[0]
     top = "\n".join(" ".join(row.cells) for row in first.above[:_SETTINGS.title_rows])
-    hints = [Hint(top, "at the top of the file")] if not first.table.name else []
+    hints = [KindHint(top, "at the top of the file")] if not first.table.name else []
     with_numbers = {id(numbers.table) for numbers in found}
-    return hints + [Hint("\n".join(" ".join(row.cells) for row in table.rows[:_SETTINGS.sheet_rows]),
-                         f"in sheet {table.name!r}")
+    return hints + [KindHint("\n".join(" ".join(row.cells) for row in table.rows[:_SETTINGS.sheet_rows]),
+                             f"in sheet {table.name!r}")
                     for table in source.tables if id(table) not in with_numbers]
 
 
-def header_hint(own: Sequence[str], others: Sequence[str]) -> Hint:
+def make_header_hint(own: Sequence[str], others: Sequence[str]) -> KindHint:
     """Return the headers of the columns that are read, and headers of other columns that name no unknown test.
 
     A header of a column that is not read is omitted if it names a test without a kind, such as a bending strain.
     """
     where = "in the headers"
-    harmless = [name for name in others if all(each.unknown is None for each in find_named_tests([Hint(name, where)]))]
-    return Hint(" ".join((*own, *harmless)), where)
+    harmless = [name for name in others
+                if all(each.unknown is None for each in find_named_tests([KindHint(name, where)]))]
+    return KindHint(" ".join((*own, *harmless)), where)
 
 
-def label_hints(numbers: Numbers) -> list[Hint]:
-    """Return the texts in the columns of labels of a table.
+def collect_label_hints(numbers: NumberTable) -> list[KindHint]:
+    """Return the texts in the label columns of a table as hints for the kind of test.
 
     Raises:
         InputError: the rows are of different tests, one of which has no registered kind.
@@ -69,11 +70,11 @@ def label_hints(numbers: Numbers) -> list[Hint]:
                                     and row.cells[place]))
         if not 1 <= len(labels) <= _SETTINGS.most_labels:
             continue
-        where = f"in column {numbers.name(place) or place + 1!r}"
-        named = [find_named_tests([Hint(label, where)]) for label in labels]
+        where = f"in column {numbers.get_column_header(place) or place + 1!r}"
+        named = [find_named_tests([KindHint(label, where)]) for label in labels]
         unknown = {each.unknown.name for tests in named for each in tests if each.unknown is not None}
         if unknown and len({tuple((each.kind, each.unknown) for each in tests) for tests in named}) > 1:
             raise InputError(f"the rows are of different tests ({', '.join(labels)} {where}); write each test to a "
                              "separate file", line=numbers.rows[0].line)
-        hints.append(Hint("\n".join(labels), where))
+        hints.append(KindHint("\n".join(labels), where))
     return hints

@@ -28,7 +28,7 @@ _TEST_ENTRIES = re.compile(
 
 
 @dataclass(frozen=True)
-class Hint:
+class KindHint:
     """A text that is searched for words for a test.
 
     Attributes:
@@ -48,7 +48,7 @@ class NamedTest:
 
     Attributes:
         word: word in the text, without accents.
-        where: location of the text; see `Hint`.
+        where: location of the text; see `KindHint`.
         kind: name in `KINDS`; None: the test has no registered kind.
         unknown: test without a registered kind; None: the test has a kind.
         is_short: whether the word is an abbreviation.
@@ -61,7 +61,7 @@ class NamedTest:
     is_short: bool = False
 
     @property
-    def title(self) -> str:
+    def test_title(self) -> str:
         """Name of the test: a kind in `KINDS`, or the title of the unknown test."""
         return self.kind or (self.unknown.title if self.unknown else "")
 
@@ -70,14 +70,14 @@ class NamedTest:
         """Whether the text names the test by several words, as ``uniaxial tension``; one may only name a direction."""
         return " " in self.word
 
-    def refusal(self) -> InputError:
+    def make_refusal_error(self) -> InputError:
         """Return the error for a test without a registered kind.
 
         Raises:
             ValueError: the test has a kind.
         """
         if self.unknown is None:
-            raise ValueError(f"{self.kind} is a kind of test")
+            raise ValueError(f"only a test without a registered kind is refused; {self.kind!r} is registered")
         return InputError(f"{self.unknown.title} ({self.word!r} {self.where}) is {self.unknown.difference}; there is "
                           "no such kind of test. --kind overrules the word", field="kind")
 
@@ -94,17 +94,17 @@ def normalize_text(text: str) -> str:
     return re.sub(r"(?<=\d)(?=[a-z])|(?<=[a-z])(?=\d)", " ", words).strip()
 
 
-def find_named_tests(hints: Iterable[Hint]) -> tuple[NamedTest, ...]:
+def find_named_tests(hints: Iterable[KindHint]) -> tuple[NamedTest, ...]:
     """Return the tests that texts name, in order; of overlapping words the longest, and registered kinds first."""
     return tuple(named for hint in hints for line in hint.text.splitlines()
-                 if not _NAME_ENTRIES.match(normalize_text(line)) for named in _find_in_line(line, hint))
+                 if not _NAME_ENTRIES.match(normalize_text(line)) for named in _iterate_tests_in_line(line, hint))
 
 
-def _find_in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
+def _iterate_tests_in_line(line: str, hint: KindHint) -> Iterator[NamedTest]:
     """Yield the tests that a line of a text names, in the order of the words."""
     text = normalize_text(line)
     matches: list[tuple[int, int, bool, NamedTest]] = []
-    for pattern, kind, unknown, is_short in _compile_patterns(_registered_kinds()):
+    for pattern, kind, unknown, is_short in _compile_word_patterns(_list_registered_kinds()):
         if is_short and not hint.is_file_name:
             continue
         for match in pattern.finditer(text):
@@ -112,7 +112,8 @@ def _find_in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
                             NamedTest(match[0], hint.where, kind, unknown, is_short)))
     entry = None if matches else _TEST_ENTRIES.match(text)
     if entry is not None:
-        yield from (NamedTest(found[0], hint.where, unknown=unknown) for unknown in _unregistered(_registered_kinds())
+        yield from (NamedTest(found[0], hint.where, unknown=unknown)
+                    for unknown in _list_unregistered_tests(_list_registered_kinds())
                     for word in unknown.alone if (found := re.search(rf"\b{word}\b", entry["value"])))
     # Longest match first; of equal lengths, a registered kind first. A match that overlaps a longer one is ignored.
     matches.sort(key=lambda each: (each[0] - each[1], each[2]))
@@ -123,19 +124,19 @@ def _find_in_line(line: str, hint: Hint) -> Iterator[NamedTest]:
     yield from (named for *_, named in sorted(kept, key=lambda each: each[0]))
 
 
-def _registered_kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-    """Return (name, title, title words) of all registered kinds, as a hashable key of `_compile_patterns`."""
+def _list_registered_kinds() -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Return (name, title, title words) of all registered kinds, as a hashable key of `_compile_word_patterns`."""
     return tuple((name, kind.title, kind.title_words) for name, kind in KINDS.items())
 
 
-def _unregistered(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[UnknownTest, ...]:
+def _list_unregistered_tests(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]) -> tuple[UnknownTest, ...]:
     """Return the tests of `UNKNOWN_TESTS` under whose name no kind is registered."""
     names = {name for name, *_ in kinds}
     return tuple(test for test in UNKNOWN_TESTS if test.name not in names)
 
 
 @lru_cache(maxsize=8)
-def _compile_patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
+def _compile_word_patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
               ) -> tuple[tuple[re.Pattern[str], str | None, UnknownTest | None, bool], ...]:
     """Return (pattern, kind, test without a kind, whether the word is an abbreviation) of all words."""
     words: list[tuple[str, str | None, UnknownTest | None, bool]] = []
@@ -143,7 +144,7 @@ def _compile_patterns(kinds: tuple[tuple[str, str, tuple[str, ...]], ...]
         words += [(rf"\b(?:{word})\b", name, None, False)
                   for word in (*own, normalize_text(name), normalize_text(title))]
         words += [(rf"\b(?:{word})\b", name, None, True) for word in _SHORT.get(name, ())]
-    without_kind = _unregistered(kinds)
+    without_kind = _list_unregistered_tests(kinds)
     for test in UNKNOWN_TESTS:
         # A registered kind with this name receives the words.
         kind, unknown = (None, test) if test in without_kind else (test.name, None)

@@ -13,12 +13,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from tissue_sim.recording.formats.number_text import normalize_number_marks, split_quantity
+from tissue_sim.recording.formats.number_text import normalize_number_marks, split_number_and_unit
 
 
 @dataclass(frozen=True)
 class LongTextSettings:
-    """Settings of `split_long`.
+    """Settings of `split_off_trailing_numbers`.
 
     Attributes:
         beginning: number of lines that are read cell by cell. These lines determine marks and units, so that fewer
@@ -48,12 +48,12 @@ _PLAIN = b"+-.0123456789eEdD\t\n"
 _MARKS = b". ',"
 
 
-class NotPlainError(Exception):
+class NotPlainNumbersError(Exception):
     """The text must be read cell by cell, because a part of it is not plain numbers."""
 
 
 @dataclass(frozen=True)
-class PlainEnd:
+class TrailingNumberLines:
     """Lines at the end of a text with an equal number of cells, each a number, with quotation marks or a unit.
 
     Attributes:
@@ -73,11 +73,11 @@ class PlainEnd:
     units: tuple[str, ...]
 
     @property
-    def cells(self) -> int:
+    def cell_count(self) -> int:
         """Number of cells in each line."""
         return len(self.suffixes)
 
-    def numbers(self, positions: Sequence[int], decimal: str) -> np.ndarray | None:
+    def parse_columns(self, positions: Sequence[int], decimal: str) -> np.ndarray | None:
         """Return the numbers in the given columns, shape (lines, columns); None if a cell is not a number.
 
         Args:
@@ -86,10 +86,10 @@ class PlainEnd:
         """
         separators = [mark for mark in self.marks if mark != decimal]
         found = []
-        for piece in _pieces(self.text, self.start, self.delimiter):
-            content: bytes | None = _without_suffixes(piece, self.suffixes)
+        for piece in _iterate_line_chunks(self.text, self.start, self.delimiter):
+            content: bytes | None = _remove_unit_suffixes(piece, self.suffixes)
             for separator in separators:
-                content = None if content is None else _without_groups(content, separator, decimal)
+                content = None if content is None else _remove_thousands_separators(content, separator, decimal)
             if content is None:
                 return None
             if decimal == ",":
@@ -107,8 +107,8 @@ class PlainEnd:
         return values if np.isfinite(values).all() else None
 
 
-def split_long(text: str, skipped: int = 0) -> tuple[str, PlainEnd | None]:
-    """Divide a text into its beginning and its plain end.
+def split_off_trailing_numbers(text: str, skipped: int = 0) -> tuple[str, TrailingNumberLines | None]:
+    """Divide a text into its beginning and its trailing lines of plain numbers.
 
     Args:
         text: text with any line ends.
@@ -128,13 +128,13 @@ def split_long(text: str, skipped: int = 0) -> tuple[str, PlainEnd | None]:
         return text, None
     try:
         # A quoted cell of the last line of the beginning may continue in the next line.
-        _unquote(_normalize(text[last:start]), delimiter)
-        return text[:start], _plain_end(text, start, delimiter)
-    except NotPlainError:
+        _remove_quotation_marks(_normalize_characters(text[last:start]), delimiter)
+        return text[:start], _parse_trailing_lines(text, start, delimiter)
+    except NotPlainNumbersError:
         return text, None
 
 
-def _plain_end(text: str, start: int, delimiter: str) -> PlainEnd:
+def _parse_trailing_lines(text: str, start: int, delimiter: str) -> TrailingNumberLines:
     """Return the end of a text from a position on.
 
     Raises:
@@ -143,31 +143,31 @@ def _plain_end(text: str, start: int, delimiter: str) -> PlainEnd:
     found: set[str] = set()
     suffixes: tuple[bytes, ...] = ()
     units: tuple[str, ...] = ()
-    for piece in _pieces(text, start, delimiter):
+    for piece in _iterate_line_chunks(text, start, delimiter):
         if not suffixes:
-            quantities = [_split_suffix(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
+            quantities = [_split_unit_suffix(cell) for cell in piece[:piece.index(b"\n")].split(_CELL_END)]
             suffixes = tuple(suffix for suffix, _ in quantities)
             units = tuple(unit for _, unit in quantities)
             if len(suffixes) < 2:
-                raise NotPlainError
-        numbers = _without_suffixes(piece, suffixes)
+                raise NotPlainNumbersError
+        numbers = _remove_unit_suffixes(piece, suffixes)
         if numbers.translate(None, _PLAIN + _MARKS):
-            raise NotPlainError
+            raise NotPlainNumbersError
         found |= {chr(mark) for mark in _MARKS if mark in numbers}
         # A cell between two adjacent delimiters is empty.
-        if (np.diff(_cell_ends(numbers, len(suffixes)).ravel(), prepend=-1) == 1).any():
-            raise NotPlainError
-    return PlainEnd(text, start, delimiter, "".join(sorted(found)), suffixes, units)
+        if (np.diff(_find_cell_ends(numbers, len(suffixes)).ravel(), prepend=-1) == 1).any():
+            raise NotPlainNumbersError
+    return TrailingNumberLines(text, start, delimiter, "".join(sorted(found)), suffixes, units)
 
 
-def _split_suffix(cell: bytes) -> tuple[bytes, str]:
+def _split_unit_suffix(cell: bytes) -> tuple[bytes, str]:
     """Return the text after the number in a cell, and its unit; both are empty without a known unit."""
     text = cell.decode("latin-1")
-    pair = split_quantity(text)
+    pair = split_number_and_unit(text)
     return (b"", "") if pair is None else (text[len(pair[0]):].encode("latin-1"), pair[1])
 
 
-def _cell_ends(piece: bytes, cells: int) -> np.ndarray:
+def _find_cell_ends(piece: bytes, cells: int) -> np.ndarray:
     """Return the positions of the delimiters and line ends of a piece, shape (lines, cells).
 
     Raises:
@@ -177,11 +177,11 @@ def _cell_ends(piece: bytes, cells: int) -> np.ndarray:
     ends = np.flatnonzero((letters == _CELL_END[0]) | (letters == ord("\n")))
     lines = np.flatnonzero(letters[ends] == ord("\n"))
     if not lines.size or (np.diff(lines, prepend=-1) != cells).any() or lines[-1] != ends.size - 1:
-        raise NotPlainError
+        raise NotPlainNumbersError
     return ends.reshape(-1, cells)
 
 
-def _without_suffixes(piece: bytes, suffixes: Sequence[bytes]) -> bytes:
+def _remove_unit_suffixes(piece: bytes, suffixes: Sequence[bytes]) -> bytes:
     """Remove the text after the numbers of each column from a piece.
 
     Raises:
@@ -191,17 +191,17 @@ def _without_suffixes(piece: bytes, suffixes: Sequence[bytes]) -> bytes:
         return piece
     letters = np.frombuffer(piece, dtype=np.uint8)
     kept = np.ones(letters.size, dtype=bool)
-    ends = _cell_ends(piece, len(suffixes))
+    ends = _find_cell_ends(piece, len(suffixes))
     for column, suffix in enumerate(suffixes):
         for distance, letter in enumerate(reversed(suffix), start=1):
             positions = ends[:, column] - distance
             if positions[0] < 0 or (letters[positions] != letter).any():
-                raise NotPlainError
+                raise NotPlainNumbersError
             kept[positions] = False
     return letters[kept].tobytes()
 
 
-def _without_groups(piece: bytes, separator: str, decimal: str) -> bytes | None:
+def _remove_thousands_separators(piece: bytes, separator: str, decimal: str) -> bytes | None:
     """Remove a thousands separator from a piece; None if a separator is not between groups of three digits.
 
     As in `tissue_sim.recording.formats.number_text.parse_number`, a number begins with one to three digits. The
@@ -227,14 +227,14 @@ def _without_groups(piece: bytes, separator: str, decimal: str) -> bytes | None:
     return piece.replace(separator.encode(), b"")
 
 
-def _normalize(text: str) -> bytes:
+def _normalize_characters(text: str) -> bytes:
     """Convert minus signs, blanks and apostrophes to ASCII, and line ends to line feeds; the result is Latin-1."""
     if not text.isascii():
         text = normalize_number_marks(text)
     return text.encode("latin-1", "replace").replace(b"\r\n", b"\n")
 
 
-def _unquote(piece: bytes, delimiter: str) -> bytes:
+def _remove_quotation_marks(piece: bytes, delimiter: str) -> bytes:
     """Replace the delimiters of a piece by tabs, and remove the quotation marks of quoted cells.
 
     Raises:
@@ -243,7 +243,7 @@ def _unquote(piece: bytes, delimiter: str) -> bytes:
     """
     sign = delimiter.encode()
     if sign != _CELL_END and _CELL_END in piece:
-        raise NotPlainError
+        raise NotPlainNumbersError
     if b'"' not in piece:
         return piece if sign == _CELL_END else piece.replace(sign, _CELL_END)
     letters = np.frombuffer(piece, dtype=np.uint8).copy()
@@ -256,25 +256,25 @@ def _unquote(piece: bytes, delimiter: str) -> bytes:
     closes = np.flatnonzero(is_quote & ~is_inside)
     # Position i of the piece is position i + 1 of `is_edge`.
     if is_inside[-1] or (is_end & is_inside).any() or not is_edge[opens].all() or not is_edge[closes + 2].all():
-        raise NotPlainError
+        raise NotPlainNumbersError
     if sign == _CELL_END and ((letters == sign[0]) & is_inside).any():
-        raise NotPlainError
+        raise NotPlainNumbersError
     letters[is_delimiter] = _CELL_END[0]
     return letters[~is_quote].tobytes()
 
 
-def _pieces(text: str, start: int, delimiter: str) -> Iterator[bytes]:
+def _iterate_line_chunks(text: str, start: int, delimiter: str) -> Iterator[bytes]:
     """Yield complete lines from a position on, with tabs between cells and line feeds at their ends.
 
     Cells have neither quotation marks nor blanks at their ends. Blanks, apostrophes and minus signs are ASCII; any
     other character outside of Latin-1 is a question mark.
 
     Raises:
-        NotPlainError: an invalid quotation mark or tab; see `_unquote`.
+        NotPlainError: an invalid quotation mark or tab; see `_remove_quotation_marks`.
     """
     while start < len(text):
         end = text.find("\n", start + _SETTINGS.chunk_characters) + 1 or len(text)
-        piece = _unquote(_normalize(text[start:end]), delimiter)
+        piece = _remove_quotation_marks(_normalize_characters(text[start:end]), delimiter)
         if b" " in piece and any(pair in piece for pair in _AT_EDGES):
             piece = _BLANKS.sub(rb"\1", piece)
         piece = piece.strip(b" ")

@@ -12,12 +12,13 @@ from tissue_sim.errors import InputError
 from tissue_sim.recording.formats.columns import Sheets
 from tissue_sim.recording.formats.guesses import ColumnHints
 from tissue_sim.recording.formats.kind_guess import KIND_OF_TEST
-from tissue_sim.recording.formats.understanding import understand
+from tissue_sim.recording.formats.understanding import interpret_file
 from tissue_sim.recording.formats.vocabulary import MACHINES
 from tissue_sim.recording.recording import Recording
 
 
-def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
+def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording,
+                                                                                                          ...]:
     """Read the recordings in a text, spreadsheet or container of any machine.
 
     The metadata of the recordings have the interpretation of the columns under ``understood``: header, unit, sign and
@@ -34,31 +35,32 @@ def read_table(path: str | Path, *, sheet: Sheets | None = None, curve: int | No
     return _read_machine_file(path, None, sheet, curve)
 
 
-def _make_reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
+def _make_machine_reader(machine: str) -> Callable[..., tuple[Recording, ...]]:
     """Return the function ``read_<machine>`` for a name in `MACHINES`."""
-    def read(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
+    def read_file(path: str | Path, *, sheet: Sheets | None = None, curve: int | None = None) -> tuple[Recording, ...]:
         return _read_machine_file(path, machine, sheet, curve)
 
-    read.__name__ = read.__qualname__ = f"read_{machine}"
-    read.__doc__ = f"Read the recordings in a file of {MACHINES[machine].title}; see `read_table`."
-    return read
+    read_file.__name__ = read_file.__qualname__ = f"read_{machine}"
+    read_file.__doc__ = f"Read the recordings in a file of {MACHINES[machine].title}; see `read_table`."
+    return read_file
 
 
 def _read_machine_file(path: str | Path, machine: str | None, sheet: Sheets | None, curve: int | None
                        ) -> tuple[Recording, ...]:
     """Read the recordings in a file; `machine` is a name in `MACHINES` (None: any machine)."""
     path = Path(path)
-    understood = understand(path, ColumnHints(format=machine, sheet=sheet, any_test=True))
-    missing = [what for reading in understood.readings for what in reading.missing]
+    understood = interpret_file(path, ColumnHints(format=machine, sheet=sheet, any_test=True))
+    missing = [what for reading in understood.readings for what in reading.missing_information]
     if missing:
         raise InputError(f"does not state {', nor '.join(missing)}; give columns with unit or scale instead of the "
                          "format", file=path, line=understood.readings[0].line)
     assumptions = (*understood.assumptions, *(each for reading in understood.readings for each in reading.assumptions))
-    if asked := [each.question for each in assumptions if each.is_question and each.subject != KIND_OF_TEST]:
+    if asked := [each.question_text for each in assumptions if each.needs_user_decision
+                 and each.subject != KIND_OF_TEST]:
         raise InputError(f"{asked[0]} Give columns and decimal instead of the format", file=path,
                          line=understood.readings[0].line)
     found = [recording.with_metadata(format=understood.format, understood={
-        column.channel: {**column.entry(), "reason": column.reason} for column in reading.columns})
+        column.channel: {**column.to_campaign_entry(), "reason": column.reason} for column in reading.columns})
         for reading in understood.readings for recording in reading.recordings]
     if curve is not None:
         if isinstance(curve, bool) or not isinstance(curve, int) or not 1 <= curve <= len(found):
@@ -68,4 +70,4 @@ def _read_machine_file(path: str | Path, machine: str | None, sheet: Sheets | No
     return tuple(found)
 
 
-globals().update({f"read_{name}": _make_reader(name) for name in MACHINES})
+globals().update({f"read_{name}": _make_machine_reader(name) for name in MACHINES})

@@ -6,19 +6,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.formats.assumption import Alternative, Assumption
-from tissue_sim.recording.formats.guesses import ColumnHints, Reading
-from tissue_sim.recording.formats.pairing import Group
-from tissue_sim.recording.formats.sizes import size_signature
-from tissue_sim.recording.formats.statements import Statements
-from tissue_sim.recording.formats.titles import find_block_title, name_materials
+from tissue_sim.recording.formats.assumption import AlternativeValue, Assumption
+from tissue_sim.recording.formats.guesses import ColumnHints, TableGroup
+from tissue_sim.recording.formats.pairing import RecordingColumns
+from tissue_sim.recording.formats.sizes import make_size_signature
+from tissue_sim.recording.formats.statements import FileStatements
+from tissue_sim.recording.formats.titles import derive_material_names, find_block_title
 
 #: Subject of the assumption about different titles.
 _SUBJECT = "titles of the tables"
 
 
-def split_by_material(reading: Reading, groups: Sequence[Group], places: Sequence[tuple[str, int]],
-                hints: ColumnHints) -> list[Reading]:
+def split_by_material(reading: TableGroup, groups: Sequence[RecordingColumns], places: Sequence[tuple[str, int]],
+                hints: ColumnHints) -> list[TableGroup]:
     """Split a reading into one reading for each pair of material and specimen size.
 
     Args:
@@ -30,21 +30,21 @@ def split_by_material(reading: Reading, groups: Sequence[Group], places: Sequenc
     Returns:
         The readings; several materials are a question to the user.
     """
-    tables = _match_tables(groups, places)
+    tables = _match_tables_to_recordings(groups, places)
     # A recording may continue below a repeated header, and its size may be stated below any of its parts. Statements
     # about several equal tables may contradict each other.
     reading = replace(reading, stated=read_only(_merge_table_statements(groups)))
     if tables is None:
         return [reading]
     titles = [title for _, title in tables]
-    materials = [""] * len(titles) if hints.one_material else name_materials(titles)
-    keys = [(material, size_signature(group.stated, reading.kind.kind))
+    materials = [""] * len(titles) if hints.one_material else derive_material_names(titles)
+    keys = [(material, make_size_signature(group.stated, reading.kind.kind))
             for material, (group, _) in zip(materials, tables, strict=True)]
     if len(set(keys)) < 2:
         return [reading]
-    numbers = _curve_numbers(reading, len(places))
+    numbers = _list_curve_numbers(reading, len(places))
     different = list(dict.fromkeys(materials))
-    question = _material_question(different, titles, materials, numbers) if len(different) > 1 else ()
+    question = _make_material_question(different, titles, materials, numbers) if len(different) > 1 else ()
     found = []
     for key in dict.fromkeys(keys):
         chosen = [i for i, each in enumerate(keys) if each == key]
@@ -58,8 +58,9 @@ def split_by_material(reading: Reading, groups: Sequence[Group], places: Sequenc
     return found
 
 
-def add_material_question(readings: Sequence[Reading], tables: Sequence[Sequence[Group]], hints: ColumnHints
-                          ) -> tuple[Reading, ...]:
+def add_material_question(readings: Sequence[TableGroup], tables: Sequence[Sequence[RecordingColumns]],
+                          hints: ColumnHints
+                          ) -> tuple[TableGroup, ...]:
     """Add a question if tables of one kind of test have different columns or units and titles of different materials.
 
     Args:
@@ -72,7 +73,7 @@ def add_material_question(readings: Sequence[Reading], tables: Sequence[Sequence
         return tuple(readings)
     titles = [find_block_title(group.numbers, [column.place - 1 for column in group.columns], side_by_side=False)
               for group, *_ in tables]
-    materials = name_materials(titles)
+    materials = derive_material_names(titles)
     different = list(dict.fromkeys(materials))
     if len(different) < 2 or any(each.subject == _SUBJECT for reading in readings for each in reading.assumptions):
         return tuple(readings)
@@ -80,20 +81,21 @@ def add_material_question(readings: Sequence[Reading], tables: Sequence[Sequence
     question = Assumption(
         _SUBJECT, f"different materials, imported one by one: {listed}",
         ("the titles differ by more than a running number",), (),
-        (Alternative("replicates of one material", None, "--one-material"),), "--column and --unit of one of them")
+        (AlternativeValue("replicates of one material", None, "--one-material"),), "--column and --unit of one of them")
     return tuple(replace(reading, assumptions=(*reading.assumptions, question)) for reading in readings)
 
 
-def _merge_table_statements(groups: Sequence[Group]) -> dict[str, str]:
+def _merge_table_statements(groups: Sequence[RecordingColumns]) -> dict[str, str]:
     """Return the statements (key -> value) about all of the tables."""
-    found = Statements(groups[0].stated)
+    found = FileStatements(groups[0].stated)
     for group in groups[1:]:
         for key, value in group.stated.items():
-            found.add(key, value, f"line {group.line}")
+            found.add_statement(key, value, f"line {group.first_line_number}")
     return found
 
 
-def _material_question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str], numbers: Sequence[int]
+def _make_material_question(different: Sequence[str], titles: Sequence[str], materials: Sequence[str],
+                            numbers: Sequence[int]
               ) -> tuple[Assumption, ...]:
     """Return the assumption that different names are different materials, with the alternative of one material."""
     flags = {each: " ".join(f"--curve {number}" for number, material in zip(numbers, materials, strict=True)
@@ -102,28 +104,29 @@ def _material_question(different: Sequence[str], titles: Sequence[str], material
     return (Assumption(
         _SUBJECT, f"different materials, imported one by one: {listed}",
         ("the titles differ by more than a running number",), (),
-        (Alternative("replicates of one material", None, "--one-material"),)),)
+        (AlternativeValue("replicates of one material", None, "--one-material"),)),)
 
 
-def _curve_numbers(reading: Reading, count: int) -> list[int]:
+def _list_curve_numbers(reading: TableGroup, count: int) -> list[int]:
     """Return the numbers (from 1) of the recordings in the file; `count` is the number of recordings read."""
     curve = reading.options.get("curve")
     return list(range(1, count + 1)) if curve is None else [curve] if isinstance(curve, int) else list(curve)
 
 
-def _match_tables(groups: Sequence[Group], places: Sequence[tuple[str, int]]) -> list[tuple[Group, str]] | None:
+def _match_tables_to_recordings(groups: Sequence[RecordingColumns],
+                                places: Sequence[tuple[str, int]]) -> list[tuple[RecordingColumns, str]] | None:
     """Return table and title of each recording; None if a recording has no table in `groups`.
 
     Args:
         groups: tables in the order of the file.
         places: (sheet, line of the header) of each recording.
     """
-    tables: dict[tuple[str, int], list[Group]] = {}
+    tables: dict[tuple[str, int], list[RecordingColumns]] = {}
     for group in groups:
-        tables.setdefault((group.numbers.table.name, group.line), []).append(group)
+        tables.setdefault((group.numbers.table.name, group.first_line_number), []).append(group)
     several_sheets = len({sheet for sheet, _ in places}) > 1
     seen: dict[tuple[str, int], int] = {}
-    found: list[tuple[Group, str]] = []
+    found: list[tuple[RecordingColumns, str]] = []
     for place in places:
         shared, number = tables.get(place, []), seen.get(place, 0)
         seen[place] = number + 1

@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 
 from tissue_sim.recording.formats.guesses import ColumnHints
-from tissue_sim.recording.formats.number_text import is_number, split_quantity
+from tissue_sim.recording.formats.number_text import is_number, split_number_and_unit
 from tissue_sim.recording.formats.pairing import find_column_position, find_named_column
 from tissue_sim.recording.formats.sizes import find_sizes_without_unit
-from tissue_sim.recording.formats.sources import Numbers
+from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.recording.formats.statements import find_constant_size_columns
-from tissue_sim.recording.formats.vocabulary import Machine, find_role, normalize_words
+from tissue_sim.recording.formats.vocabulary import MachineFormat, find_role, normalize_words
 from tissue_sim.recording.measures import MEASURES, find_measure
 
 
-def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, hints: ColumnHints,
-                            statements: Callable[[Numbers], Mapping[str, str]]) -> str:
+def explain_missing_columns(found: Sequence[NumberTable], machine: MachineFormat | None, hints: ColumnHints,
+                            statements: Callable[[NumberTable], Mapping[str, str]]) -> str:
     """Return the message for a file without a recording, which lists all missing information.
 
     Args:
@@ -25,7 +25,7 @@ def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, h
         statements: function that returns the statements (key -> value with unit) about a table.
     """
     numbers = max(found, key=lambda each: len(each.rows))
-    names = [numbers.name(position) for position in numbers.columns]
+    names = [numbers.get_column_header(position) for position in numbers.columns]
     has = (f"the columns are {', '.join(map(repr, names))}" if any(names)
            else f"its {len(numbers.columns)} columns of numbers have no names")
     if hints.columns:
@@ -36,13 +36,15 @@ def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, h
         absent = [f"{channel} = {name}" for channel, name in missing
                   if not _describe_unreadable_cell(numbers, find_column_position(numbers, name))]
         return "; ".join([*broken, *([f"has no column {' and none '.join(absent)}: {has}"] if absent else [])])
-    bare = [numbers.bare_name(position).casefold().replace(" ", "").replace("_", "") for position in numbers.columns]
+    bare = [numbers.get_header_without_unit(position).casefold().replace(" ", "").replace("_", "")
+            for position in numbers.columns]
     if any({f"{word}1", f"{word}2"} <= set(bare) for word in ("lambda", "stretch", "λ")):
         return (f"is a biaxial test ({has}), which has no registered kind; the rows with a stress-free second "
                 "direction are of kind uniaxial_tension")
     sizes = {position for position, _ in find_constant_size_columns(numbers)}
     known = {role for position in numbers.columns if position not in sizes
-             if (role := (find_role(numbers.bare_name(position), numbers.unit(position), machine) or [None])[0])}
+             if (role := (find_role(numbers.get_header_without_unit(position), numbers.get_column_unit(position),
+                                    machine) or [None])[0])}
     missing_roles = [words for words, roles in (("a motion (displacement, stretch, strain)",
                                        {"displacement", "stretch", "strain", "shear strain"}),
                                       ("a load (force, stress)", {"force", "stress"})) if not known & roles]
@@ -54,7 +56,7 @@ def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, h
         return (f"needs the gauge length, {gauge}: {has}; state the gauge length (--height-mm), which relates a strain "
                 "to a force, or a displacement to a stress")
     true = [name for position in numbers.columns
-            if find_measure(normalize_words(name := numbers.name(position)), "stress") in MEASURES]
+            if find_measure(normalize_words(name := numbers.get_column_header(position)), "stress") in MEASURES]
     if missing_roles and true and "stress" in known:
         return (f"has a true stress in {', '.join(map(repr, true))}, whose conversion to a nominal stress needs the "
                 f"stretch: {has}; add a column of stretch, strain or displacement")
@@ -63,7 +65,7 @@ def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, h
                 "such as --column displacement=2 --unit displacement=mm, or state the constant speed "
                 "(--speed-mm-s)")
     wanted = " and ".join(missing_roles) if missing_roles else "a matching pair of motion and load"
-    broken = [said for position in range(numbers.width) if position not in numbers.columns
+    broken = [said for position in range(numbers.column_count) if position not in numbers.columns
               and (said := _describe_unreadable_cell(numbers, position))]
     if missing_roles and broken:
         return f"has columns that cannot be read: {'; '.join(broken)}; {has}"
@@ -71,16 +73,16 @@ def explain_missing_columns(found: Sequence[Numbers], machine: Machine | None, h
             "displacement=2 --unit displacement=mm --column force=3 --unit force=N")
 
 
-def _describe_unreadable_cell(numbers: Numbers, position: int | None) -> str:
+def _describe_unreadable_cell(numbers: NumberTable, position: int | None) -> str:
     """Return a description of the first cell of a column that is not a number; empty without such a cell."""
     if position is None:
         return ""
     row = next((row for row in numbers.rows if position < len(row.cells) and row.cells[position]
                 and not is_number(row.cells[position])), None)
-    name = numbers.name(position)
+    name = numbers.get_column_header(position)
     if row is None:
         return ""
-    pair = split_quantity(row.cells[position])
+    pair = split_number_and_unit(row.cells[position])
     fault = "which is not a number" if pair is None else \
         f"and other cells have another unit than {pair[1]} or none; give all cells of the column one unit"
     return f"line {row.line}: {f'{name!r} holds ' if name else ''}{row.cells[position][:40]!r}, {fault}"

@@ -9,10 +9,16 @@ from typing import Any
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.files import read_text
-from tissue_sim.recording.formats.columns import Curves, Sheets, read_blocks
-from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd, split_long
+from tissue_sim.recording.formats.columns import Curves, Sheets, read_recordings_from_columns
+from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines, split_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number
-from tissue_sim.recording.formats.table import Column, Row, read_recording_table, si_conversion, split_rows
+from tissue_sim.recording.formats.table import (
+    ChannelColumn,
+    TableRow,
+    get_si_conversion,
+    read_recording_table,
+    split_rows,
+)
 from tissue_sim.recording.recording import CHANNELS, LABELS, Recording
 from tissue_sim.units import split_header, to_si
 
@@ -30,7 +36,8 @@ def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, s
     Args:
         path: the file.
         columns: columns of a file in any other format. With columns, the file is read by
-            `tissue_sim.recording.formats.columns.read_blocks`, which documents the remaining arguments.
+            `tissue_sim.recording.formats.columns.read_recordings_from_columns`, which documents the remaining
+            arguments.
         skip_lines: number of lines at the top that are ignored.
         delimiter: delimiter of the cells.
         sheet: sheet of a spreadsheet; only with `columns`.
@@ -43,20 +50,21 @@ def read_native(path: str | Path, *, columns: Mapping[str, Any] | None = None, s
     """
     path = Path(path)
     if columns is not None:
-        return read_blocks(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet, curve=curve,
+        return read_recordings_from_columns(path, columns, skip_lines=skip_lines, delimiter=delimiter, sheet=sheet,
+                                            curve=curve,
                            decimal=decimal)
     for key, value in (("sheet", sheet), ("curve", curve), ("decimal", decimal)):
         if value is not None:
             raise InputError(f"files of format 'native' have no {key}; leave it out", field=key)
     text = read_text(path, f"a recording with the header {EXAMPLE!r}")
-    beginning, end = split_long(text)
+    beginning, end = split_off_trailing_numbers(text)
     if end is not None and not any(end.units):
-        with suppress(InputError, NotPlainError):
+        with suppress(InputError, NotPlainNumbersError):
             return read_native_rows(_split_native_rows(beginning, path), path, end)
     return read_native_rows(_split_native_rows(text, path), path)
 
 
-def read_native_rows(rows: Sequence[Row], path: Path, end: PlainEnd | None = None) -> Recording:
+def read_native_rows(rows: Sequence[TableRow], path: Path, end: TrailingNumberLines | None = None) -> Recording:
     """Return the recording in rows of the native format.
 
     Args:
@@ -74,54 +82,54 @@ def read_native_rows(rows: Sequence[Row], path: Path, end: PlainEnd | None = Non
     return read_recording_table(header, data, _identify_columns(header, path), file=path, end=end)
 
 
-def _split_native_rows(text: str, path: Path) -> list[Row]:
+def _split_native_rows(text: str, path: Path) -> list[TableRow]:
     """Split a text at commas, and omit the comments."""
     # Comments become empty lines, so that the line numbers remain those of the file.
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return split_rows("\n".join("" if line.lstrip().startswith("#") else line for line in lines), ",", file=path)
 
 
-def _identify_columns(header: Row, path: Path) -> list[Column]:
+def _identify_columns(header: TableRow, path: Path) -> list[ChannelColumn]:
     """Return the columns in the order of the header.
 
     Raises:
         InputError: an invalid header; with file and line.
     """
-    def header_error(problem: str) -> InputError:
+    def make_header_error(problem: str) -> InputError:
         return InputError(problem, file=path, line=header.line)
 
     for delimiter, word in ((";", "semicolons"), ("\t", "tabs")):
         if len(header.cells) == 1 and delimiter in header.cells[0]:
-            raise header_error(f"the columns are separated by {word}, expected commas; replace the {word}, or name the "
-                               "columns with columns = {...}, which finds the delimiter")
+            raise make_header_error(f"the columns are separated by {word}, expected commas; replace the {word}, or "
+                                    "name the columns with columns = {...}, which finds the delimiter")
     if all(is_number(cell) for cell in header.cells if cell):
-        raise header_error(f"the header is missing; expected a line such as {EXAMPLE!r} above the numbers")
-    if not any(_find_channel(cell) for cell in header.cells) and len(header.cells) < 2:
-        raise header_error(f"the header of a recording is missing; expected a line such as {EXAMPLE!r}. For a file in "
-                           "another format, give its format or columns = {...}")
-    columns: list[Column] = []
+        raise make_header_error(f"the header is missing; expected a line such as {EXAMPLE!r} above the numbers")
+    if not any(_find_channel_of_header(cell) for cell in header.cells) and len(header.cells) < 2:
+        raise make_header_error(f"the header of a recording is missing; expected a line such as {EXAMPLE!r}. For a "
+                                "file in another format, give its format or columns = {...}")
+    columns: list[ChannelColumn] = []
     for index, cell in enumerate(header.cells):
         name, unit = split_header(cell)
-        channel = _find_channel(cell)
+        channel = _find_channel_of_header(cell)
         if channel is None:
-            raise header_error(f"unknown column {name!r}{nearest(name, _NAMES.values())}")
+            raise make_header_error(f"unknown column {name!r}{nearest(name, _NAMES.values())}")
         if channel in [column.channel for column in columns]:
-            raise header_error(f"column {channel!r} appears twice; remove or rename one")
+            raise make_header_error(f"column {channel!r} appears twice; remove or rename one")
         try:
-            columns.append(Column(channel, index, cell, *_find_conversion(channel, unit)))
+            columns.append(ChannelColumn(channel, index, cell, *_find_si_conversion(channel, unit)))
         except InputError as error:
-            raise header_error(f"column {cell!r}: {error.problem}") from None
+            raise make_header_error(f"column {cell!r}: {error.problem}") from None
     return columns
 
 
-def _find_channel(cell: str) -> str | None:
+def _find_channel_of_header(cell: str) -> str | None:
     """Return the channel or label that a header names; None: unknown."""
     name, _ = split_header(cell)
     return _NAMES.get(" ".join(name.casefold().replace("_", " ").split()))
 
 
-def _find_conversion(channel: str, unit: str | None) -> tuple[float, float]:
+def _find_si_conversion(channel: str, unit: str | None) -> tuple[float, float]:
     """Return factor and offset to SI units of a channel or label."""
     if channel in LABELS:
         return (1.0, 0.0) if unit is None else to_si(unit, "ratio")
-    return si_conversion(channel, unit)
+    return get_si_conversion(channel, unit)

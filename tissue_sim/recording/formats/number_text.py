@@ -70,11 +70,11 @@ def parse_number(cell: str, decimal: str = ".") -> float:
     if "_" in plain or not plain.isascii():
         return math.nan
     if decimal != "." and "." in plain:
-        return _parse_grouped(plain, decimal)
+        return _parse_grouped_number(plain, decimal)
     try:
         return float(plain if decimal == "." else plain.replace(decimal, ".", 1))
     except ValueError:
-        return _parse_unusual(plain, decimal)
+        return _parse_unusual_number(plain, decimal)
 
 
 def find_thousands_separator(cell: str, decimal: str) -> str:
@@ -101,20 +101,20 @@ def is_number(cell: str) -> bool:
 def parse_any_number(cell: str) -> float:
     """Return the number in a single cell; the decimal mark is a point if both decimal marks are possible."""
     value = parse_number(cell, ".")
-    return value if math.isfinite(value) and not find_thousands_separator(cell, ".") else _first_finite(
+    return value if math.isfinite(value) and not find_thousands_separator(cell, ".") else _choose_finite_value(
         parse_number(cell, ","), value)
 
 
-def _first_finite(first: float, second: float) -> float:
-    """Return the first value, or the second one if the first is not finite."""
+def _choose_finite_value(first: float, second: float) -> float:
+    """Return `first` if it is finite, else `second`."""
     return first if math.isfinite(first) else second
 
 
-def _parse_unusual(plain: str, decimal: str) -> float:
-    """Return a number with thousands separators or an exponent that `float` rejects; NaN: not a number."""
+def _parse_unusual_number(plain: str, decimal: str) -> float:
+    """Parse a number with thousands separators or an exponent that `float` rejects; NaN: not a number."""
     match = _EXPONENT_PATTERN.fullmatch(plain)
     if match is None:
-        return _parse_grouped(plain, decimal)
+        return _parse_grouped_number(plain, decimal)
     has_mark = not set(match["number"]).isdisjoint(DECIMAL_MARKS)
     # Fortran always writes a decimal mark: "3D10" is the name of a specimen.
     if (has_mark and decimal not in match["number"]) or (not has_mark and match["letter"] in ("d", "D")):
@@ -122,7 +122,7 @@ def _parse_unusual(plain: str, decimal: str) -> float:
     return float(f"{match['number'].replace(decimal, '.')}e{match['power']}")
 
 
-def _parse_grouped(plain: str, decimal: str) -> float:
+def _parse_grouped_number(plain: str, decimal: str) -> float:
     """Return a number with thousands separators; NaN: not such a number."""
     match = _GROUPED_PATTERNS[decimal].fullmatch(plain)
     if match is None:
@@ -130,7 +130,7 @@ def _parse_grouped(plain: str, decimal: str) -> float:
     return float(plain.replace(match["separator"], "").replace(decimal, "."))
 
 
-def split_quantity(cell: str) -> tuple[str, str] | None:
+def split_number_and_unit(cell: str) -> tuple[str, str] | None:
     """Return the number and the name of the unit in a cell, ``("12.3", "N")``; None: not a number with a known unit."""
     match = _QUANTITY.fullmatch(cell)
     unit = None if match is None else known_unit(match["unit"])

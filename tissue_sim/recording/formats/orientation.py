@@ -14,7 +14,7 @@ from tissue_sim.recording.recording import Recording
 
 @dataclass(frozen=True)
 class OrientationSettings:
-    """Settings of `orient_columns`.
+    """Settings of `set_column_signs_and_zeros`.
 
     Attributes:
         start_offset: largest first displacement, as a fraction of the travel, of a displacement that counts from
@@ -30,7 +30,8 @@ class OrientationSettings:
 _SETTINGS = OrientationSettings()
 
 
-def orient_columns(columns: Sequence[ColumnGuess], recordings: Sequence[Recording], starts: Sequence[float | None],
+def set_column_signs_and_zeros(columns: Sequence[ColumnGuess], recordings: Sequence[Recording],
+                               starts: Sequence[float | None],
              kind: str | None, stated: Collection[str]) -> tuple[ColumnGuess, ...]:
     """Set signs and zeros of columns: displacement and force increase under load; stretch and stress keep their sign.
 
@@ -48,7 +49,7 @@ def orient_columns(columns: Sequence[ColumnGuess], recordings: Sequence[Recordin
             column = _orient_displacement(column, recordings, starts, stated)
         elif column.channel == "stretch" and column.role != "stretch" and kind == "lubricated_compression" \
                 and "stretch" not in stated \
-                and _is_majority(each.channel("stretch").max() - 1.0 > 1.0 - each.channel("stretch").min()
+                and _is_majority_true(each.channel("stretch").max() - 1.0 > 1.0 - each.channel("stretch").min()
                           for each in recordings):
             column = replace(column, sign=-1, reason=f"{column.reason}; positive in compression, so turned")
         turned[column.channel] = column
@@ -60,13 +61,13 @@ def orient_columns(columns: Sequence[ColumnGuess], recordings: Sequence[Recordin
 
 def _orient_displacement(column: ColumnGuess, recordings: Sequence[Recording], starts: Sequence[float | None],
                          stated: Collection[str]) -> ColumnGuess:
-    """Return the column of the displacement with its sign and zero; see `orient_columns`."""
+    """Return the column of the displacement with its sign and zero; see `set_column_signs_and_zeros`."""
     displacements = [each.channel("displacement") for each in recordings]
-    static = [offset for each in recordings if (offset := _static_offset(each)) is not None]
+    static = [offset for each in recordings if (offset := _compute_static_offset(each)) is not None]
     if 2 * len(static) > len(recordings):
         return column if "displacement" in stated or sum(static) >= 0 else replace(
             column, sign=-1, reason=f"{column.reason}; it oscillates around a negative offset, so turned")
-    if "displacement" not in stated and _is_majority(largest_excursion(each) < 0 for each in displacements):
+    if "displacement" not in stated and _is_majority_true(find_largest_excursion(each) < 0 for each in displacements):
         column = replace(column, sign=-1, reason=f"{column.reason}; it falls under load, so turned")
     begins = [float(each[0]) if start is None else start for each, start in zip(displacements, starts, strict=True)]
     if any(abs(start) > _SETTINGS.start_offset * np.ptp(each)
@@ -76,7 +77,7 @@ def _orient_displacement(column: ColumnGuess, recordings: Sequence[Recording], s
     return column
 
 
-def _static_offset(recording: Recording) -> float | None:
+def _compute_static_offset(recording: Recording) -> float | None:
     """Return the mean displacement, m, of a recording that oscillates from its first sample on.
 
     The result is 0 for an oscillation around zero, and None without an oscillation or for a start from rest.
@@ -111,18 +112,19 @@ def _orient_load(column: ColumnGuess, recordings: Sequence[Recording], starts: S
         at_rest = float(load[nearest]) if shows_rest else 0.0
         return float(np.sum(path * (load - at_rest))) < 0
 
-    if _is_majority(is_against_motion(recording, start) for recording, start in zip(recordings, starts, strict=True)):
+    if _is_majority_true(is_against_motion(recording, start) for recording,
+                         start in zip(recordings, starts, strict=True)):
         return replace(column, sign=-1, reason=f"{column.reason}; against the motion, so turned")
     return column
 
 
-def _is_majority(answers: Iterable[bool]) -> bool:
-    """Return whether more than half of the answers are true."""
+def _is_majority_true(answers: Iterable[bool]) -> bool:
+    """Return whether more than half of the booleans are true."""
     answers = list(answers)
     return 2 * sum(answers) > len(answers)
 
 
-def largest_excursion(values: np.ndarray) -> float:
-    """Return the largest deviation from the first value, with its sign."""
+def find_largest_excursion(values: np.ndarray) -> float:
+    """Return the deviation from the first value with the largest magnitude, with its sign."""
     away = values - values[0]
     return float(away[np.argmax(np.abs(away))])

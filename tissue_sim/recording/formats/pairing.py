@@ -7,19 +7,23 @@ from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.cell_units import CellUnits
-from tissue_sim.recording.formats.columns import column_number
-from tissue_sim.recording.formats.gauge_length import displacement_to_stretch, find_gauge_length, strain_to_displacement
+from tissue_sim.recording.formats.cell_units import ExtractedUnitRow
+from tissue_sim.recording.formats.column_options import parse_column_number
+from tissue_sim.recording.formats.gauge_length import (
+    convert_displacement_to_stretch,
+    convert_strain_to_displacement,
+    find_gauge_length,
+)
 from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints
 from tissue_sim.recording.formats.header import find_matching_cells
-from tissue_sim.recording.formats.kind_hints import title_hints
+from tissue_sim.recording.formats.kind_hints import collect_title_hints
 from tissue_sim.recording.formats.kind_words import find_named_tests
-from tissue_sim.recording.formats.sizes import size_signature
-from tissue_sim.recording.formats.sources import Numbers
-from tissue_sim.recording.formats.speed_text import find_speeds
+from tissue_sim.recording.formats.sizes import make_size_signature
+from tissue_sim.recording.formats.sources import NumberTable
+from tissue_sim.recording.formats.speed_text import find_loading_speeds
 from tissue_sim.recording.formats.statements import find_constant_size_columns
 from tissue_sim.recording.formats.temperature import has_temperature
-from tissue_sim.recording.formats.vocabulary import Machine, find_role, find_source, normalize_words
+from tissue_sim.recording.formats.vocabulary import MachineFormat, find_role, find_source, normalize_words
 from tissue_sim.recording.measures import ENGINEERING, MEASURES, find_measure
 from tissue_sim.recording.recording import CHANNELS
 from tissue_sim.units import UNITS, known_unit
@@ -34,7 +38,7 @@ _SPEED_TOLERANCE = 0.01
 _CHANNEL_OF_MEASURE = {"shear strain": "stretch"}
 
 
-class KnownColumn(NamedTuple):
+class ColumnWithKnownRole(NamedTuple):
     """A column whose header determines its role.
 
     Attributes:
@@ -52,7 +56,7 @@ class KnownColumn(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Group:
+class RecordingColumns:
     """Columns of one recording in a table of numbers.
 
     Attributes:
@@ -65,7 +69,7 @@ class Group:
         stated: statements of the file about these numbers, key -> value with unit.
     """
 
-    numbers: Numbers
+    numbers: NumberTable
     columns: tuple[ColumnGuess, ...]
     others: tuple[str, ...]
     rivals: tuple[ColumnGuess, ...] = ()
@@ -73,22 +77,24 @@ class Group:
     stated: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def line(self) -> int:
-        """Line of the header, or of the first row of numbers."""
+    def first_line_number(self) -> int:
+        """Line number in the file (from 1) of the header or, without a header, of the first row of numbers."""
         return (self.numbers.header or self.numbers.rows[0]).line
 
     @property
-    def signature(self) -> tuple:
+    def replicate_signature(self) -> tuple:
         """Hashable key of columns, sizes and words for a test; the signatures of replicates are equal."""
         sheet = self.numbers.table.name
-        sizes = size_signature(self.stated) if sheet else ()
-        tests = sorted({each.title for each in find_named_tests(title_hints(self.numbers))}) if sheet else ()
+        sizes = make_size_signature(self.stated) if sheet else ()
+        tests = sorted({each.test_title
+                        for each in find_named_tests(collect_title_hints(self.numbers))}) if sheet else ()
         return (*sizes, *tests, self.speed,
                 *((each.channel, each.header or each.place, each.unit) for each in self.columns))
 
 
-def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, statements: Mapping[str, str]
-                ) -> list[Group]:
+def find_recording_columns(numbers: NumberTable, machine: MachineFormat | None, hints: ColumnHints,
+                           statements: Mapping[str, str]
+                ) -> list[RecordingColumns]:
     """Return the columns of each recording in a table with one or several recordings side by side.
 
     Args:
@@ -100,21 +106,23 @@ def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, s
     if hints.columns:
         named = [column for channel, name in hints.columns.items()
                  if (column := find_named_column(numbers, channel, name, hints))]
-        return [_group_of_named_columns(numbers, named, hints, statements)] if len(named) == len(hints.columns) else []
+        return [_build_from_named_columns(numbers, named, hints,
+                                          statements)] if len(named) == len(hints.columns) else []
     # A constant column "Height" is the size of the specimen, not the position of the crosshead.
     sizes = {position for position, _ in find_constant_size_columns(numbers)}
-    roles = [KnownColumn(position, *known, _column_variant(numbers, position, known[0]))
+    roles = [ColumnWithKnownRole(position, *known, _get_column_variant(numbers, position, known[0]))
              for position in numbers.columns if position not in sizes
-             and (known := find_role(numbers.bare_name(position), numbers.unit(position), machine))]
-    groups: list[Group] = []
+             and (known := find_role(numbers.get_header_without_unit(position), numbers.get_column_unit(position),
+                                     machine))]
+    groups: list[RecordingColumns] = []
     time = None
     for part in _split_adjacent_recordings(roles):
         chosen = _select_columns(part)
         speed, gauge = None, None
-        pair: tuple[str, ...] | None = _find_pair(chosen, hints)
+        pair: tuple[str, ...] | None = _find_motion_load_pair(chosen, hints)
         if pair is None and (speed := _find_constant_speed(chosen, numbers, hints)):
             pair = ("force",)
-        elif derived := _find_derived_pair(part, chosen, pair):
+        elif derived := _find_pair_by_gauge_length(part, chosen, pair):
             gauge = find_gauge_length(numbers, statements, hints)
             pair = derived if gauge is not None else pair
         if pair is None:
@@ -123,13 +131,14 @@ def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, s
         wanted = {**({"time": time} if time is not None else {}), **{role: chosen[role] for role in pair},
                   **({"temperature": chosen["temperature"]} if has_temperature(numbers, chosen) else {})}
         rank = {each.position: each.rank for each in part}
-        columns = tuple(replace(_guess_column(numbers, position, role, machine, hints), rank=rank.get(position, 0))
+        columns = tuple(replace(_interpret_column(numbers, position, role, machine, hints), rank=rank.get(position, 0))
                         for role, position in wanted.items())
         if gauge is not None:
             columns = tuple(_convert_by_gauge_length(column, pair[0], gauge) for column in columns)
-        others = tuple(numbers.name(each.position) for each in part if each.position not in wanted.values())
+        others = tuple(numbers.get_column_header(each.position) for each in part
+                       if each.position not in wanted.values())
         same = {*pair, *(("displacement",) if gauge is not None and pair[1] == "force" else ())}
-        rivals = tuple(replace(_guess_column(numbers, each.position, each.role, machine, hints), rank=each.rank)
+        rivals = tuple(replace(_interpret_column(numbers, each.position, each.role, machine, hints), rank=each.rank)
                        for each in sorted(part, key=lambda each: each.rank)
                        if each.role in same and each.position not in wanted.values())
         if gauge is not None:
@@ -137,17 +146,18 @@ def find_groups(numbers: Numbers, machine: Machine | None, hints: ColumnHints, s
         elif pair == ("displacement", "force") and (
                 length := find_gauge_length(numbers, statements, hints)) is not None:
             # A strain that differs from displacement / gauge length was measured by another sensor.
-            strains = [_guess_column(numbers, each.position, each.role, machine, hints) for each in part
+            strains = [_interpret_column(numbers, each.position, each.role, machine, hints) for each in part
                        if each.role in ("strain", "shear strain") and each.variant[1] not in MEASURES]
-            rivals = (*rivals, *(replace(strain_to_displacement(strain, length), rank=rank[chosen["displacement"]])
-                                 for strain in strains if not strain.missing))
-        groups.append(Group(numbers, columns, others, rivals, speed))
+            rivals = (*rivals,
+                      *(replace(convert_strain_to_displacement(strain, length), rank=rank[chosen["displacement"]])
+                                 for strain in strains if not strain.missing_information))
+        groups.append(RecordingColumns(numbers, columns, others, rivals, speed))
     return groups
 
 
-def _group_of_named_columns(numbers: Numbers, named: Sequence[ColumnGuess], hints: ColumnHints,
-                  statements: Mapping[str, str]) -> Group:
-    """Return the recording of the columns that the user names."""
+def _build_from_named_columns(numbers: NumberTable, named: Sequence[ColumnGuess], hints: ColumnHints,
+                  statements: Mapping[str, str]) -> RecordingColumns:
+    """Return the columns of the one recording whose columns the user names with flags."""
     roles = {column.role: column for column in named}
     motion = next((role for role, load in (("strain", "force"), ("shear strain", "force"), ("displacement", "stress"))
                    if {role, load} <= roles.keys()), None)
@@ -155,10 +165,11 @@ def _group_of_named_columns(numbers: Numbers, named: Sequence[ColumnGuess], hint
     gauge = find_gauge_length(numbers, statements, hints) if motion is not None and not mechanical else None
     if gauge is not None and motion is not None and roles[motion].measure is None:
         named = [_convert_by_gauge_length(column, motion, gauge) for column in named]
-    return Group(numbers, tuple(named), (), (), _find_constant_speed(roles, numbers, hints))
+    return RecordingColumns(numbers, tuple(named), (), (), _find_constant_speed(roles, numbers, hints))
 
 
-def _find_derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], pair: tuple[str, ...] | None
+def _find_pair_by_gauge_length(part: Sequence[ColumnWithKnownRole], chosen: Mapping[str, int],
+                               pair: tuple[str, ...] | None
                   ) -> tuple[str, str] | None:
     """Return roles of motion and load that match only with a known gauge length; None: no such columns.
 
@@ -181,19 +192,19 @@ def _find_derived_pair(part: Sequence[KnownColumn], chosen: Mapping[str, int], p
 
 def _convert_by_gauge_length(column: ColumnGuess, motion: str, gauge: tuple[float, str]) -> ColumnGuess:
     """Return the column of the motion converted by the gauge length (m, source); another column without a change."""
-    if column.role != motion or column.missing:
+    if column.role != motion or column.missing_information:
         return column
-    convert = displacement_to_stretch if motion == "displacement" else strain_to_displacement
+    convert = convert_displacement_to_stretch if motion == "displacement" else convert_strain_to_displacement
     return convert(column, gauge)
 
 
-def _column_variant(numbers: Numbers, position: int, role: str) -> tuple[str, str]:
+def _get_column_variant(numbers: NumberTable, position: int, role: str) -> tuple[str, str]:
     """Return source and measure that the header of a column names; empty texts for missing words."""
-    words = normalize_words(numbers.name(position))
+    words = normalize_words(numbers.get_column_header(position))
     return find_source(words), find_measure(words, role) or ""
 
 
-def _find_constant_speed(roles: Collection[str], numbers: Numbers, hints: ColumnHints) -> tuple[float, str] | None:
+def _find_constant_speed(roles: Collection[str], numbers: NumberTable, hints: ColumnHints) -> tuple[float, str] | None:
     """Return constant speed (m/s) and its source for a table of time and force without a motion.
 
     Returns:
@@ -204,7 +215,7 @@ def _find_constant_speed(roles: Collection[str], numbers: Numbers, hints: Column
     """
     if not {"time", "force"} <= set(roles) or set(roles) & {"displacement", "stretch", "strain", "shear strain"}:
         return None
-    speeds = find_speeds((*numbers.above, *numbers.below))
+    speeds = find_loading_speeds((*numbers.above, *numbers.below))
     if hints.speed is not None:
         if speeds and not any(abs(speed / hints.speed - 1.0) <= _SPEED_TOLERANCE for speed in speeds):
             lines = "; ".join(speeds.values())
@@ -214,54 +225,55 @@ def _find_constant_speed(roles: Collection[str], numbers: Numbers, hints: Column
     return next(((speed, f"in the file: {line}") for speed, line in speeds.items()), None) if len(speeds) == 1 else None
 
 
-def _split_adjacent_recordings(roles: Sequence[KnownColumn]) -> list[list[KnownColumn]]:
+def _split_adjacent_recordings(roles: Sequence[ColumnWithKnownRole]) -> list[list[ColumnWithKnownRole]]:
     """Split the columns of a table into recordings side by side.
 
     A recording begins at a column that repeats a role and variant with an equal or a higher rank, if the previous
     columns have a motion and a load, and the following columns have a motion and a load, too.
     """
-    parts: list[list[KnownColumn]] = [[]]
+    parts: list[list[ColumnWithKnownRole]] = [[]]
     for i, known in enumerate(roles):
-        is_repeated = any(_general_role(each.role) == _general_role(known.role) and each.rank <= known.rank
+        is_repeated = any(_get_general_role(each.role) == _get_general_role(known.role) and each.rank <= known.rank
                           and each.variant == known.variant for each in parts[-1])
-        if is_repeated and _has_motion_and_load(parts[-1]) and _has_motion_and_load(_columns_until_repeated(roles[i:])):
+        if is_repeated and _has_motion_and_load(parts[-1]) and _has_motion_and_load(
+                _take_columns_until_repeated(roles[i:])):
             parts.append([])
         parts[-1].append(known)
     return parts
 
 
-def _columns_until_repeated(roles: Sequence[KnownColumn]) -> list[KnownColumn]:
+def _take_columns_until_repeated(roles: Sequence[ColumnWithKnownRole]) -> list[ColumnWithKnownRole]:
     """Return the columns before the first column that repeats a role and variant."""
-    seen: list[KnownColumn] = []
+    seen: list[ColumnWithKnownRole] = []
     for each in roles:
-        if any(_general_role(other.role) == _general_role(each.role) and other.variant == each.variant
+        if any(_get_general_role(other.role) == _get_general_role(each.role) and other.variant == each.variant
                for other in seen):
             break
         seen.append(each)
     return seen
 
 
-def _general_role(role: str) -> str:
-    """Return the role, or ``strain`` for each measure of deformation."""
+def _get_general_role(role: str) -> str:
+    """Return ``strain`` for the role of any measure of deformation, else the role without a change."""
     return "strain" if role in ("strain", "stretch", "shear strain") else role
 
 
-def _has_motion_and_load(part: Sequence[KnownColumn]) -> bool:
+def _has_motion_and_load(part: Sequence[ColumnWithKnownRole]) -> bool:
     """Return whether the columns include a motion and a load."""
-    roles = {_general_role(each.role) for each in part}
+    roles = {_get_general_role(each.role) for each in part}
     return bool(roles & {"displacement", "strain"}) and bool(roles & {"force", "stress"})
 
 
-def _select_columns(part: Sequence[KnownColumn]) -> dict[str, int]:
+def _select_columns(part: Sequence[ColumnWithKnownRole]) -> dict[str, int]:
     """Return role -> position of the column with the lowest rank; the first one of columns with equal ranks."""
-    best: dict[str, KnownColumn] = {}
+    best: dict[str, ColumnWithKnownRole] = {}
     for each in part:
         if each.role not in best or each.rank < best[each.role].rank:
             best[each.role] = each
     return {role: each.position for role, each in best.items()}
 
 
-def _find_pair(chosen: Mapping[str, int], hints: ColumnHints) -> tuple[str, str] | None:
+def _find_motion_load_pair(chosen: Mapping[str, int], hints: ColumnHints) -> tuple[str, str] | None:
     """Return matching roles of motion and load; None: no such columns.
 
     Displacement and force, the measured quantities, are preferred unless `ColumnHints.direct` is true.
@@ -273,7 +285,8 @@ def _find_pair(chosen: Mapping[str, int], hints: ColumnHints) -> tuple[str, str]
     return next((pair for pair in pairs if set(pair) <= set(chosen)), None)
 
 
-def _guess_column(numbers: Numbers, position: int, role: str, machine: Machine | None, hints: ColumnHints, *,
+def _interpret_column(numbers: NumberTable, position: int, role: str, machine: MachineFormat | None, hints: ColumnHints,
+                      *,
                   is_named: bool = False) -> ColumnGuess:
     """Return the interpretation of a column with a given role.
 
@@ -286,7 +299,7 @@ def _guess_column(numbers: Numbers, position: int, role: str, machine: Machine |
         is_named: whether the user names the column.
     """
     channel = _CHANNEL_OF_ROLE[role]
-    unit, header = numbers.unit(position), numbers.name(position)
+    unit, header = numbers.get_column_unit(position), numbers.get_column_header(position)
     reason = f"header {header!r}" if header else f"column {position + 1}"
     if is_named:
         reason = f"stated ({reason})" if header else "stated"
@@ -297,17 +310,19 @@ def _guess_column(numbers: Numbers, position: int, role: str, machine: Machine |
     elif unit is None and machine is not None and role in machine.units:
         unit, reason = machine.units[role], f"{reason} without unit: {machine.title} writes {machine.units[role]}"
     elif numbers.units is not None:
-        reason += ", unit after each number" if isinstance(numbers.units, CellUnits) else ", unit in the row below"
-    if unit is not None and said["unit"] is None and unit not in UNITS and _is_remark(unit, role):
+        reason += ", unit after each number" if isinstance(numbers.units,
+                                                           ExtractedUnitRow) else ", unit in the row below"
+    if unit is not None and said["unit"] is None and unit not in UNITS and _is_bracket_remark(unit, role):
         # "Strain (true)", "Load (corrected)", "ln(lambda)": the brackets hold no unit.
         unit = "-" if CHANNELS[channel] == "ratio" else None
     column = ColumnGuess(channel, header, position + 1, unit, role, int(said["sign"] or 1),
                          None if said["scale"] is None else float(said["scale"]), None, bool(header), reason,
-                         other_unit=None if said["unit"] is not None else _contradicting_unit(numbers, position, unit))
-    return apply_measure(column, hints.measures.get(role, hints.measures.get(channel)))
+                         other_unit=None
+                         if said["unit"] is not None else _find_contradicting_unit(numbers, position, unit))
+    return apply_measure_conversion(column, hints.measures.get(role, hints.measures.get(channel)))
 
 
-def _contradicting_unit(numbers: Numbers, position: int, unit: str | None) -> str | None:
+def _find_contradicting_unit(numbers: NumberTable, position: int, unit: str | None) -> str | None:
     """Return the unit in the row of units if its size differs from the unit in the header; None: no contradiction."""
     cells = () if numbers.units is None else numbers.units.cells
     below = known_unit(cells[position]) if position < len(cells) else None
@@ -316,13 +331,13 @@ def _contradicting_unit(numbers: Numbers, position: int, unit: str | None) -> st
     return below
 
 
-def _is_remark(text: str, role: str) -> bool:
+def _is_bracket_remark(text: str, role: str) -> bool:
     """Return whether a text in brackets is a measure, a source or a symbol instead of a unit."""
     words = normalize_words(text)
     return bool(find_measure(words, role) or find_source(words)) or words in ("lambda", "λ")
 
 
-def apply_measure(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
+def apply_measure_conversion(column: ColumnGuess, stated_measure: str | None = None) -> ColumnGuess:
     """Return the column with the conversion of its measure of strain or stress.
 
     Args:
@@ -343,31 +358,31 @@ def apply_measure(column: ColumnGuess, stated_measure: str | None = None) -> Col
     return replace(column, reason=reason)
 
 
-def find_named_column(numbers: Numbers, channel: str, name: str | int, hints: ColumnHints) -> ColumnGuess | None:
+def find_named_column(numbers: NumberTable, channel: str, name: str | int, hints: ColumnHints) -> ColumnGuess | None:
     """Return the column that the user names; None: this table has no such column."""
     position = find_column_position(numbers, name)
     if position is None or position not in numbers.columns:
         return None
     role = {"nominal stress": "stress"}.get(channel, channel)
-    return _guess_column(numbers, position, role, None, hints, is_named=True)
+    return _interpret_column(numbers, position, role, None, hints, is_named=True)
 
 
-def find_column_position(numbers: Numbers, name: str | int) -> int | None:
+def find_column_position(numbers: NumberTable, name: str | int) -> int | None:
     """Return the position (from 0) of the column with this header, number (from 1) or letter; None: no such column."""
     if not isinstance(name, int) and numbers.header is not None:
         positions = find_matching_cells(numbers.header.cells, name)
         if positions:
             return positions[0]
     try:
-        position = column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
+        position = parse_column_number(int(name) if isinstance(name, str) and name.isdigit() else name) - 1
     except InputError:
         return None
-    return position if position < numbers.width else None
+    return position if position < numbers.column_count else None
 
 
-def group_equal_tables(groups: Sequence[Group]) -> list[list[Group]]:
+def group_equal_tables(groups: Sequence[RecordingColumns]) -> list[list[RecordingColumns]]:
     """Return lists of tables with equal columns; in a spreadsheet, also with equal sizes of the specimen."""
-    together: dict[tuple, list[Group]] = {}
+    together: dict[tuple, list[RecordingColumns]] = {}
     for group in groups:
-        together.setdefault(group.signature, []).append(group)
+        together.setdefault(group.replicate_signature, []).append(group)
     return list(together.values())

@@ -56,7 +56,7 @@ _Candidate = tuple[float, float, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
-class Size:
+class SizeOrSpeed:
     """A size or speed: key of ``[[specimen]]`` or ``[[test]]``, value in the unit of the key, and source in words."""
 
     key: str
@@ -73,7 +73,7 @@ class _StatedSize:
     rounding: float
 
 
-def find_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, Size]:
+def find_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, SizeOrSpeed]:
     """Return the stated values of ``radius_mm`` or ``area_mm2``, ``height_mm`` and ``speed_mm_s``.
 
     Args:
@@ -88,12 +88,12 @@ def find_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, Siz
         if _SPEED_WORDS.search(normalize_words(key)) and not _OTHER_SPEED_WORDS.search(normalize_words(key)):
             value, unit = _parse_speed(key, text)
             if value is not None and unit in _SPEED_FACTORS and value > 0:
-                found.setdefault("speed_mm_s", Size("speed_mm_s", value * _SPEED_FACTORS[unit],
-                                                    f"in the file: {key}: {text}"))
+                found.setdefault("speed_mm_s", SizeOrSpeed("speed_mm_s", value * _SPEED_FACTORS[unit],
+                                                           f"in the file: {key}: {text}"))
     return found
 
 
-def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, tuple[Size, ...]]:
+def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict[str, tuple[SizeOrSpeed, ...]]:
     """Return all contradictory statements of the radius or cross-section and of the height.
 
     Args:
@@ -110,13 +110,13 @@ def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict
         one = None if name is None else _parse_area(key, text) if name == "area" else _parse_length(key, text)
         if name is not None and one is not None:
             known.setdefault(name, []).append(one)
-    found: dict[str, tuple[Size, ...]] = {}
+    found: dict[str, tuple[SizeOrSpeed, ...]] = {}
     height = next((name for name in _HEIGHT_NAMES.get(kind or "", _DEFAULT_HEIGHT_NAMES) if name in known), None)
     if height is not None:
-        found["height_mm"] = _distinct_sizes("height_mm", [(1e3 * each.value, each.rounding, (each.key,))
+        found["height_mm"] = _select_distinct_sizes("height_mm", [(1e3 * each.value, each.rounding, (each.key,))
                                                       for each in known[height]], statements)
     flat = kind in _GRIPPED_KINDS
-    rectangles = _rectangular_areas(known, kind, height)
+    rectangles = _compute_rectangular_areas(known, kind, height)
     radii: list[_Candidate] = [
              (1e3 * factor * each.value, each.rounding, (each.key,))
              for name, factor in (("diameter", 0.5), ("radius", 1.0), ("circumference", 0.5 / math.pi))
@@ -125,13 +125,13 @@ def find_distinct_sizes(statements: Mapping[str, str], kind: str | None) -> dict
              (1e6 * each.value, each.rounding, (each.key,)) for each in known.get("area", ())] + rectangles
     if radii or (areas and not flat):
         radii += [(math.sqrt(area / math.pi), 0.5 * rounding, keys) for area, rounding, keys in areas]
-        found["radius_mm"] = _distinct_sizes("radius_mm", radii, statements)
+        found["radius_mm"] = _select_distinct_sizes("radius_mm", radii, statements)
     elif areas:
-        found["area_mm2"] = _distinct_sizes("area_mm2", areas, statements)
+        found["area_mm2"] = _select_distinct_sizes("area_mm2", areas, statements)
     return found
 
 
-def _rectangular_areas(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, height: str | None
+def _compute_rectangular_areas(known: Mapping[str, Sequence[_StatedSize]], kind: str | None, height: str | None
                 ) -> list[_Candidate]:
     """Return cross-sections of rectangular specimens, mm2: width * thickness, or width * length of a block.
 
@@ -145,7 +145,7 @@ def _rectangular_areas(known: Mapping[str, Sequence[_StatedSize]], kind: str | N
     other = next((name for name in second if name in known and name != height), None)
     if other is None or "width" not in known or (kind is None and other == "thickness"):
         return []
-    widths, lengths = (_without_repetitions([(1e3 * each.value, each.rounding, (each.key,)) for each in known[name]])
+    widths, lengths = (_remove_repeated_sizes([(1e3 * each.value, each.rounding, (each.key,)) for each in known[name]])
                        for name in ("width", other))
     # Equal numbers of widths and lengths are the rows of a list of specimens; otherwise, all products are candidates.
     pairs = zip(widths, lengths, strict=True) if len(widths) == len(lengths) else product(widths, lengths)
@@ -153,15 +153,16 @@ def _rectangular_areas(known: Mapping[str, Sequence[_StatedSize]], kind: str | N
             for (width, rounding, keys), (length, also, others) in pairs]
 
 
-def _distinct_sizes(key: str, candidates: Sequence[_Candidate], statements: Mapping[str, str]
-               ) -> tuple[Size, ...]:
-    """Return the first candidate as a `Size`, and each candidate that contradicts all previous ones."""
+def _select_distinct_sizes(key: str, candidates: Sequence[_Candidate], statements: Mapping[str, str]
+               ) -> tuple[SizeOrSpeed, ...]:
+    """Return the first candidate as a `SizeOrSpeed`, and each candidate that contradicts all previous ones."""
     # Rounded to whole nanometres: 25 mm must not become 25.000000000000004 mm.
-    return tuple(Size(key, round(value, 6), "in the file: " + ", ".join(f"{name}: {statements[name]}" for name in keys))
-                 for value, _, keys in _without_repetitions(candidates))
+    return tuple(SizeOrSpeed(key, round(value, 6),
+                             "in the file: " + ", ".join(f"{name}: {statements[name]}" for name in keys))
+                 for value, _, keys in _remove_repeated_sizes(candidates))
 
 
-def _without_repetitions(candidates: Sequence[_Candidate]) -> list[_Candidate]:
+def _remove_repeated_sizes(candidates: Sequence[_Candidate]) -> list[_Candidate]:
     """Return the candidates that differ from all previous candidates by more than the rounding errors."""
     kept: list[_Candidate] = []
     for value, rounding, keys in candidates:
@@ -181,7 +182,7 @@ def find_sizes_without_unit(statements: Mapping[str, str]) -> dict[str, str]:
     return found
 
 
-def size_signature(statements: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
+def make_size_signature(statements: Mapping[str, str], kind: str | None = None) -> tuple[tuple[str, float], ...]:
     """Return the stated sizes, sorted by key, without the speed; equal for files or sheets with equal specimens."""
     return tuple(sorted((size.key, size.value) for size in find_sizes(statements, kind).values()
                         if size.key != "speed_mm_s"))
@@ -200,7 +201,7 @@ def _parse_length(key: str, text: str) -> _StatedSize | None:
     unit = None if pair is None or pair[1] is None else known_unit(pair[1])
     if pair is None or unit is None or UNITS[unit][0] != "length" or not 0 < pair[0] < 1e9:
         return None
-    return _StatedSize(key, pair[0] * UNITS[unit][1], _relative_rounding(text, pair[0]))
+    return _StatedSize(key, pair[0] * UNITS[unit][1], _compute_relative_rounding(text, pair[0]))
 
 
 def _parse_area(key: str, text: str) -> _StatedSize | None:
@@ -212,10 +213,10 @@ def _parse_area(key: str, text: str) -> _StatedSize | None:
     if pair is None or match is None or not 0 < pair[0] < 1e9:
         return None
     factor = UNITS[known_unit(match["unit"]) or "mm"][1] ** 2
-    return _StatedSize(key, pair[0] * factor, _relative_rounding(text, pair[0]))
+    return _StatedSize(key, pair[0] * factor, _compute_relative_rounding(text, pair[0]))
 
 
-def _relative_rounding(text: str, value: float) -> float:
+def _compute_relative_rounding(text: str, value: float) -> float:
     """Return half a unit of the last decimal over the value; 0 for a number without decimals."""
     match = re.match(r"[-+]?\d+[.,](\d+)", text.strip())
     return min(0.5 * 10.0 ** -len(match[1]) / value, _SETTINGS.largest_rounding) if match else 0.0

@@ -10,10 +10,10 @@ from itertools import pairwise
 from pathlib import Path
 
 from tissue_sim.files import read_text
-from tissue_sim.recording.formats.columns import read_columns
+from tissue_sim.recording.formats.columns import read_single_recording
 from tissue_sim.recording.formats.header import find_header, split_text_tables
 from tissue_sim.recording.formats.number_text import is_number, parse_any_number
-from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import split_header
 
@@ -41,15 +41,15 @@ def read_soft_robotics(path: str | Path) -> Recording:
     parameters = {cells[0].strip(): cells[1].strip() for cells in lines if len(cells) > 1 and cells[0].strip()}
     columns = {"stretch": {"name": _STRAIN, "unit": "-"}, "nominal stress": _STRESS}
     metadata = {"format": "soft_robotics", "parameters": parameters}
-    if _runs_backwards(header, data):
+    if _does_time_decrease(header, data):
         metadata["time"] = "left out: the column runs backwards"
     else:
         columns = {"time": _TIME, **columns}
-    recording = read_columns(path, columns, skip_lines=header.line - 1, metadata=metadata)
+    recording = read_single_recording(path, columns, skip_lines=header.line - 1, metadata=metadata)
     return recording.with_channels(stretch=1.0 + recording.channel("stretch"))
 
 
-def _runs_backwards(header: Row, rows: list[Row]) -> bool:
+def _does_time_decrease(header: TableRow, rows: list[TableRow]) -> bool:
     """Return whether the time decreases between two rows."""
     index = next(i for i, cell in enumerate(header.cells) if split_header(cell)[0].casefold() == _TIME.casefold())
     cells = [row.cells[index] for row in rows if len(row.cells) > index]

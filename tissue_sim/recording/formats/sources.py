@@ -10,14 +10,15 @@ from pathlib import Path
 
 from tissue_sim.errors import InputError
 from tissue_sim.files import decode_text, read_bytes
-from tissue_sim.recording.formats.blocks import begins_with_word, is_mostly_units, is_unit_row
-from tissue_sim.recording.formats.cell_units import has_equal_units, without_cell_units
-from tissue_sim.recording.formats.columns import Sheets, check_delimiter
+from tissue_sim.recording.formats.blocks import is_mostly_units, is_unit_row, row_begins_with_word
+from tissue_sim.recording.formats.cell_units import extract_cell_units, has_units_of_previous_rows
+from tissue_sim.recording.formats.column_options import validate_delimiter
+from tissue_sim.recording.formats.columns import Sheets
 from tissue_sim.recording.formats.containers import is_container, read_container
-from tissue_sim.recording.formats.long_text import split_long
+from tissue_sim.recording.formats.long_text import split_off_trailing_numbers
 from tissue_sim.recording.formats.number_text import is_number
 from tissue_sim.recording.formats.size_words import classify_size_name
-from tissue_sim.recording.formats.table import Row, Table, split_rows
+from tissue_sim.recording.formats.table import Table, TableRow, split_rows
 from tissue_sim.recording.formats.workbook import is_workbook, read_sheets
 from tissue_sim.recording.recording import MIN_POINTS
 from tissue_sim.units import known_unit, loose_header, split_header
@@ -31,8 +32,8 @@ _SAMPLE_LINES = 2000
 
 
 @dataclass(frozen=True)
-class Source:
-    """The content of a file.
+class FileContent:
+    """Tables of one file, as text, before their interpretation.
 
     Attributes:
         kind: ``text``, ``workbook`` or ``container``.
@@ -48,7 +49,7 @@ class Source:
 
 
 @dataclass(frozen=True)
-class Numbers:
+class NumberTable:
     """Consecutive rows of numbers with their header and the rows around them.
 
     Attributes:
@@ -62,42 +63,42 @@ class Numbers:
     """
 
     table: Table
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
     columns: tuple[int, ...]
-    header: Row | None
-    units: Row | None
-    above: tuple[Row, ...] = field(repr=False)
-    below: tuple[Row, ...] = field(default=(), repr=False)
+    header: TableRow | None
+    units: TableRow | None
+    above: tuple[TableRow, ...] = field(repr=False)
+    below: tuple[TableRow, ...] = field(default=(), repr=False)
 
     @property
-    def lines(self) -> tuple[Row, ...]:
-        """All rows in the order of the file: above, header and units, numbers, below."""
+    def all_rows(self) -> tuple[TableRow, ...]:
+        """All rows around and in the table, in the order of the file: above, header, units, numbers, below."""
         names = [row for row in (self.header, self.units) if row is not None]
         return (*self.above, *sorted(names, key=lambda row: row.line), *self.rows, *self.below)
 
     @property
-    def width(self) -> int:
+    def column_count(self) -> int:
         """Number of columns, including columns without numbers."""
         return max(len(row.cells) for row in (self.rows[0], *([self.header] if self.header else [])))
 
-    def name(self, place: int) -> str:
+    def get_column_header(self, place: int) -> str:
         """Return the complete header of a column; empty without a header."""
         return self.header.cells[place].lstrip("# ") if self.header and place < len(self.header.cells) else ""
 
-    def bare_name(self, place: int) -> str:
+    def get_header_without_unit(self, place: int) -> str:
         """Return the header of a column without the unit."""
-        return loose_header(self.name(place))[0]
+        return loose_header(self.get_column_header(place))[0]
 
-    def unit(self, place: int) -> str | None:
+    def get_column_unit(self, place: int) -> str | None:
         """Return the unit in the header or in the row of units; an unknown unit is returned without a change."""
-        header = self.name(place)
+        header = self.get_column_header(place)
         loose = loose_header(header)[1]
         below = self.units.cells[place].strip("[]() ") if self.units and place < len(self.units.cells) else None
         return known_unit(loose or "") or known_unit(below or "") or split_header(header)[1] or below or None
 
 
-def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | None = None,
-                skip_lines: int = 0) -> Source:
+def read_file_content(path: Path, *, delimiter: str | None = None, sheet: Sheets | None = None,
+                      skip_lines: int = 0) -> FileContent:
     """Read the tables of a file.
 
     Args:
@@ -112,34 +113,35 @@ def open_source(path: Path, *, delimiter: str | None = None, sheet: Sheets | Non
     if is_container(path) or is_workbook(path):
         kind = "container" if is_container(path) else "workbook"
         sheets = read_container(path, sheet) if kind == "container" else read_sheets(path, sheet)
-        return Source(path, kind, tuple(each.table(skip_lines) for each in sheets))
+        return FileContent(path, kind, tuple(each.build_table(skip_lines) for each in sheets))
     text, encoding = decode_text(read_bytes(path, _EXPECTED), path, _EXPECTED)
     if delimiter is not None:
-        check_delimiter(delimiter)
-    beginning, end = split_long(text, skip_lines)
+        validate_delimiter(delimiter)
+    beginning, end = split_off_trailing_numbers(text, skip_lines)
     if end is not None:
         with suppress(InputError):
-            table = _split_text(beginning, delimiter, skip_lines, path)
-            runs = [*_numeric_runs(table)]
+            table = _split_text_to_table(beginning, delimiter, skip_lines, path)
+            runs = [*_iterate_numeric_runs(table)]
             # A single run of numbers in all columns, up to the end of the file, needs no further search.
-            if table.delimiter == end.delimiter and [columns for _, columns in runs] == [(*range(end.cells),)] and (
-                    runs[0][0][-1] is table.rows[-1] and has_equal_units(table.rows, end)):
-                return Source(path, "text", (table,), encoding)
-    return Source(path, "text", (_split_text(text, delimiter, skip_lines, path),), encoding)
+            if table.delimiter == end.delimiter and [columns for _,
+                                                     columns in runs] == [(*range(end.cell_count),)] and (
+                    runs[0][0][-1] is table.rows[-1] and has_units_of_previous_rows(table.rows, end)):
+                return FileContent(path, "text", (table,), encoding)
+    return FileContent(path, "text", (_split_text_to_table(text, delimiter, skip_lines, path),), encoding)
 
 
-def _split_text(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
+def _split_text_to_table(text: str, delimiter: str | None, skip_lines: int, path: Path) -> Table:
     """Return the table of a text; the skipped lines become empty, so that line numbers are preserved."""
     lines = text.splitlines()
     lines[:skip_lines] = [""] * min(skip_lines, len(lines))
     found = _find_delimiter(lines, path) if delimiter is None else delimiter
-    return _split_lines(lines, found, path)
+    return _split_lines_to_rows(lines, found, path)
 
 
-def _split_lines(lines: list[str], delimiter: str, path: Path) -> Table:
+def _split_lines_to_rows(lines: list[str], delimiter: str, path: Path) -> Table:
     """Split the lines at the delimiter, and remove units after the numbers."""
     text = "\n".join(lines)
-    return Table(without_cell_units(split_rows(text, delimiter, file=path), text), delimiter)
+    return Table(extract_cell_units(split_rows(text, delimiter, file=path), text), delimiter)
 
 
 def _find_delimiter(lines: list[str], path: Path) -> str:
@@ -152,10 +154,10 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
         scores = {}
         for delimiter in _DELIMITERS:
             try:
-                table = _split_lines(sample, delimiter, path)
+                table = _split_lines_to_rows(sample, delimiter, path)
             except InputError:
                 continue
-            scores[delimiter] = sum(max(score, 1) for _, _, score in _scored_runs(table))
+            scores[delimiter] = sum(max(score, 1) for _, _, score in _iterate_scored_runs(table))
             # A blank between digits is a thousands separator if another delimiter gives a table of the same lines.
             if delimiter == " " and scores[delimiter] > max([0, *scores.values()][:-1]) and any(
                     scores.get(other) and _has_same_rows(sample, other, table, path) for other in _DELIMITERS[:-1]):
@@ -172,40 +174,41 @@ def _find_delimiter(lines: list[str], path: Path) -> str:
 
 def _has_same_rows(lines: list[str], delimiter: str, blank: Table, path: Path) -> bool:
     """Return whether a delimiter gives at least as many rows of numbers as blanks, with numbers that contain blanks."""
-    table = _split_lines(lines, delimiter, path)
-    runs, of_blanks = [*_numeric_runs(table)], [*_numeric_runs(blank)]
+    table = _split_lines_to_rows(lines, delimiter, path)
+    runs, of_blanks = [*_iterate_numeric_runs(table)], [*_iterate_numeric_runs(blank)]
     grouped = any(" " in cell and is_number(cell) for run, _ in runs for row in run for cell in row.cells)
     return grouped and sum(len(run) for run, _ in runs) >= sum(len(run) for run, _ in of_blanks)
 
 
-def find_numbers(source: Source) -> list[Numbers]:
-    """Return all runs of rows of numbers in a file."""
+def find_number_tables(source: FileContent) -> list[NumberTable]:
+    """Return all tables of numbers in a file: runs of consecutive rows of numbers."""
     return [numbers for table in source.tables for numbers in _find_runs_in_table(table)]
 
 
-def _find_runs_in_table(table: Table) -> Iterator[Numbers]:
-    """Yield the runs of rows of numbers in a table."""
+def _find_runs_in_table(table: Table) -> Iterator[NumberTable]:
+    """Yield each run of consecutive rows of numbers in a table, with its header and the rows around the run."""
     begin = 0
     place = {id(row): i for i, row in enumerate(table.rows)}
-    runs = [*_numeric_runs(table)]
+    runs = [*_iterate_numeric_runs(table)]
     for number, (run, columns) in enumerate(runs, start=1):
         first = place[id(run[0])]
         above = [row for row in table.rows[begin:first] if re.search(r"\w", "".join(row.cells))]
         begin = place[id(run[-1])] + 1
-        header, units, rest = _split_names(above, columns)
+        header, units, rest = _split_name_and_unit_rows(above, columns)
         below = table.rows[begin:] if number == len(runs) else ()
-        yield Numbers(table, tuple(run), columns, header, units, tuple(above[:rest]), tuple(below))
+        yield NumberTable(table, tuple(run), columns, header, units, tuple(above[:rest]), tuple(below))
 
 
-def _split_names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, Row | None, int]:
+def _split_name_and_unit_rows(above: list[TableRow], columns: Sequence[int]) -> tuple[TableRow | None, TableRow | None,
+                                                                                      int]:
     """Return the rows of names and of units directly above the numbers, and the number of rows above both."""
     header, units, rest = None, None, len(above)
     for number, row in enumerate(reversed(above[-3:]), start=1):
         named = [i for i in columns if i < len(row.cells) and row.cells[i] and not is_number(row.cells[i])]
         if units is None and named and (is_unit_row(row, columns) or (
-                header is None and is_mostly_units(row, columns) and _names_columns(above[:-number], columns))):
+                header is None and is_mostly_units(row, columns) and _is_column_name_row(above[:-number], columns))):
             units = row
-        elif header is None and not _states_size(row) and 2 * len(named) >= len(columns) and len(named) >= 2:
+        elif header is None and not _is_size_statement(row) and 2 * len(named) >= len(columns) and len(named) >= 2:
             header = row
         else:
             break
@@ -215,30 +218,30 @@ def _split_names(above: list[Row], columns: Sequence[int]) -> tuple[Row | None, 
     return header, units, rest
 
 
-def _names_columns(above: Sequence[Row], columns: Sequence[int]) -> bool:
-    """Return whether the last row has a name for each of the columns."""
+def _is_column_name_row(above: Sequence[TableRow], columns: Sequence[int]) -> bool:
+    """Return whether the last of the rows above the numbers has a name for each of the columns."""
     return bool(above) and all(i < len(above[-1].cells) and above[-1].cells[i] and not is_number(above[-1].cells[i])
                                for i in columns)
 
 
-def _states_size(row: Row) -> bool:
+def _is_size_statement(row: TableRow) -> bool:
     """Return whether a row states a size, such as ``Height 12 mm``, and not names."""
     cells = [cell for cell in row.cells if cell]
     return len(cells) > 1 and is_number(cells[1]) and classify_size_name(cells[0]) is not None
 
 
-def _numeric_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...]]]:
+def _iterate_numeric_runs(table: Table) -> Iterator[tuple[list[TableRow], tuple[int, ...]]]:
     """Yield runs of at least `MIN_POINTS` rows with two or more numbers and little else, and their columns."""
-    for run, columns, _ in _scored_runs(table):
+    for run, columns, _ in _iterate_scored_runs(table):
         yield run, columns
 
 
-def _scored_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...], int]]:
-    """Yield the runs of `_numeric_runs` with a score: cells that are numbers minus other cells."""
-    run: list[Row] = []
+def _iterate_scored_runs(table: Table) -> Iterator[tuple[list[TableRow], tuple[int, ...], int]]:
+    """Yield the runs of `_iterate_numeric_runs` with a score: cells that are numbers minus other cells."""
+    run: list[TableRow] = []
     counts: dict[int, int] = {}
     score = 0
-    for row in (*table.rows, Row(0, ())):
+    for row in (*table.rows, TableRow(0, ())):
         numeric = [i for i, cell in enumerate(row.cells) if cell and is_number(cell)]
         filled = sum(map(bool, row.cells))
         if len(numeric) >= 2 and 2 * len(numeric) >= filled:
@@ -248,7 +251,7 @@ def _scored_runs(table: Table) -> Iterator[tuple[list[Row], tuple[int, ...], int
                 counts[i] = counts.get(i, 0) + 1
             continue
         # Rows such as "Mean, 1.2, 3.4" below the numbers are a summary.
-        while len(run) > 1 and begins_with_word(run[-1]) and not begins_with_word(run[0]):
+        while len(run) > 1 and row_begins_with_word(run[-1]) and not row_begins_with_word(run[0]):
             run.pop()
         # A column may start late or end early, because replicates side by side differ in length.
         columns = tuple(sorted(i for i, count in counts.items() if count >= MIN_POINTS))

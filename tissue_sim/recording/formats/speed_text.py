@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.table import TableRow
 
 #: Unit of a speed, without blanks, lower case -> m/s.
 _SPEED_UNITS = {"mm/min": 1e-3 / 60.0, "mmmin-1": 1e-3 / 60.0, "mm/s": 1e-3, "mm/sec": 1e-3, "mms-1": 1e-3,
@@ -24,7 +24,7 @@ _OTHER_SPEED = re.compile(r"\b(approach|return|retract\w*|unload\w*|pre\w*|jog|m
                           r"vor(kraft|last|weg|spann)\w*|anfahr\w*|retour)\b", re.IGNORECASE)
 
 
-def find_speeds(rows: Sequence[Row]) -> dict[float, str]:
+def find_loading_speeds(rows: Sequence[TableRow]) -> dict[float, str]:
     """Return speed of loading, m/s -> line, for each speed that the rows state."""
     found: dict[float, str] = {}
     for row in rows:

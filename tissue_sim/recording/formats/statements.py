@@ -10,8 +10,8 @@ from tissue_sim.recording.formats.blocks import is_unit_row
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, find_thousands_separator, is_number, parse_number
 from tissue_sim.recording.formats.size_words import SENTENCE_WORDS, classify_size_name
 from tissue_sim.recording.formats.sizes import parse_quantity
-from tissue_sim.recording.formats.sources import Numbers
-from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.sources import NumberTable
+from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.units import known_unit, loose_header
 
 #: "key: value" or "key = value".
@@ -68,10 +68,10 @@ class StatementSettings:
 _SETTINGS = StatementSettings()
 
 
-class Statements(dict[str, str]):
+class FileStatements(dict[str, str]):
     """Statements of a file: key -> value with unit. Contradictory values of a key have the location in their keys."""
 
-    def add(self, key: str, value: str, location: str) -> None:
+    def add_statement(self, key: str, value: str, location: str) -> None:
         """Add a statement; `location`, such as ``line 3``, distinguishes another value of an existing key."""
         key, value = " ".join(key.split()), " ".join(value.split())
         if key in self and self[key] != value:
@@ -79,8 +79,9 @@ class Statements(dict[str, str]):
         self.setdefault(key, value)
 
 
-def find_table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str | None, table: int = 0, tables: int = 1
-                     ) -> Statements:
+def find_table_statements(numbers: NumberTable, used: Sequence[int], *, decimal: str | None, table: int = 0,
+                          tables: int = 1
+                     ) -> FileStatements:
     """Return the statements of a file about one table of numbers.
 
     Args:
@@ -90,59 +91,60 @@ def find_table_statements(numbers: Numbers, used: Sequence[int], *, decimal: str
         table: number (from 0) of the table; selects the row of a list with `tables` rows.
         tables: number of tables in the file.
     """
-    found = Statements()
+    found = FileStatements()
     add_row_statements(numbers.above, found, decimal, table, tables)
     add_row_statements(numbers.below, found, decimal, table, tables)
     for place, value in find_constant_size_columns(numbers):
         if place not in used:
-            found.add(numbers.bare_name(place), f"{_ungroup_digits(value, decimal)} {numbers.unit(place) or ''}",
-                      "column")
+            found.add_statement(numbers.get_header_without_unit(place),
+                                f"{_remove_thousands_separator(value, decimal)} {numbers.get_column_unit(place) or ''}",
+                                "column")
     for row in (*((numbers.header,) if numbers.header else ()), *numbers.rows[:_SETTINGS.rows_of_numbers]):
-        others = Row(row.line, tuple(cell for i, cell in enumerate(row.cells) if i not in used))
-        for key, value in _row_statements(others, decimal):
+        others = TableRow(row.line, tuple(cell for i, cell in enumerate(row.cells) if i not in used))
+        for key, value in _iterate_row_statements(others, decimal):
             if classify_size_name(key) is not None:
-                found.add(key, value, f"line {row.line}")
+                found.add_statement(key, value, f"line {row.line}")
     return found
 
 
-def add_missing_statements(rows: Sequence[Row], found: Statements, decimal: str | None, table: int = 0,
+def add_missing_statements(rows: Sequence[TableRow], found: FileStatements, decimal: str | None, table: int = 0,
                            tables: int = 1) -> None:
     """Add the statements in rows of other tables and sheets to `found`, except sizes that `found` already has."""
-    more = Statements()
+    more = FileStatements()
     add_row_statements(rows, more, decimal, table, tables)
     stated = {classify_size_name(key) for key in found}
     for key, value in more.items():
         if classify_size_name(key) is None or classify_size_name(key) not in stated:
-            found.add(key, value, "elsewhere")
+            found.add_statement(key, value, "elsewhere")
 
 
-def states_sizes(rows: Sequence[Row]) -> bool:
+def states_sizes(rows: Sequence[TableRow]) -> bool:
     """Return whether rows outside of the numbers state a size of the specimen."""
-    found = Statements()
+    found = FileStatements()
     add_row_statements(rows, found)
     return any(classify_size_name(key) is not None for key in found)
 
 
-def add_row_statements(rows: Sequence[Row], found: Statements, decimal: str | None = None, table: int = 0,
+def add_row_statements(rows: Sequence[TableRow], found: FileStatements, decimal: str | None = None, table: int = 0,
                        tables: int = 1) -> None:
     """Add the statements in rows outside of the numbers to `found`; see `find_table_statements`."""
     used: set[int] = set()
     for i, names in enumerate(rows):
-        if _names_sizes(names):
-            used |= _add_sizes(rows, i, found, decimal, table, tables)
+        if _is_size_table_header(names):
+            used |= _add_sizes_of_small_table(rows, i, found, decimal, table, tables)
     for i, row in enumerate(rows):
         if i not in used:
-            for key, value in _row_statements(row, decimal):
-                found.add(key, value, f"line {row.line}")
+            for key, value in _iterate_row_statements(row, decimal):
+                found.add_statement(key, value, f"line {row.line}")
     for row in rows:
-        for key, value in _sizes_in_sentences(row, decimal):
+        for key, value in _iterate_sizes_in_sentences(row, decimal):
             # A line "Diameter: 20 mm" also matches the patterns of sentences.
             if not any(classify_size_name(other) == classify_size_name(key)
                        and _is_same_quantity(found[other], value) for other in found):
-                found.add(key, value, f"line {row.line}")
+                found.add_statement(key, value, f"line {row.line}")
 
 
-def find_listed_sizes(rows: Sequence[Row], decimal: str | None, table: int, tables: int) -> Statements:
+def find_listed_sizes(rows: Sequence[TableRow], decimal: str | None, table: int, tables: int) -> FileStatements:
     """Return the sizes of one recording from lists of sizes with one row for each recording of a file.
 
     Args:
@@ -151,24 +153,24 @@ def find_listed_sizes(rows: Sequence[Row], decimal: str | None, table: int, tabl
         table: number (from 0) of the recording.
         tables: number of recordings; a file with one recording has no such list.
     """
-    found = Statements()
+    found = FileStatements()
     for i, names in enumerate(rows):
-        if tables > 1 and _names_sizes(names) and len(_split_small_table(rows, i)[1]) == tables:
-            _add_sizes(rows, i, found, decimal, table, tables)
+        if tables > 1 and _is_size_table_header(names) and len(_split_small_table(rows, i)[1]) == tables:
+            _add_sizes_of_small_table(rows, i, found, decimal, table, tables)
     return found
 
 
-def find_constant_size_columns(numbers: Numbers) -> Iterator[tuple[int, str]]:
+def find_constant_size_columns(numbers: NumberTable) -> Iterator[tuple[int, str]]:
     """Yield (position, value) of each column whose name is a size and whose value is the same in all rows."""
-    for place in range(numbers.width):
-        if classify_size_name(numbers.bare_name(place)) is None:
+    for place in range(numbers.column_count):
+        if classify_size_name(numbers.get_header_without_unit(place)) is None:
             continue
         values = {row.cells[place] for row in numbers.rows if place < len(row.cells) and row.cells[place]}
         if len(values) == 1 and is_number(value := values.pop()):
             yield place, value
 
 
-def _row_statements(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
+def _iterate_row_statements(row: TableRow, decimal: str | None) -> Iterator[tuple[str, str]]:
     """Yield the pairs (key, value) of a row: ``key: value``, ``key;value;unit`` or ``key (unit);value``."""
     cells = [cell for cell in row.cells if cell]
     if not cells:
@@ -177,7 +179,7 @@ def _row_statements(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
     if len(numeric) > 1 and not _KEY_VALUE.match(cells[0]):
         for i in numeric:
             unit = cells[i + 1] if i + 1 < len(cells) and known_unit(cells[i + 1]) else ""
-            yield _format_statement(cells[i - 1], f"{_ungroup_digits(cells[i], decimal)} {unit}")
+            yield _format_statement(cells[i - 1], f"{_remove_thousands_separator(cells[i], decimal)} {unit}")
         return
     for cell in cells[1:]:
         if (match := _KEY_VALUE.match(cell)) and match["value"]:
@@ -185,19 +187,19 @@ def _row_statements(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
     match = _KEY_VALUE.match(cells[0])
     if match and match["value"]:
         unit = cells[1] if len(cells) > 1 and is_number(match["value"]) and known_unit(cells[1]) else ""
-        yield _format_statement(match["key"], f"{_ungroup_digits(match['value'], decimal)} {unit}")
+        yield _format_statement(match["key"], f"{_remove_thousands_separator(match['value'], decimal)} {unit}")
     elif len(cells) >= 2:
         unit = cells[2] if len(cells) > 2 and is_number(cells[1]) and _UNIT_CELL.match(cells[2]) else ""
-        yield _format_statement(cells[0].rstrip(" :="), f"{_ungroup_digits(cells[1], decimal)} {unit}")
+        yield _format_statement(cells[0].rstrip(" :="), f"{_remove_thousands_separator(cells[1], decimal)} {unit}")
 
 
 def _format_statement(key: str, value: str) -> tuple[str, str]:
-    """Return key and value of a statement; a unit in the key moves to the value."""
+    """Return key and value of a statement; a unit in the key is moved to the end of the value."""
     name, unit = loose_header(key.strip("# "))
     return name, f"{value} {unit}" if unit else value
 
 
-def _ungroup_digits(cell: str, decimal: str | None) -> str:
+def _remove_thousands_separator(cell: str, decimal: str | None) -> str:
     """Return a number without its thousands separators, or another cell without a change.
 
     If the decimal mark is unknown, only blanks and apostrophes are thousands separators.
@@ -209,22 +211,22 @@ def _ungroup_digits(cell: str, decimal: str | None) -> str:
     return cell
 
 
-def _names_sizes(row: Row) -> bool:
+def _is_size_table_header(row: TableRow) -> bool:
     """Return whether a row is the header of a small table of sizes."""
     cells = [cell for cell in row.cells if cell]
     return len(cells) >= 2 and not any(map(is_number, cells)) and any(
         classify_size_name(loose_header(cell)[0]) is not None for cell in cells)
 
 
-def _split_small_table(rows: Sequence[Row], header: int) -> tuple[Row | None, list[Row], int]:
+def _split_small_table(rows: Sequence[TableRow], header: int) -> tuple[TableRow | None, list[TableRow], int]:
     """Split the small table below row `header` of `rows`.
 
     Returns:
         Row of units (None: no such row), rows of values without summaries, and position of the last row of the table.
     """
     places = range(len(rows[header].cells))
-    units: Row | None = None
-    values: list[Row] = []
+    units: TableRow | None = None
+    values: list[TableRow] = []
     last = header
     for i in range(header + 1, len(rows)):
         row = rows[i]
@@ -239,8 +241,9 @@ def _split_small_table(rows: Sequence[Row], header: int) -> tuple[Row | None, li
     return units, values, last
 
 
-def _add_sizes(rows: Sequence[Row], header: int, found: Statements, decimal: str | None, table: int, tables: int
-               ) -> set[int]:
+def _add_sizes_of_small_table(rows: Sequence[TableRow], header: int, found: FileStatements, decimal: str | None,
+                              table: int, tables: int
+                              ) -> set[int]:
     """Add the sizes of a small table to `found`, and return the positions of the rows of the small table."""
     units, values, last = _split_small_table(rows, header)
     if not values:
@@ -254,12 +257,12 @@ def _add_sizes(rows: Sequence[Row], header: int, found: Statements, decimal: str
             unit = units.cells[place].strip("[]() ")
         for row in chosen:
             if place < len(row.cells) and is_number(row.cells[place]):
-                found.add(name, f"{_ungroup_digits(row.cells[place], decimal)} {unit or ''}",
-                          f"line {row.line}")
+                found.add_statement(name, f"{_remove_thousands_separator(row.cells[place], decimal)} {unit or ''}",
+                                    f"line {row.line}")
     return set(range(header, last + 1))
 
 
-def _sizes_in_sentences(row: Row, decimal: str | None) -> Iterator[tuple[str, str]]:
+def _iterate_sizes_in_sentences(row: TableRow, decimal: str | None) -> Iterator[tuple[str, str]]:
     """Yield the pairs (name, quantity) of the sizes in running text."""
     cells: Iterable[str] = [cell for cell in row.cells if cell]
     if sum(map(len, cells)) > _SETTINGS.longest_sentence:
@@ -284,7 +287,8 @@ def _sizes_in_sentences(row: Row, decimal: str | None) -> Iterator[tuple[str, st
                 if match.start("number") not in taken:
                     taken.add(match.start("number"))
                     square = "^2" if match["square"] else ""
-                    yield match["key"].strip(), f"{_ungroup_digits(match['number'], decimal)} {match['unit']}{square}"
+                    number = _remove_thousands_separator(match["number"], decimal)
+                    yield match["key"].strip(), f"{number} {match['unit']}{square}"
 
 
 def _is_same_quantity(stated: str, quantity: str) -> bool:

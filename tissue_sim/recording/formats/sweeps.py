@@ -17,7 +17,7 @@ _SWEPT = re.compile(r"\b(angular )?frequenc(y|ies)\b|\b(kreis)?frequenz\b|\bfré
                     r"\bamplitude\w*|\boscillation (strain|stress)\b|\bscher(dehnungs)?amplitude\w*|\bstrain amp\w*")
 
 
-def is_sweep(headers: Sequence[str]) -> bool:
+def is_frequency_or_amplitude_sweep(headers: Sequence[str]) -> bool:
     """Return whether the headers of a table are those of moduli over frequency or amplitude.
 
     Such a table has two dynamic moduli, or one modulus and the quantity over which the modulus is measured.
@@ -29,7 +29,7 @@ def is_sweep(headers: Sequence[str]) -> bool:
     return moduli >= 2 or (moduli >= 1 and swept >= 1) or swept > amplitudes > 0
 
 
-def describe_sweep(headers: Sequence[str]) -> str:
+def explain_refused_sweep(headers: Sequence[str]) -> str:
     """Return the reason why a table of a sweep is not imported, in one sentence."""
     named = ", ".join(repr(header) for header in headers if header)
     return (f"moduli over frequency or amplitude are not a recording of a motion (columns {named}); give displacement "

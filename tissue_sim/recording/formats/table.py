@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.formats.decimal_mark import DECIMAL_WORDS, NumberMarks, find_marks
-from tissue_sim.recording.formats.long_text import NotPlainError, PlainEnd
+from tissue_sim.recording.formats.decimal_mark import DECIMAL_WORDS, NumberMarks, detect_number_marks
+from tissue_sim.recording.formats.long_text import NotPlainNumbersError, TrailingNumberLines
 from tissue_sim.recording.formats.number_text import DECIMAL_MARKS, parse_number
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
 from tissue_sim.units import quantity_of, to_si
@@ -33,14 +33,14 @@ _SI_UNIT_WORDS = {"time": "s", "length": "m", "force": "N", "torque": "Nm", "str
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class TableRow:
     """One line of a file: line number (from 1), and cells without blanks at their ends."""
 
     line: int
     cells: tuple[str, ...]
 
     @property
-    def blank(self) -> bool:
+    def is_blank(self) -> bool:
         """Return whether all cells are empty."""
         return not any(self.cells)
 
@@ -55,13 +55,13 @@ class Table:
         name: name of the sheet or group; empty for a text.
     """
 
-    rows: Sequence[Row]
+    rows: Sequence[TableRow]
     delimiter: str | None = None
     name: str = ""
 
 
 @dataclass(frozen=True)
-class Column:
+class ChannelColumn:
     """Column of a channel or label; converts its numbers to SI units by value * factor + offset.
 
     Attributes:
@@ -79,7 +79,7 @@ class Column:
     offset: float = 0.0
 
 
-def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
+def split_rows(text: str, delimiter: str, *, file: Path) -> list[TableRow]:
     """Split the lines with content at a delimiter; cells may be quoted (RFC 4180).
 
     Args:
@@ -92,15 +92,15 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
     """
     line = 0
 
-    def lines():
+    def iterate_lines():
         nonlocal line
         for content in io.StringIO(text, newline=None):
             line += 1
             # Only blanks and tabs are stripped: a no-break blank is a thousands separator.
             yield _BLANK_RUN.sub(" ", content.strip(" \t\r\n")) + "\n" if delimiter == " " else content
 
-    rows: list[Row] = []
-    reader = csv.reader(lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
+    rows: list[TableRow] = []
+    reader = csv.reader(iterate_lines(), delimiter=delimiter, skipinitialspace=delimiter != " ")
     while True:
         start = line + 1
         try:
@@ -113,20 +113,20 @@ def split_rows(text: str, delimiter: str, *, file: Path) -> list[Row]:
         if line > start:
             raise InputError("a quoted cell continues on the next line; close its quotation mark",
                              file=file, line=start)
-        row = Row(start, tuple(cell.strip() for cell in cells))
-        if not row.blank:
+        row = TableRow(start, tuple(cell.strip() for cell in cells))
+        if not row.is_blank:
             rows.append(row)
 
 
-def select_cells(rows: Iterable[Row], places: Sequence[int]) -> list[Row]:
+def select_cells(rows: Iterable[TableRow], places: Sequence[int]) -> list[TableRow]:
     """Return rows with only the cells at the given positions (from 0), without rows that are then blank."""
-    chosen = (Row(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in places)) for row in rows)
-    return [row for row in chosen if not row.blank]
+    chosen = (TableRow(row.line, tuple(row.cells[i] if i < len(row.cells) else "" for i in places)) for row in rows)
+    return [row for row in chosen if not row.is_blank]
 
 
-def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Column], *, file: Path,
+def read_recording_table(header: TableRow, rows: Sequence[TableRow], columns: Sequence[ChannelColumn], *, file: Path,
                          delimiter: str = ",", metadata: Mapping[str, Any] | None = None,
-                         end: PlainEnd | None = None, marks: NumberMarks | None = None) -> Recording:
+                         end: TrailingNumberLines | None = None, marks: NumberMarks | None = None) -> Recording:
     """Return the recording in the columns of a table.
 
     Args:
@@ -148,24 +148,25 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
     for row in rows:
         # Some loggers write a delimiter at the end of each line: additional empty cells are ignored.
         if len(row.cells) < width or any(row.cells[width:]):
-            raise InputError(f"{_format_count(len(row.cells), 'cell')}, expected {width} as on line {header.line}"
-                             f"{_hint_at_split_thousands(row, width, delimiter)}", file=file, line=row.line)
+            raise InputError(f"{_format_count_with_noun(len(row.cells), 'cell')}, expected {width} as on "
+                             f"line {header.line}{_hint_at_split_thousands(row, width, delimiter)}", file=file,
+                             line=row.line)
     if len(rows) < MIN_POINTS:
-        raise InputError(f"{_format_count(len(rows), 'point')} in the table on line {header.line}, expected at least "
-                         f"{MIN_POINTS}", file=file)
+        raise InputError(f"{_format_count_with_noun(len(rows), 'point')} in the table on line {header.line}, expected "
+                         f"at least {MIN_POINTS}", file=file)
     numeric = [column for column in columns if column.channel not in LABELS]
     if marks is None:
-        marks = find_marks(column_cells(rows, numeric), delimiter=delimiter)
+        marks = detect_number_marks(collect_column_cells(rows, numeric), delimiter=delimiter)
         if marks.is_open:
-            raise InputError(f"{marks.question}; expected numbers with one reading", file=file, line=header.line)
+            raise InputError(f"{marks.question_text}; expected numbers with one reading", file=file, line=header.line)
     values = _parse_columns(rows, numeric, marks, file)
     if end is not None:
-        values = np.concatenate([values, _numbers_of_plain_end(end, columns, width, delimiter, marks)])
+        values = np.concatenate([values, _parse_trailing_numbers(end, columns, width, delimiter, marks)])
     channels = {column.channel: values[:, i] * column.factor + column.offset for i, column in enumerate(numeric)}
     if "time" in channels:
         back = np.flatnonzero(np.diff(channels["time"]) < 0)
         if back.size and end is not None:
-            raise NotPlainError
+            raise NotPlainNumbersError
         if back.size:
             column = next(column for column in numeric if column.channel == "time")
             before, after = (rows[i].cells[column.index] for i in (back[0], back[0] + 1))
@@ -175,7 +176,7 @@ def read_recording_table(header: Row, rows: Sequence[Row], columns: Sequence[Col
     return Recording(channels, labels, metadata or {})
 
 
-def _hint_at_split_thousands(row: Row, width: int, delimiter: str) -> str:
+def _hint_at_split_thousands(row: TableRow, width: int, delimiter: str) -> str:
     """Return the remedy if thousands separators may have split numbers into cells; else an empty text."""
     groups = [cell for before, cell in pairwise(row.cells)
               if _THREE_DIGIT_GROUP.fullmatch(cell) and _LEADING_DIGITS.fullmatch(before)]
@@ -185,37 +186,39 @@ def _hint_at_split_thousands(row: Row, width: int, delimiter: str) -> str:
             "or export without thousands separators")
 
 
-def column_cells(rows: Sequence[Row], columns: Iterable[Column]) -> list[list[str]]:
+def collect_column_cells(rows: Sequence[TableRow], columns: Iterable[ChannelColumn]) -> list[list[str]]:
     """Return the cells of each column of numbers; columns of labels are omitted."""
     return [[row.cells[column.index] if column.index < len(row.cells) else "" for row in rows] for column in columns
             if column.channel not in LABELS]
 
 
-def _numbers_of_plain_end(end: PlainEnd, columns: Sequence[Column], width: int, delimiter: str, marks: NumberMarks
-                          ) -> np.ndarray:
-    """Return the numbers of a plain end in the units of the file, shape (rows, columns).
+def _parse_trailing_numbers(end: TrailingNumberLines, columns: Sequence[ChannelColumn], width: int, delimiter: str,
+                            marks: NumberMarks
+                            ) -> np.ndarray:
+    """Return the numbers of the trailing lines in the units of the file, shape (rows, columns).
 
     Raises:
         NotPlainError: labels, another delimiter or width, or marks that differ from those of the rows.
     """
-    if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cells) != (delimiter, width):
-        raise NotPlainError
+    if any(column.channel in LABELS for column in columns) or (end.delimiter, end.cell_count) != (delimiter, width):
+        raise NotPlainNumbersError
     # An additional mark may be a thousands separator: all rows are then needed to find the marks.
     others, is_sure = set(end.marks) - {marks.decimal}, marks.is_certain or marks.is_stated
     if others - set(marks.thousands) or (not is_sure and not set(end.marks).isdisjoint(DECIMAL_MARKS)):
-        raise NotPlainError
-    values = end.numbers([column.index for column in columns], marks.decimal)
+        raise NotPlainNumbersError
+    values = end.parse_columns([column.index for column in columns], marks.decimal)
     if values is None:
-        raise NotPlainError
+        raise NotPlainNumbersError
     return values
 
 
-def _format_count(number: int, noun: str) -> str:
-    """Return number and noun, with a plural s if necessary."""
+def _format_count_with_noun(number: int, noun: str) -> str:
+    """Return the number and the noun, such as ``1 cell`` or ``3 cells``."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def _parse_columns(rows: Sequence[Row], columns: Sequence[Column], marks: NumberMarks, file: Path) -> np.ndarray:
+def _parse_columns(rows: Sequence[TableRow], columns: Sequence[ChannelColumn], marks: NumberMarks,
+                   file: Path) -> np.ndarray:
     """Return the numbers of the columns in the units of the file, shape (rows, columns).
 
     Raises:
@@ -229,13 +232,13 @@ def _parse_columns(rows: Sequence[Row], columns: Sequence[Column], marks: Number
             if not math.isfinite(number):
                 found = f"holds {cell[:40]!r}" if cell else "is empty"
                 mixed = (f" with {DECIMAL_WORDS[marks.decimal]}; the table mixes decimal points and decimal commas"
-                         if math.isfinite(parse_number(cell, marks.other)) else "")
+                         if math.isfinite(parse_number(cell, marks.other_decimal_mark)) else "")
                 raise InputError(f"column {column.header!r} {found}, expected a finite number{mixed}", file=file,
                                  line=row.line)
     return values
 
 
-def _parse_labels(rows: Sequence[Row], column: Column, file: Path) -> np.ndarray:
+def _parse_labels(rows: Sequence[TableRow], column: ChannelColumn, file: Path) -> np.ndarray:
     """Return the labels of a column, shape (rows,): text for the segment, else whole numbers.
 
     Raises:
@@ -251,7 +254,7 @@ def _parse_labels(rows: Sequence[Row], column: Column, file: Path) -> np.ndarray
     return np.array([int(cell) for cell in cells], dtype=np.int64)
 
 
-def si_conversion(channel: str, unit: str | None, scale: float | None = None) -> tuple[float, float]:
+def get_si_conversion(channel: str, unit: str | None, scale: float | None = None) -> tuple[float, float]:
     """Return factor and offset that convert the numbers of a channel to SI units: number * factor + offset.
 
     Args:

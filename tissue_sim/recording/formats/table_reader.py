@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.recording.constant_speed import with_constant_speed
-from tissue_sim.recording.formats.columns import MarkedRecording, read_marked_blocks
+from tissue_sim.recording.constant_speed import complete_motion_from_speed
+from tissue_sim.recording.formats.columns import MarkedRecording, read_marked_recordings
 from tissue_sim.recording.formats.guesses import ColumnGuess
 from tissue_sim.recording.recording import Recording
 from tissue_sim.units import UNITS
@@ -34,7 +34,7 @@ class TableReader:
     options: Mapping[str, Any]
     speed: float | None = None
 
-    def read(self, columns: Sequence[ColumnGuess]) -> tuple[MarkedRecording, ...]:
+    def read_marked_recordings(self, columns: Sequence[ColumnGuess]) -> tuple[MarkedRecording, ...]:
         """Read the recordings with the marks of their numbers.
 
         Raises:
@@ -42,13 +42,14 @@ class TableReader:
         """
         entries = {}
         for column in columns:
-            entries[column.channel] = column.entry()
-            if column.missing:
+            entries[column.channel] = column.to_campaign_entry()
+            if column.missing_information:
                 # The kind of test is found from numbers without a unit, too.
                 entries[column.channel]["scale"] = column.scale or 1.0
                 if column.unit not in UNITS:
                     entries[column.channel].pop("unit", None)
-        marked = tuple(self._with_motion(each) for each in read_marked_blocks(self.path, entries, **self.options))
+        marked = tuple(self._add_displacement_from_speed(each)
+                       for each in read_marked_recordings(self.path, entries, **self.options))
         for each in marked:
             for channel, values in each.recording.channels.items():
                 largest = values[np.argmax(np.abs(values))]
@@ -57,17 +58,17 @@ class TableReader:
                                      file=self.path)
         return marked
 
-    def _with_motion(self, marked: MarkedRecording) -> MarkedRecording:
+    def _add_displacement_from_speed(self, marked: MarkedRecording) -> MarkedRecording:
         """Add the displacement of a test at constant speed, if a speed is stated."""
         if self.speed is None:
             return marked
-        return replace(marked, recording=with_constant_speed(marked.recording, self.speed, self.path))
+        return replace(marked, recording=complete_motion_from_speed(marked.recording, self.speed, self.path))
 
-    def recordings(self, columns: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
-        """Read the recordings; see `read`."""
-        return tuple(each.recording for each in self.read(columns))
+    def read_recordings(self, columns: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
+        """Read the recordings of the columns, without the marks; see `read_marked_recordings`."""
+        return tuple(each.recording for each in self.read_marked_recordings(columns))
 
-    def read_corrected(self, columns: tuple[ColumnGuess, ...]
+    def read_corrected_recordings(self, columns: tuple[ColumnGuess, ...]
                  ) -> tuple[tuple[ColumnGuess, ...], tuple[MarkedRecording, ...], tuple[str, ...]]:
         """Read the recordings after the correction of two faults of a file.
 
@@ -78,22 +79,22 @@ class TableReader:
         """
         remarks: tuple[str, ...] = ()
         try:
-            marked = self.read(columns)
+            marked = self.read_marked_recordings(columns)
         except InputError as error:
             if not error.problem.startswith("time runs backwards"):
                 raise
             columns = tuple(column for column in columns if column.channel != "time")
-            marked = self.read(columns)
+            marked = self.read_marked_recordings(columns)
             remarks = (f"the time is omitted: line {error.line}: {error.problem.split(' in column')[0]}",)
         if any(column.role == "stretch" for column in columns) and min(
                 each.recording.channel("stretch").min() for each in marked) <= 0:
             columns = tuple(replace(column, role="strain", offset=1.0, reason=f"{column.reason}; not positive, unlike "
                                     "a stretch; a strain, which 1 makes a stretch")
                             if column.role == "stretch" else column for column in columns)
-            marked = self.read(columns)
+            marked = self.read_marked_recordings(columns)
         return columns, marked, remarks
 
-    def with_changed_signs(self, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
+    def change_column_signs(self, recordings: tuple[Recording, ...], before: Sequence[ColumnGuess],
                after: Sequence[ColumnGuess]) -> tuple[Recording, ...]:
         """Return the recordings after a change of the signs of some columns.
 
@@ -102,9 +103,10 @@ class TableReader:
             before: columns before the change.
             after: columns after the change.
         """
-        other = [column for was, column in zip(before, after, strict=True) if column.entry() != was.entry()]
+        other = [column for was, column in zip(before, after, strict=True)
+                 if column.to_campaign_entry() != was.to_campaign_entry()]
         if any(column.offset is not None for column in other) or (other and any(column.measure for column in after)):
-            return self.recordings(after)
+            return self.read_recordings(after)
         # 0.0 - x has no negative zero.
         return tuple(each.with_channels(**{column.channel: 0.0 - each.channel(column.channel) for column in other})
                      if other else each for each in recordings)

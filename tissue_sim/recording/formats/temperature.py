@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 from tissue_sim.recording.formats.number_text import is_number
-from tissue_sim.recording.formats.sources import Numbers
+from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.units import quantity_of
 
 
-def has_temperature(numbers: Numbers, places: Mapping[str, int]) -> bool:
+def has_temperature(numbers: NumberTable, places: Mapping[str, int]) -> bool:
     """Return whether a table has a temperature in all rows.
 
     Args:
@@ -19,7 +19,7 @@ def has_temperature(numbers: Numbers, places: Mapping[str, int]) -> bool:
     if "temperature" not in places:
         return False
     place = places["temperature"]
-    unit = numbers.unit(place)
+    unit = numbers.get_column_unit(place)
     if unit is not None and quantity_of(unit) != "temperature":
         return False
     return all(place < len(row.cells) and is_number(row.cells[place]) for row in numbers.rows)

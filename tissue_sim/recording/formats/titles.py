@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from tissue_sim.recording.formats.sources import Numbers
+from tissue_sim.recording.formats.sources import NumberTable
 from tissue_sim.recording.formats.vocabulary import normalize_words
 
 #: Words for one of several replicates. A number or a single letter after such a word is a running number.
@@ -34,7 +34,7 @@ _MATERIAL_UNITS = re.compile(r"^(%|kpa|pa|mpa|mm|um|mg|g|ml|wt|vol|mol|mm/s|°c|
 _TITLE_ROWS = 12
 
 
-def find_block_title(numbers: Numbers, places: Sequence[int], *, side_by_side: bool) -> str:
+def find_block_title(numbers: NumberTable, places: Sequence[int], *, side_by_side: bool) -> str:
     """Return the title of a table; empty without a title.
 
     Args:
@@ -45,13 +45,13 @@ def find_block_title(numbers: Numbers, places: Sequence[int], *, side_by_side: b
     for row in reversed(numbers.above[-_TITLE_ROWS:]):
         cells = [cell for i, cell in enumerate(row.cells)
                  if cell and (not side_by_side or min(places) <= i <= max(places))]
-        title = _title_of_row(cells)
+        title = _get_row_title(cells)
         if title and not _DATE.search(title):
             return title
     return ""
 
 
-def _title_of_row(cells: Sequence[str]) -> str:
+def _get_row_title(cells: Sequence[str]) -> str:
     """Return the title in a row of one or two cells; empty without a title."""
     if not cells or len(cells) > 2:
         return ""
@@ -63,7 +63,7 @@ def _title_of_row(cells: Sequence[str]) -> str:
     return first if re.search(r"[^\W\d_]", first) else ""
 
 
-def name_materials(titles: Sequence[str]) -> list[str]:
+def derive_material_names(titles: Sequence[str]) -> list[str]:
     """Return the name of the specimen or material for each title; replicates have equal names.
 
     The titles of replicates differ only in a running number or a word for replicate. A title without a name has the

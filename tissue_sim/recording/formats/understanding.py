@@ -13,27 +13,32 @@ from typing import Any
 
 from tissue_sim.errors import InputError, located
 from tissue_sim.frozen_mapping import read_only
-from tissue_sim.recording.cleaning import clean, count_from_start, find_start_value
+from tissue_sim.recording.cleaning import find_start_value, remove_outliers_and_saturation, subtract_start_values
 from tissue_sim.recording.formats.columns import MarkedRecording
-from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, resolve_marks_by_text
-from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, Reading, Understanding
+from tissue_sim.recording.formats.decimal_mark import NumberMarks, detect_number_marks, resolve_marks_by_text
+from tissue_sim.recording.formats.guesses import ColumnGuess, ColumnHints, FileInterpretation, TableGroup
 from tissue_sim.recording.formats.header import find_matching_cells
 from tissue_sim.recording.formats.interpretation import (
-    compare_rival_columns,
-    format_assumption,
+    compare_columns_of_same_quantity,
     list_column_assumptions,
-    speed_assumption,
+    make_constant_speed_assumption,
+    make_machine_assumption,
 )
-from tissue_sim.recording.formats.kind_guess import guess_kind, kind_assumption, require_one_test
-from tissue_sim.recording.formats.kind_hints import file_hints, header_hint, label_hints, title_hints
-from tissue_sim.recording.formats.kind_words import Hint
+from tissue_sim.recording.formats.kind_guess import guess_kind, make_kind_assumption, require_same_test_in_all_tables
+from tissue_sim.recording.formats.kind_hints import (
+    collect_file_hints,
+    collect_label_hints,
+    collect_title_hints,
+    make_header_hint,
+)
+from tissue_sim.recording.formats.kind_words import KindHint
 from tissue_sim.recording.formats.materials import add_material_question, split_by_material
 from tissue_sim.recording.formats.missing_columns import explain_missing_columns
-from tissue_sim.recording.formats.orientation import orient_columns
-from tissue_sim.recording.formats.pairing import Group, find_groups, group_equal_tables
-from tissue_sim.recording.formats.sources import Numbers, Source, find_numbers, open_source
+from tissue_sim.recording.formats.orientation import set_column_signs_and_zeros
+from tissue_sim.recording.formats.pairing import RecordingColumns, find_recording_columns, group_equal_tables
+from tissue_sim.recording.formats.sources import FileContent, NumberTable, find_number_tables, read_file_content
 from tissue_sim.recording.formats.statements import (
-    Statements,
+    FileStatements,
     add_missing_statements,
     add_row_statements,
     find_listed_sizes,
@@ -41,10 +46,10 @@ from tissue_sim.recording.formats.statements import (
     merge_statements,
     states_sizes,
 )
-from tissue_sim.recording.formats.sweeps import describe_sweep, is_sweep
-from tissue_sim.recording.formats.table import Row
+from tissue_sim.recording.formats.sweeps import explain_refused_sweep, is_frequency_or_amplitude_sweep
+from tissue_sim.recording.formats.table import TableRow
 from tissue_sim.recording.formats.table_reader import TableReader
-from tissue_sim.recording.formats.vocabulary import MACHINES, Machine, find_machine
+from tissue_sim.recording.formats.vocabulary import MACHINES, MachineFormat, identify_machine
 
 #: Number of rows of a table that determine the decimal mark of the lines above and below the table.
 _MARKED_ROWS = 2000
@@ -52,7 +57,7 @@ _MARKED_ROWS = 2000
 _NAMING_CHANNELS = ("displacement", "stretch", "shear strain", "force", "nominal stress")
 
 
-def understand(path: str | Path, hints: ColumnHints | None = None) -> Understanding:
+def interpret_file(path: str | Path, hints: ColumnHints | None = None) -> FileInterpretation:
     """Interpret the content of a text, spreadsheet or container.
 
     Args:
@@ -63,26 +68,27 @@ def understand(path: str | Path, hints: ColumnHints | None = None) -> Understand
         InputError: the file does not exist or has no recording; the message lists all missing information.
     """
     path, hints = Path(path), hints or ColumnHints()
-    source = open_source(path, delimiter=hints.delimiter, sheet=hints.sheet, skip_lines=hints.skip_lines)
-    found = find_numbers(source)
+    source = read_file_content(path, delimiter=hints.delimiter, sheet=hints.sheet, skip_lines=hints.skip_lines)
+    found = find_number_tables(source)
     if not found:
-        raise InputError("holds no table of numbers in columns", file=path)
-    words = "\n".join(text for numbers in found[:8] for text in _header_lines(numbers))
-    machine = MACHINES.get(hints.format or "") or (None if hints.format == "table" else find_machine(words))
+        raise InputError("holds no table of numbers in columns; expected rows of numbers below a header", file=path)
+    words = "\n".join(text for numbers in found[:8] for text in _format_rows_above_numbers(numbers))
+    machine = MACHINES.get(hints.format or "") or (None if hints.format == "table" else identify_machine(words))
     found, warnings = _remove_sweeps(found, path)
     tables = [group for numbers in found
-              for group in find_groups(numbers, machine, hints, _find_statements(numbers, numbers.columns, hints))]
-    titles = file_hints(source, found)
+              for group in find_recording_columns(numbers, machine, hints,
+                                                  _find_statements(numbers, numbers.columns, hints))]
+    titles = collect_file_hints(source, found)
     if not tables:
-        kind = guess_kind((), (), [*title_hints(found[0]), *titles], machine, hints.kind)
+        kind = guess_kind((), (), [*collect_title_hints(found[0]), *titles], machine, hints.kind)
         if kind.refused is not None:
-            raise kind.refused.refusal().located(file=path)
+            raise kind.refused.make_refusal_error().located(file=path)
         raise InputError(explain_missing_columns(
             found, machine, hints, lambda each: _find_statements(each, each.columns, hints)), file=path)
     tables = _add_statements(source, found, tables, hints)
     with located(file=path):
         together = group_equal_tables(tables)
-        parts = [_read_tables(source, group, hints, machine, titles, _unused_headers(group[0].numbers, tables))
+        parts = [_read_tables(source, group, hints, machine, titles, _list_unused_headers(group[0].numbers, tables))
                  for group in together]
         readings, refused = _remove_unknown_tests([reading for several, _ in parts for reading in several], hints)
         readings = add_material_question(readings, together, hints)
@@ -90,35 +96,36 @@ def understand(path: str | Path, hints: ColumnHints | None = None) -> Understand
     marks = next((each for each in every if each.is_open), next((each for each in every if each.thousands), every[0]))
     if len(readings) > 1:
         readings = _name_readings(readings)
-    return Understanding(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
+    return FileInterpretation(path, machine.name if machine else "table", source.kind, source.tables[0].delimiter,
                          marks.decimal if source.kind == "text" else None, source.encoding, readings,
-                         (*warnings, *refused, *_empty_sheet_warnings(source, readings)),
-                         (format_assumption(machine, hints), *marks.assumptions()))
+                         (*warnings, *refused, *_make_empty_sheet_warnings(source, readings)),
+                         (make_machine_assumption(machine, hints), *marks.list_assumptions()))
 
 
-def _remove_sweeps(found: Sequence[Numbers], path: Path) -> tuple[list[Numbers], tuple[str, ...]]:
+def _remove_sweeps(found: Sequence[NumberTable], path: Path) -> tuple[list[NumberTable], tuple[str, ...]]:
     """Remove the tables of moduli over frequency or amplitude, and return a sentence about them.
 
     Raises:
         InputError: all tables hold moduli.
     """
-    headers = [[numbers.name(position) for position in numbers.columns] for numbers in found]
-    sweeps = [names for names in headers if is_sweep(names)]
+    headers = [[numbers.get_column_header(position) for position in numbers.columns] for numbers in found]
+    sweeps = [names for names in headers if is_frequency_or_amplitude_sweep(names)]
     if len(sweeps) == len(found):
-        raise InputError(describe_sweep(sweeps[0]), file=path, line=found[0].rows[0].line)
-    return ([numbers for numbers, names in zip(found, headers, strict=True) if not is_sweep(names)],
-            tuple(f"a table is omitted: {describe_sweep(names)}" for names in sweeps[:1]))
+        raise InputError(explain_refused_sweep(sweeps[0]), file=path, line=found[0].rows[0].line)
+    return ([numbers for numbers, names in zip(found, headers, strict=True)
+             if not is_frequency_or_amplitude_sweep(names)],
+            tuple(f"a table is omitted: {explain_refused_sweep(names)}" for names in sweeps[:1]))
 
 
-def _remove_unknown_tests(readings: Sequence[Reading], hints: ColumnHints
-                          ) -> tuple[tuple[Reading, ...], tuple[str, ...]]:
+def _remove_unknown_tests(readings: Sequence[TableGroup], hints: ColumnHints
+                          ) -> tuple[tuple[TableGroup, ...], tuple[str, ...]]:
     """Remove the readings of tests without a registered kind, and return a sentence about each of them.
 
     Raises:
         InputError: all readings are of tests without a registered kind.
     """
     kept = tuple(reading for reading in readings if reading.kind.refused is None)
-    refused = [reading.kind.refused.refusal() for reading in readings if reading.kind.refused is not None]
+    refused = [reading.kind.refused.make_refusal_error() for reading in readings if reading.kind.refused is not None]
     if hints.any_test:
         return tuple(readings), ()
     if not kept:
@@ -126,18 +133,19 @@ def _remove_unknown_tests(readings: Sequence[Reading], hints: ColumnHints
     return kept, tuple(dict.fromkeys(f"a table is omitted: {each.problem}" for each in refused))
 
 
-def _add_statements(source: Source, found: Sequence[Numbers], groups: Sequence[Group], hints: ColumnHints
-                     ) -> list[Group]:
+def _add_statements(source: FileContent, found: Sequence[NumberTable], groups: Sequence[RecordingColumns],
+                    hints: ColumnHints
+                     ) -> list[RecordingColumns]:
     """Return the tables with their statements; a table without sizes has the sizes of the previous table."""
     sheets = {id(numbers.table) for numbers in found}
     elsewhere = [row for table in source.tables if id(table) not in sheets for row in table.rows]
     read = {id(group.numbers) for group in groups}
     # A table of numbers without a recording may be a list of specimens.
-    elsewhere += [row for numbers in found if id(numbers) not in read for row in numbers.lines]
+    elsewhere += [row for numbers in found if id(numbers) not in read for row in numbers.all_rows]
     # Rows below the last table may state the sizes of all tables.
     trailing = [row for group in groups[-1:] for row in group.numbers.below]
     around = _assign_surrounding_rows([group.numbers for group in groups])
-    complete: list[Group] = []
+    complete: list[RecordingColumns] = []
     for i, group in enumerate(groups):
         above, below, shared = around[id(group.numbers)]
         positions = [column.place - 1 for column in group.columns]
@@ -148,7 +156,7 @@ def _add_statements(source: Source, found: Sequence[Numbers], groups: Sequence[G
         # The rows above a table have precedence over a list with one row for each table.
         lists = find_listed_sizes((*groups[0].numbers.above, *trailing, *elsewhere), decimal, i, len(groups))
         statements = merge_statements(lists, statements)
-        every = Statements(merge_statements(complete[-1].stated if complete else {}, statements))
+        every = FileStatements(merge_statements(complete[-1].stated if complete else {}, statements))
         if shared:
             add_row_statements(below, every, decimal, i, len(groups))
         last = group.numbers is groups[-1].numbers
@@ -157,7 +165,8 @@ def _add_statements(source: Source, found: Sequence[Numbers], groups: Sequence[G
     return complete
 
 
-def _assign_surrounding_rows(tables: Sequence[Numbers]) -> dict[int, tuple[tuple[Row, ...], tuple[Row, ...], bool]]:
+def _assign_surrounding_rows(tables: Sequence[NumberTable]) -> dict[int, tuple[tuple[TableRow, ...],
+                                                                               tuple[TableRow, ...], bool]]:
     """Assign the rows between the tables of a sheet to the tables.
 
     Rows between two tables belong to the lower table. Exception: if no size is stated above the first table, and sizes
@@ -167,7 +176,7 @@ def _assign_surrounding_rows(tables: Sequence[Numbers]) -> dict[int, tuple[tuple
     Returns:
         Identity of each table of numbers -> rows above, rows below, and whether the rows below are about all tables.
     """
-    found: dict[int, tuple[tuple[Row, ...], tuple[Row, ...], bool]] = {}
+    found: dict[int, tuple[tuple[TableRow, ...], tuple[TableRow, ...], bool]] = {}
     for sheet in dict.fromkeys(id(numbers.table) for numbers in tables):
         blocks = list({id(each): each for each in tables if id(each.table) == sheet}.values())
         after = [*(each.above for each in blocks[1:]), blocks[-1].below]
@@ -178,7 +187,7 @@ def _assign_surrounding_rows(tables: Sequence[Numbers]) -> dict[int, tuple[tuple
     return found
 
 
-def _find_statements(numbers: Numbers, positions: Sequence[int], hints: ColumnHints) -> Mapping[str, str]:
+def _find_statements(numbers: NumberTable, positions: Sequence[int], hints: ColumnHints) -> Mapping[str, str]:
     """Return the statements (key -> value with unit) about a table; see `find_table_statements`.
 
     Args:
@@ -189,16 +198,18 @@ def _find_statements(numbers: Numbers, positions: Sequence[int], hints: ColumnHi
     return find_table_statements(numbers, (), decimal=hints.decimal or _find_decimal_mark(numbers, positions))
 
 
-def _find_decimal_mark(numbers: Numbers, positions: Sequence[int]) -> str | None:
+def _find_decimal_mark(numbers: NumberTable, positions: Sequence[int]) -> str | None:
     """Return the decimal mark of the first rows of a table; None: no marks, or both decimal marks are possible."""
     rows = numbers.rows[:_MARKED_ROWS]
-    marks = find_marks([[row.cells[position] for row in rows if position < len(row.cells)] for position in positions],
+    marks = detect_number_marks([[row.cells[position] for row in rows if position < len(row.cells)]
+                                 for position in positions],
                        delimiter=numbers.table.delimiter)
     return marks.decimal if (marks.evidence or marks.is_certain) and not marks.is_open else None
 
 
-def _read_tables(source: Source, groups: Sequence[Group], hints: ColumnHints, machine: Machine | None,
-             titles: Sequence[Hint], unused: tuple[str, ...]) -> tuple[list[Reading], NumberMarks]:
+def _read_tables(source: FileContent, groups: Sequence[RecordingColumns], hints: ColumnHints,
+                 machine: MachineFormat | None,
+             titles: Sequence[KindHint], unused: tuple[str, ...]) -> tuple[list[TableGroup], NumberMarks]:
     """Read tables with equal columns, and return their readings and the marks of the numbers.
 
     The signs are chosen so that the load is positive. Each material that the titles name is a separate reading.
@@ -215,53 +226,58 @@ def _read_tables(source: Source, groups: Sequence[Group], hints: ColumnHints, ma
     sheets = tuple(dict.fromkeys(group.numbers.table.name for group in groups if group.numbers.table.name))
     by_name = _has_unique_headers(groups)
     columns = tuple(replace(column, by_name=by_name) for column in first.columns)
-    options = _reading_options(source, first, hints, sheets, by_name=by_name)
+    options = _build_read_options(source, first, hints, sheets, by_name=by_name)
     reader = TableReader(source.file, options, None if first.speed is None else first.speed[0])
-    columns, marked, remarks = reader.read_corrected(_check_shear_measures(columns))
-    marks = _settle_marks(marked, groups)
+    columns, marked, remarks = reader.read_corrected_recordings(_check_shear_measures(columns))
+    marks = _resolve_marks(marked, groups)
     if marks.decimal != marked[0].marks.decimal:
         columns, marked, remarks = TableReader(source.file, {**options, "decimal": marks.decimal},
-                                               reader.speed).read_corrected(columns)
+                                               reader.speed).read_corrected_recordings(columns)
     if marks.thousands or (marks.example and not marks.is_certain):
         options["decimal"] = marks.decimal
     recordings = tuple(each.recording for each in marked)
-    screened, before = [clean(each) for each in recordings], recordings
-    kind = guess_kind([rest for rest, _ in screened], columns, _kind_hints(source, first, columns, titles), machine,
+    screened, before = [remove_outliers_and_saturation(each) for each in recordings], recordings
+    kind = guess_kind([rest for rest, _ in screened], columns, _collect_kind_hints(source, first, columns, titles),
+                      machine,
                       hints.kind)
     if kind.is_stated and kind.against:
         remarks = (*remarks, f"kind of test as stated ({kind.kind}), though {'; '.join(kind.against)}")
     elif not kind.is_stated and not hints.any_test:
-        require_one_test([title_hints(group.numbers) for group in groups if kind.refused is None])
-    if kind.kind == "simple_shear" and any(_is_strain(column) for column in columns):
+        require_same_test_in_all_tables([collect_title_hints(group.numbers) for group in groups
+                                         if kind.refused is None])
+    if kind.kind == "simple_shear" and any(_was_recorded_as_strain(column) for column in columns):
         columns = tuple(replace(column, channel="shear strain", offset=None,
                                 reason=column.reason.replace("; a strain, which 1 makes a stretch", "; sheared"))
-                        if _is_strain(column) else column for column in columns)
-        recordings = reader.recordings(_check_shear_measures(columns))
+                        if _was_recorded_as_strain(column) else column for column in columns)
+        recordings = reader.read_recordings(_check_shear_measures(columns))
     signed = {column.channel for column in columns if hints.signs.keys() & {column.channel, column.role}}
-    columns, recordings, rivals, compared = compare_rival_columns(reader.recordings, columns, recordings, first.rivals)
+    columns, recordings, rivals, compared = compare_columns_of_same_quantity(reader.read_recordings, columns,
+                                                                             recordings, first.rivals)
     # Signs and zeros are determined without outliers and saturated samples.
-    screened = screened if recordings is before else [clean(each) for each in recordings]
-    turned = orient_columns(columns, [rest for rest, _ in screened],
+    screened = screened if recordings is before else [remove_outliers_and_saturation(each) for each in recordings]
+    turned = set_column_signs_and_zeros(columns, [rest for rest, _ in screened],
                       [find_start_value(each, found, "displacement") if "displacement" in each else None
                        for each, (_, found) in zip(recordings, screened, strict=True)], kind.kind, signed)
-    recordings = reader.with_changed_signs(recordings, columns, turned)
+    recordings = reader.change_column_signs(recordings, columns, turned)
     columns, zeroed = turned, [column.channel for column in turned if column.offset == "start"]
-    recordings = tuple(count_from_start(each, zeroed) for each in recordings)
-    moved = () if first.speed is None else (speed_assumption(first.speed, [rest for rest, _ in screened]),)
+    recordings = tuple(subtract_start_values(each, zeroed) for each in recordings)
+    moved = () if first.speed is None else (make_constant_speed_assumption(first.speed,
+                                                                           [rest for rest, _ in screened]),)
     remarks = (*remarks, *(sentence for each in moved for sentence in each.against))
-    assumptions = (*list_column_assumptions(reader.recordings, columns, recordings, first.rivals, hints),
-                   *moved, *rivals, kind_assumption(kind))
-    kept = {**options, "columns": {column.channel: column.entry() for column in columns}}
+    assumptions = (*list_column_assumptions(reader.read_recordings, columns, recordings, first.rivals, hints),
+                   *moved, *rivals, make_kind_assumption(kind))
+    kept = {**options, "columns": {column.channel: column.to_campaign_entry() for column in columns}}
     if marks.is_open:
         # An ambiguous decimal mark is a question to the user.
         kept.pop("decimal", None)
-    reading = Reading("", columns, first.others, read_only(kept), recordings, kind, first.line, sheets,
+    reading = TableGroup("", columns, first.others, read_only(kept), recordings, kind, first.first_line_number, sheets,
                       read_only(first.stated), (*remarks, *compared), assumptions=assumptions, unused=unused,
                       speed=first.speed)
     return split_by_material(reading, groups, [(each.sheet, each.line) for each in marked], hints), marks
 
 
-def _reading_options(source: Source, first: Group, hints: ColumnHints, sheets: Sequence[str], *, by_name: bool
+def _build_read_options(source: FileContent, first: RecordingColumns, hints: ColumnHints, sheets: Sequence[str], *,
+                        by_name: bool
              ) -> dict[str, Any]:
     """Return the options of `tissue_sim.read_recordings` except the columns."""
     options: dict[str, Any] = {}
@@ -269,8 +285,8 @@ def _reading_options(source: Source, first: Group, hints: ColumnHints, sheets: S
         options["sheet"] = list(sheets) if len(sheets) > 1 else sheets[0]
     if source.kind == "text" and first.numbers.table.delimiter in ("|", " "):
         options["delimiter"] = first.numbers.table.delimiter
-    if not by_name and first.line > 1:
-        options["skip_lines"] = first.line if first.numbers.header is not None else first.line - 1
+    if not by_name and first.first_line_number > 1:
+        options["skip_lines"] = first.first_line_number - (1 if first.numbers.header is None else 0)
     elif hints.skip_lines:
         options["skip_lines"] = hints.skip_lines
     if hints.decimal is not None:
@@ -280,7 +296,7 @@ def _reading_options(source: Source, first: Group, hints: ColumnHints, sheets: S
     return options
 
 
-def _settle_marks(marked: Sequence[MarkedRecording], groups: Sequence[Group]) -> NumberMarks:
+def _resolve_marks(marked: Sequence[MarkedRecording], groups: Sequence[RecordingColumns]) -> NumberMarks:
     """Return the marks of the numbers; ambiguous marks are resolved by numbers outside of the table if possible."""
     every = [each.marks for each in marked]
     found = next((marks for marks in every if marks.is_open or marks.thousands), every[0])
@@ -290,15 +306,16 @@ def _settle_marks(marked: Sequence[MarkedRecording], groups: Sequence[Group]) ->
     return resolve_marks_by_text(found, "\n".join(" ".join(row.cells) for row in rows))
 
 
-def _kind_hints(source: Source, first: Group, columns: Sequence[ColumnGuess], titles: Sequence[Hint]) -> list[Hint]:
+def _collect_kind_hints(source: FileContent, first: RecordingColumns, columns: Sequence[ColumnGuess],
+                        titles: Sequence[KindHint]) -> list[KindHint]:
     """Return the texts with words for a test in the order of decreasing reliability; the last is the file name."""
-    above, sheet = title_hints(first.numbers)
-    return [header_hint([each.header for each in columns], first.others), above, sheet,
-            *(title for title in titles if title.text != above.text), *label_hints(first.numbers),
-            Hint(source.file.stem, "in the name of the file", is_file_name=True)]
+    above, sheet = collect_title_hints(first.numbers)
+    return [make_header_hint([each.header for each in columns], first.others), above, sheet,
+            *(title for title in titles if title.text != above.text), *collect_label_hints(first.numbers),
+            KindHint(source.file.stem, "in the name of the file", is_file_name=True)]
 
 
-def _is_strain(column: ColumnGuess) -> bool:
+def _was_recorded_as_strain(column: ColumnGuess) -> bool:
     """Return whether a stretch was recorded as a strain or a displacement."""
     return column.channel == "stretch" and column.role != "stretch"
 
@@ -316,14 +333,14 @@ def _check_shear_measures(columns: tuple[ColumnGuess, ...]) -> tuple[ColumnGuess
     return columns
 
 
-def _unused_headers(numbers: Numbers, tables: Sequence[Group]) -> tuple[str, ...]:
+def _list_unused_headers(numbers: NumberTable, tables: Sequence[RecordingColumns]) -> tuple[str, ...]:
     """Return the headers of the columns that no recording reads; the position (from 1) without a header."""
     used = {column.place for group in tables if group.numbers is numbers for column in group.columns}
-    return tuple(numbers.name(position) or str(position + 1)
+    return tuple(numbers.get_column_header(position) or str(position + 1)
                  for position in numbers.columns if position + 1 not in used)
 
 
-def _has_unique_headers(groups: Sequence[Group]) -> bool:
+def _has_unique_headers(groups: Sequence[RecordingColumns]) -> bool:
     """Return whether the headers of the columns identify exactly the columns of these tables."""
     for group in groups:
         header = group.numbers.header
@@ -335,12 +352,12 @@ def _has_unique_headers(groups: Sequence[Group]) -> bool:
     return True
 
 
-def _name_readings(readings: Sequence[Reading]) -> tuple[Reading, ...]:
+def _name_readings(readings: Sequence[TableGroup]) -> tuple[TableGroup, ...]:
     """Return the readings with unique names: common beginning of the headers, name of the sheet, or number."""
-    named: list[Reading] = []
+    named: list[TableGroup] = []
     for number, reading in enumerate(readings, start=1):
         heads = [column.header for column in reading.columns if column.channel in _NAMING_CHANNELS]
-        common = _common_prefix(heads)
+        common = _find_common_prefix(heads)
         name = reading.name or common or (reading.sheets[0] if len(reading.sheets) == 1 else "") or str(number)
         if name in [other.name for other in named]:
             name = f"{name}_{number}"
@@ -348,7 +365,7 @@ def _name_readings(readings: Sequence[Reading]) -> tuple[Reading, ...]:
     return tuple(named)
 
 
-def _common_prefix(heads: Sequence[str]) -> str:
+def _find_common_prefix(heads: Sequence[str]) -> str:
     """Return the common beginning of all headers, cut after the last complete word; empty without one."""
     if len(heads) < 2 or not all(heads):
         return ""
@@ -358,13 +375,13 @@ def _common_prefix(heads: Sequence[str]) -> str:
     return common[:cut].strip(" -_.") if cut > 0 else ""
 
 
-def _header_lines(numbers: Numbers) -> list[str]:
+def _format_rows_above_numbers(numbers: NumberTable) -> list[str]:
     """Return the rows above the numbers as lines of text."""
     rows = [*numbers.above[-40:], *(row for row in (numbers.header, numbers.units) if row is not None)]
     return [" ".join(row.cells) for row in rows]
 
 
-def _empty_sheet_warnings(source: Source, readings: Sequence[Reading]) -> tuple[str, ...]:
+def _make_empty_sheet_warnings(source: FileContent, readings: Sequence[TableGroup]) -> tuple[str, ...]:
     """Return a warning if sheets have no recording."""
     found = []
     tables = {name for reading in readings for name in reading.sheets}

@@ -68,7 +68,7 @@ _CORRECTED = re.compile(r"\b(corrected|korrigiert\w*|corrigée?|tared|tarred|zer
 
 
 @dataclass(frozen=True)
-class RankSettings:
+class ColumnRankSettings:
     """Ranks of columns of the same role; the column with the lowest rank is read.
 
     Attributes:
@@ -81,14 +81,14 @@ class RankSettings:
 
 
 #: Settings that the functions of this module use.
-_SETTINGS = RankSettings()
+_SETTINGS = ColumnRankSettings()
 #: Words of measures that a time, a force or a temperature cannot have.
 _TRUE = re.compile(r"\b(true|cauchy|wahre[rn]?|vraie?s?)\b")
 _SHEAR = re.compile(r"\b(shear|shr|scher\w*|schub\w*|cisaillement)\b")
 
 
 @dataclass(frozen=True)
-class Machine:
+class MachineFormat:
     """A machine and the program that writes its files.
 
     Attributes:
@@ -108,25 +108,25 @@ class Machine:
     compresses_negative: bool = False
 
 
-MACHINES: dict[str, Machine] = {machine.name: machine for machine in (
-    Machine("mts", "MTS 793, TestSuite, TestWorks", r"MTS793|MTS\b|TestSuite|TestWorks|Data Acquisition\b",
-            roles={"axial count": "other", "axial strain": "strain"}, compresses_negative=True),
-    Machine("bluehill", "Instron Bluehill", r"Bluehill|INSTRON|Results Table|Specimen_RawData",
-            compresses_negative=True),
-    Machine("zwick", "ZwickRoell testXpert", r"testXpert|Zwick|Standardkraft|Standardweg|Standard force|Prüfzeit",
-            roles={"standardweg": "displacement", "dehnung": "strain"}),
-    Machine("exponent", "Stable Micro Systems Exponent",
-            r"Texture ?Expert|Exponent|Stable Micro|TA\.?XT|TA\.HD|Test ID",
-            units={"force": "g", "displacement": "mm", "time": "s"}),
-    Machine("mach1", "Biomomentum Mach-1", r"Mach-1|<DATA>|Position \(z\), mm", compresses_negative=True),
-    Machine("mecmesin", "Mecmesin Emperor, VectorPro", r"Mecmesin|Emperor|VectorPro",
-            units={"force": "N", "displacement": "mm", "time": "s"}),
-    Machine("trios", "TA Instruments TRIOS", r"TRIOS|TA Instruments|^\[step\]",
-            roles={"gap": "displacement", "axial force": "force", "stress": "stress", "strain": "shear strain"}),
+MACHINES: dict[str, MachineFormat] = {machine.name: machine for machine in (
+    MachineFormat("mts", "MTS 793, TestSuite, TestWorks", r"MTS793|MTS\b|TestSuite|TestWorks|Data Acquisition\b",
+                  roles={"axial count": "other", "axial strain": "strain"}, compresses_negative=True),
+    MachineFormat("bluehill", "Instron Bluehill", r"Bluehill|INSTRON|Results Table|Specimen_RawData",
+                  compresses_negative=True),
+    MachineFormat("zwick", "ZwickRoell testXpert", r"testXpert|Zwick|Standardkraft|Standardweg|Standard force|Prüfzeit",
+                  roles={"standardweg": "displacement", "dehnung": "strain"}),
+    MachineFormat("exponent", "Stable Micro Systems Exponent",
+                  r"Texture ?Expert|Exponent|Stable Micro|TA\.?XT|TA\.HD|Test ID",
+                  units={"force": "g", "displacement": "mm", "time": "s"}),
+    MachineFormat("mach1", "Biomomentum Mach-1", r"Mach-1|<DATA>|Position \(z\), mm", compresses_negative=True),
+    MachineFormat("mecmesin", "Mecmesin Emperor, VectorPro", r"Mecmesin|Emperor|VectorPro",
+                  units={"force": "N", "displacement": "mm", "time": "s"}),
+    MachineFormat("trios", "TA Instruments TRIOS", r"TRIOS|TA Instruments|^\[step\]",
+                  roles={"gap": "displacement", "axial force": "force", "stress": "stress", "strain": "shear strain"}),
 )}
 
 
-def find_machine(text: str) -> Machine | None:
+def identify_machine(text: str) -> MachineFormat | None:
     """Return the machine whose marks are in the text above the numbers or in the headers; None: unknown machine."""
     return next((machine for machine in MACHINES.values() if re.search(machine.marks, text, re.MULTILINE)), None)
 
@@ -136,7 +136,7 @@ def normalize_words(name: str) -> str:
     return " ".join(re.sub(r"[^\w%]+|_", " ", name.casefold()).split())
 
 
-def find_role(name: str, unit: str | None, machine: Machine | None = None) -> tuple[str, int] | None:
+def find_role(name: str, unit: str | None, machine: MachineFormat | None = None) -> tuple[str, int] | None:
     """Return the role of a column, and its rank among columns of this role; the column with the lowest rank is read.
 
     The rank is 0 for the preferred name, -1 for a column that is measured on the specimen or corrected, 4 and more for
@@ -157,16 +157,16 @@ def find_role(name: str, unit: str | None, machine: Machine | None = None) -> tu
     if role is None:
         if _OTHER.search(words):
             return None
-        hits = [(rank, -_longest_match(pattern, words), role) for role, patterns in _PATTERNS.items()
+        hits = [(rank, -_longest_match_length(pattern, words), role) for role, patterns in _PATTERNS.items()
                 for rank, pattern in enumerate(patterns) if pattern.search(words)]
         # The longest words are the most specific: "shear strain" is no strain, "strain (extension)" no extension.
         hits.sort(key=lambda hit: (hit[1], hit[0]))
         if hits and quantity not in (None, "signal"):
-            fitting = [hit for hit in hits if _role_with_unit(hit[2], quantity)]
+            fitting = [hit for hit in hits if _find_role_with_unit(hit[2], quantity)]
             hits = fitting[:1]
         rank, _, role = hits[0] if hits else (9, 0, _NAMELESS.get(quantity or "", ""))
     if quantity not in (None, "signal"):
-        role = _role_with_unit(role, quantity)
+        role = _find_role_with_unit(role, quantity)
     if role == "strain" and _SHEAR.search(words):
         role = "shear strain"
     if role not in _QUANTITY:
@@ -188,12 +188,12 @@ def find_source(words: str) -> str:
     return next((name for name, pattern in _SOURCES.items() if pattern.search(words)), "")
 
 
-def _role_with_unit(role: str, quantity: str | None) -> str:
+def _find_role_with_unit(role: str, quantity: str | None) -> str:
     """Return the role of a column with a unit of this quantity; empty without a role."""
     role = _BY_UNIT.get((role, quantity or ""), role)
     return role if _QUANTITY.get(role) == quantity else ""
 
 
-def _longest_match(pattern: re.Pattern[str], words: str) -> int:
+def _longest_match_length(pattern: re.Pattern[str], words: str) -> int:
     """Return the length of the longest match, characters; 0 without a match."""
     return max((len(match[0]) for match in pattern.finditer(words)), default=0)

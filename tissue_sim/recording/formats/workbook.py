@@ -16,9 +16,9 @@ import xlrd
 
 from tissue_sim.errors import InputError, format_exception, located, nearest
 from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
-from tissue_sim.recording.formats.cell_units import without_cell_units
+from tissue_sim.recording.formats.cell_units import extract_cell_units
 from tissue_sim.recording.formats.number_text import ExactNumber
-from tissue_sim.recording.formats.table import Row, Table
+from tissue_sim.recording.formats.table import Table, TableRow
 
 #: Expected content of the file, for messages.
 EXPECTED_SPREADSHEET = "a spreadsheet (xlsx, xls, ods)"
@@ -32,18 +32,18 @@ SUFFIXES = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
 
 @dataclass(frozen=True)
 class Sheet:
-    """Rows with content of a sheet; `Row.line` is the row number in the spreadsheet."""
+    """Rows with content of a sheet; `TableRow.line` is the row number in the spreadsheet."""
 
     file: Path
     name: str
-    rows: tuple[Row, ...]
+    rows: tuple[TableRow, ...]
 
-    def table(self, skip_rows: int = 0) -> Table:
+    def build_table(self, skip_rows: int = 0) -> Table:
         """Return the rows below the first `skip_rows` rows, without units after the numbers."""
-        return Table(without_cell_units([row for row in self.rows if row.line > skip_rows]), name=self.name)
+        return Table(extract_cell_units([row for row in self.rows if row.line > skip_rows]), name=self.name)
 
-    def located(self) -> AbstractContextManager[None]:
-        """Return a context manager that adds file and sheet to an `InputError`."""
+    def add_location_to_errors(self) -> AbstractContextManager[None]:
+        """Return a context manager that adds the file and the name of this sheet to an `InputError` raised in it."""
         return located(file=self.file, part=f"sheet {self.name!r}")
 
 
@@ -107,8 +107,9 @@ def _read_xlsx_or_ods(data: bytes, path: Path, wanted: Sequence[str | int]) -> I
     """Read the sheets of an xlsx or ods file."""
     _check_extent(data, path)
     with calamine.load_workbook(io.BytesIO(data)) as book:
-        for name in _select_names(path, wanted, book.sheet_names):
-            yield Sheet(path, name, _text_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False)))
+        for name in _select_sheet_names(path, wanted, book.sheet_names):
+            yield Sheet(path, name,
+                        _convert_cells_to_rows(book.get_sheet_by_name(name).to_python(skip_empty_area=False)))
 
 
 def _read_xls(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[Sheet]:
@@ -119,10 +120,10 @@ def _read_xls(data: bytes, path: Path, wanted: Sequence[str | int]) -> Iterator[
         if "encrypted" in str(error):
             raise InputError("has a password; save the file without a password", file=path) from None
         raise
-    for name in _select_names(path, wanted, book.sheet_names()):
+    for name in _select_sheet_names(path, wanted, book.sheet_names()):
         sheet = book.sheet_by_name(name)
         # A formula with an error, such as #DIV/0!, has no value.
-        yield Sheet(path, name, _text_rows(
+        yield Sheet(path, name, _convert_cells_to_rows(
             ["" if cell.ctype == xlrd.XL_CELL_ERROR else cell.value for cell in sheet.row(i)]
             for i in range(sheet.nrows)))
 
@@ -147,13 +148,13 @@ def _check_extent(data: bytes, path: Path) -> None:
                                  "from the table", file=path)
 
 
-def _text_rows(cells: Iterable[Iterable[Any]]) -> tuple[Row, ...]:
+def _convert_cells_to_rows(cells: Iterable[Iterable[Any]]) -> tuple[TableRow, ...]:
     """Convert the cells of a sheet to text, and return the rows with content."""
-    numbered = (Row(number, tuple(map(_cell_text, row))) for number, row in enumerate(cells, start=1))
-    return tuple(row for row in numbered if not row.blank)
+    numbered = (TableRow(number, tuple(map(_format_cell_value, row))) for number, row in enumerate(cells, start=1))
+    return tuple(row for row in numbered if not row.is_blank)
 
 
-def _select_names(path: Path, wanted: Sequence[str | int], names: list[str]) -> Iterable[str]:
+def _select_sheet_names(path: Path, wanted: Sequence[str | int], names: list[str]) -> Iterable[str]:
     """Return the names of the requested sheets without repetitions; all names without a request."""
     return dict.fromkeys(_find_sheet_name(path, each, names) for each in wanted) if wanted else names
 
@@ -174,7 +175,7 @@ def _find_sheet_name(path: Path, sheet: str | int, names: list[str]) -> str:
     return sheet
 
 
-def _cell_text(value: Any) -> str:
+def _format_cell_value(value: Any) -> str:
     """Return a value as text with single blanks; a number as `ExactNumber`."""
     if isinstance(value, int | float) and not isinstance(value, bool):
         return ExactNumber(repr(value))
