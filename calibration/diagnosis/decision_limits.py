@@ -72,7 +72,7 @@ class DecisionLimits:
     min_mentioned_percent: float = 30.0
 
     @property
-    def min_gain(self) -> float:
+    def min_bic_decrease(self) -> float:
         """Smallest decrease of BIC for which an effect is accepted: `odds` against the fit without effects."""
         return 2.0 * float(np.log(self.odds))
 

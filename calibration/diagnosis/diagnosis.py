@@ -188,7 +188,7 @@ class NextExperiment(msgspec.Struct, frozen=True, kw_only=True):
     deviations: float | None = None
 
 
-class Stage(msgspec.Struct, frozen=True, kw_only=True):
+class DiagnosisStage(msgspec.Struct, frozen=True, kw_only=True):
     """Duration of one stage of a diagnosis.
 
     Attributes:
@@ -248,5 +248,5 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     next_experiment: list[NextExperiment] = []
     fit_before: Fit
     fit_after: Fit | None = None
-    stages: list[Stage] = []
+    stages: list[DiagnosisStage] = []
     files: dict[str, str] = {}

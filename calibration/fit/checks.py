@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.problem import Problem
-from calibration.fit.starts import generate_starts
+from calibration.fit.problem import GeneralisedProblem
+from calibration.fit.starts import generate_starting_values
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 from tissue_sim.laws import check_stability, find_law
@@ -16,7 +16,7 @@ from tissue_sim.laws import check_stability, find_law
 UNSEEN = 0.1
 
 
-def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
+def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, number: int) -> None:
     """Simulate the first start and check it.
 
     Args:
@@ -33,7 +33,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
         raise InputError(f"{law.name} has {len(space.free)} unknown parameters and the tests only {problem.samples} "
                          "points; widen max_strain or take a simpler law", file=campaign.path,
                          field=f"fit.laws[{number}]")
-    theta = generate_starts(space, 1)[0]
+    theta = generate_starting_values(space, 1)[0]
     values = space.values(theta)
     stated = [name for name in space.of_law(values) if name in campaign.fit.start or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
@@ -43,7 +43,7 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
         raise InputError(f"{law.name} is no valid material with this start: {error.problem}", file=campaign.path,
                          field=f"fit.{key}") from None
     if stated:
-        _check_stable(problem, theta, campaign, key)
+        _require_stable_law(problem, theta, campaign, key)
     try:
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
@@ -60,14 +60,14 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
                              file=campaign.path, field=field)
 
 
-def _check_stable(problem: Problem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
+def _require_stable_law(problem: GeneralisedProblem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
     """Raise an `InputError` if stated values make the law unstable within the data of a homogeneous test."""
     law, space = find_law(problem.space.law), problem.space
     own = law.as_array(space.of_law(space.values(theta)))
     for test in problem.tests:
-        if not test.homogeneous or not test.closed_form.rest:
+        if not test.is_homogeneous or not test.closed_form.rest:
             continue
-        reached = test.stretch_range(space, theta)
+        reached = test.compute_stretch_range(space, theta)
         low, high = reached.low, reached.high
         lower, upper = check_stability(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
         if lower > low or upper < high:

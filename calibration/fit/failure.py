@@ -15,7 +15,7 @@ LAW_ERRORS = (ConvergenceError, InfeasibleError, ArithmeticError, ValueError)
 
 
 @dataclass(frozen=True)
-class Failure:
+class CalibrationFailure:
     """Failed part of a calibration.
 
     Attributes:
@@ -25,17 +25,17 @@ class Failure:
     reason: str
 
 
-def catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function and convert exceptions of `LAW_ERRORS` to a `Failure`.
+def call_and_catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function and convert exceptions of `LAW_ERRORS` to a `CalibrationFailure`.
 
     Args:
         function: function to call.
         arguments: arguments of the function.
 
     Returns:
-        Result of the function, or a `Failure`.
+        Result of the function, or a `CalibrationFailure`.
     """
     try:
         return function(*arguments)
     except LAW_ERRORS as error:
-        return Failure(str(error) or type(error).__name__)
+        return CalibrationFailure(str(error) or type(error).__name__)

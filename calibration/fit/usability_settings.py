@@ -6,6 +6,7 @@ from dataclasses import dataclass, fields
 
 from calibration.statistics.statistics import NOISE_RATIOS
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import OldName
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,8 @@ class UsabilitySettings:
     start_fraction: float = 0.02
     start_noise: float = 5.0
 
+    changed = OldName("changed_limits")
+
     def __post_init__(self) -> None:
         for entry in fields(self):
             value = getattr(self, entry.name)
@@ -44,7 +47,7 @@ class UsabilitySettings:
             raise InputError(f"smallest_R2 must be below 1; got {self.smallest_R2:g}", field="smallest_R2")
 
     @property
-    def changed(self) -> dict[str, float]:
+    def changed_limits(self) -> dict[str, float]:
         """Name -> value of the limits that differ from the defaults."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)
                 if getattr(self, entry.name) != entry.default}

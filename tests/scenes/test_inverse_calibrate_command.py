@@ -269,7 +269,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(generalised, "run_estimate", interrupted)
+        patch.setattr(generalised, "compute_estimate_from_minimum", interrupted)
         assert run(*words) == 130
     count = len(simulations(out))
     assert count > 2, "more than the simulations of the start"
@@ -293,7 +293,7 @@ def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatc
         raise KeyboardInterrupt
 
     joint.write_text(joint.read_text(encoding="utf-8").replace("1400.0", "1500.0"), encoding="utf-8")
-    monkeypatch.setattr(generalised, "check_start", interrupted)
+    monkeypatch.setattr(generalised, "simulate_and_check_start", interrupted)
     assert run(joint, "-o", out, "--overwrite") == 130
     assert "no campaign was finished" in capsys.readouterr().err
     assert (out / "fit.json").is_file()
