@@ -139,7 +139,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
             judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable], regions,
             (*gaps, noise), sum(not row.testable for row in candidates), held_out,
             next((row for row in candidates if row.explained_percent is not None), None),
-            before.common_signals_in_words, offsets, list(proposals.describe_significant_candidates),
+            before.common_signal_descriptions, offsets, list(proposals.significant_candidate_descriptions),
             stressed=all(curve.stressed for curve in before.problem.measured)),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
@@ -151,7 +151,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
 
 
 def _convert_to_fit(evidence: FitEvidence) -> Fit:
-    """Return the fit in the form of a calibration, without profiles."""
+    """Return the `Fit` record of a diagnosis, without profile likelihoods."""
     estimate = evidence.estimate
     estimator = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured, evidence.problem.solves)
     spread = compute_marginal_uncertainty(evidence.problem, evidence.evaluation)

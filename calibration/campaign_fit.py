@@ -169,7 +169,7 @@ class CampaignFit:
 
     def _compute_law_results(self, estimate: Estimate, spread: ParameterUncertainty, descents: Sequence[DescentResult],
                              sides: Sequence[ProfileSide], left: Sequence[LeftOutPrediction]) -> Fitted:
-        """Return fit, predictions and curves of one law."""
+        """Return the `Fit` record, the predictions of other tests, and the curves of one law."""
         campaign, law = self.campaign, estimate.problem.space.law
         spent = self.solves.start_effort_meter()
         fit = build_fit_record(self.estimator, estimate, spread, descents, sides, campaign, self.limits)
@@ -231,5 +231,5 @@ class CampaignFit:
 
 
 def _compute_estimate_uncertainty(estimator: Estimator, estimate: Estimate) -> ParameterUncertainty:
-    """Return the uncertainty at the estimate."""
+    """Return the covariance of the unknowns at the estimate."""
     return estimator.uncertainty_function(estimate.problem, estimate.evaluation)

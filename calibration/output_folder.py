@@ -85,14 +85,15 @@ def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Se
     planned += [output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
     for folder in folders.values():
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
-            raise InputError("this file has the name of the folder for simulations; move the file",
+            raise InputError("the path of the folder for simulations must not be a file; move or rename this file",
                              file=folder / SOLVES)
     _require_inputs_not_replaced(planned, campaigns, recordings)
     found = _read_earlier_claim(output)
     if not overwrite and output.exists() and any(output.iterdir()):
         if found.get("campaigns") != digests:
-            content = "the results of other work" if found else "other files"
-            raise InputError(f"the folder contains {content}; choose an empty folder or add --overwrite", file=output)
+            content = "results of other campaigns" if found else "other files"
+            raise InputError(f"the output folder must be empty or contain results of the same campaigns; it contains "
+                             f"{content}. Choose an empty folder or add --overwrite", file=output)
         return
     earlier = [output / name for name in found.get("files", ())]
     for path in planned:

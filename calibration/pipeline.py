@@ -237,7 +237,7 @@ def _require_known_figure_format(figures_format: str | None) -> None:
 def _require_distinct_names(campaigns: list[Campaign]) -> list[Campaign]:
     """Return the campaigns after checking that there is at least one and that their names differ."""
     if not campaigns:
-        raise InputError("at least one campaign file is required")
+        raise InputError("campaigns must contain at least one campaign file; got none")
     for i, campaign in enumerate(campaigns):
         if any(other.name == campaign.name for other in campaigns[:i]):
             raise InputError(f"names of campaign files must be different, because they name the folders of the "

@@ -8,7 +8,7 @@ import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.measured import read_measured, scale_offsets
 from calibration.campaign_diagnosis import DiagnosisOutcome, diagnose_campaign, read_campaign_for_diagnosis
-from calibration.diagnosis.extended import simulate_effect_change
+from calibration.diagnosis.extended import simulate_force_change_of_effect
 from calibration.effects.effect import Candidate, Situation
 from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
@@ -51,7 +51,7 @@ class Fitted:
 
     def change(self, candidate: Candidate) -> np.ndarray:
         """Return the change of the whitened forces by an effect of its trial size, (N, q)."""
-        column = simulate_effect_change(self.problem, self.evaluation, self.campaign, candidate)
+        column = simulate_force_change_of_effect(self.problem, self.evaluation, self.campaign, candidate)
         assert isinstance(column, np.ndarray), (candidate.name, column)
         return column
 

@@ -37,7 +37,7 @@ def refit_with_updated_corrections(evidence: FitEvidence) -> FitEvidence:
     """
     problem = evidence.problem
     stated = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured,
-                                              problem.solves).stated_or_prior_jitter(problem)
+                                              problem.solves).get_stated_or_prior_jitter(problem)
     estimate = iterate_mesh_correction_and_jitter(copy_problem(problem), evidence.estimate.theta, stated)
     return FitEvidence(evidence.campaign, evidence.measured, estimate) if np.isfinite(estimate.error) else evidence
 
@@ -192,7 +192,7 @@ def _compute_prediction_errors(unseen: GeneralisedProblem, theta: np.ndarray,
         covariance: covariance of the parameters, shape (p, p).
     """
     evaluation = unseen.evaluate(theta)
-    sizes = unseen.unknown_scales(theta)
+    sizes = unseen.compute_unknown_scales(theta)
     scaled = covariance / np.outer(sizes, sizes)
     values, axes = linalg.eigh(0.5 * (scaled + scaled.T))
     known = values > 1e-14 * max(values.max(initial=0.0), 1e-300)

@@ -31,7 +31,7 @@ from tissue_sim.errors import InputError
 
 
 class PlannedTestSummary(msgspec.Struct, frozen=True, kw_only=True):
-    """Summary of a planned test.
+    """Summary of a planned test: recordings, samples, largest depth and force, duration.
 
     Attributes:
         name: name of the test.

@@ -45,11 +45,11 @@ def make_whole_recording_campaign(campaign: Campaign, law: str | None = None) ->
         InputError: the campaign is analytical, or does not list the law.
     """
     if campaign.fit.method != "inverse_fem":
-        raise InputError('a diagnosis simulates the tests; set method = "inverse_fem"', file=campaign.path,
-                         field="fit.method")
+        raise InputError(f'method must be "inverse_fem" for a diagnosis, which simulates the tests; got '
+                         f'"{campaign.fit.method}". Set method = "inverse_fem"', file=campaign.path, field="fit.method")
     if law is not None and law not in campaign.fit.laws:
-        raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
-                         field="fit.laws")
+        raise InputError(f"law must be one of the laws of the campaign ({', '.join(campaign.fit.laws)}); got {law!r}. "
+                         "Choose one of these laws, or add the law to fit.laws", file=campaign.path, field="fit.laws")
     # Samples after a drop of the force are kept: they are evidence of a tear, a puncture or lost steps.
     return replace(campaign, tests=tuple(
         replace(test, failure="keep") if test.failure == "cut" else test for test in campaign.tests),
@@ -58,7 +58,7 @@ def make_whole_recording_campaign(campaign: Campaign, law: str | None = None) ->
 
 @dataclass(eq=False)
 class FitEvidence:
-    """Fit of a campaign and its residuals.
+    """Fit of a campaign to whole recordings, and tests of its whitened residuals.
 
     Attributes:
         campaign: campaign with one law and whole recordings.
@@ -161,7 +161,7 @@ class FitEvidence:
         return list(self.common_signals)
 
     @cached_property
-    def common_signals_in_words(self) -> list[str]:
+    def common_signal_descriptions(self) -> list[str]:
         """Descriptions of the common signals, such as ``needle (most at 5.1 mm)`` or ``plates (a wave of 17 s)``."""
         words = []
         for name, each in self.common_signals.items():
@@ -204,7 +204,7 @@ def _find_label_runs(labels: np.ndarray | None, size: int) -> list[slice]:
 
 def fit_without_effects(campaign: Campaign, measured: Measured, solves: SimulationCache,
                         context: RunContext) -> FitEvidence:
-    """Fit a campaign without effects.
+    """Fit the plain model of a campaign, without any effect of the catalogue.
 
     Args:
         campaign: campaign from `make_whole_recording_campaign`.
@@ -222,7 +222,7 @@ def fit_without_effects(campaign: Campaign, measured: Measured, solves: Simulati
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = compute_jitter_upper_limit(problem, estimate.theta, estimator.stated_or_prior_jitter(problem))
+    problem.jitter = compute_jitter_upper_limit(problem, estimate.theta, estimator.get_stated_or_prior_jitter(problem))
     problem.rebuild_nuisance_columns()
     descent = minimise_from_start(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)

@@ -60,7 +60,7 @@ def select_free_values(space: ParameterSpace, values: Mapping[str, float], sizes
     return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.varied])
 
 
-def simulate_effect_change(problem: GeneralisedProblem, evaluation: ProblemEvaluation, campaign: Campaign,
+def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: ProblemEvaluation, campaign: Campaign,
                            candidate: Candidate, factor: float = 1.0) -> np.ndarray | str:
     """Compute the change of the whitened model by an effect of its trial size.
 

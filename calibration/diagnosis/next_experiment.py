@@ -53,12 +53,12 @@ _SETTINGS = PlannedTestVariationSettings()
 
 @dataclass(frozen=True, eq=False)
 class PlannedRamp:
-    """Planned test.
+    """Planned further test: a variation of a test of the campaign.
 
     Attributes:
-        sentence: description of the test.
-        test: test of the campaign.
-        protocol: motion of the tool.
+        sentence: description of the planned test for the report.
+        test: planned test, with the tool and the specimen of the variation.
+        protocol: motion of the tool: displacement in m at times in s.
     """
 
     sentence: str

@@ -9,7 +9,12 @@ import numpy as np
 
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate, rescore_all_candidates, rescore_candidate
+from calibration.diagnosis.proposals import (
+    CatalogueScores,
+    ScoredCandidate,
+    recompute_all_scores,
+    recompute_candidate_score,
+)
 from calibration.diagnosis.refits import EffectRefit, compute_odds_against, fit_best_scored_effects
 from calibration.fit.run_context import RunContext
 from calibration.statistics.scores import compute_largest_principal_cosine
@@ -35,7 +40,7 @@ _SETTINGS = PairSearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class EffectPair:
-    """Two effects.
+    """Pair of effects that one fit contains together.
 
     Attributes:
         first: fit with the first effect.
@@ -49,7 +54,7 @@ class EffectPair:
 
     @property
     def bic_decrease(self) -> float:
-        """Decrease of BIC by both effects."""
+        """Decrease of the Schwarz criterion (BIC) by both effects, compared with the fit without effects."""
         return self.first.gain + self.second.gain
 
 
@@ -68,7 +73,7 @@ def find_pairs(evidence: FitEvidence, good: Sequence[EffectRefit], proposals: Ca
               if number < _SETTINGS.first_effects or compute_odds_against(good[0], first) < LIMITS.odds]
     for first in firsts:
         with_first = first.make_evidence(evidence)
-        others = rescore_all_candidates(proposals, with_first, [first.candidate_name])
+        others = recompute_all_scores(proposals, with_first, [first.candidate_name])
         # Two effects with a common parameter cannot be combined.
         likely = [name for name, each in others.significant_candidates.items() if each.p <= LIMITS.pair_level
                   and not each.candidate.paths & first.proposal.candidate.paths][:_SETTINGS.second_effects]
@@ -101,7 +106,7 @@ def _are_both_required(first: EffectRefit, second: EffectRefit, good: Sequence[E
     alone = next((each for each in good if each.candidate_name == second.candidate_name), None)
     if alone is not None and alone.gain > first.gain + second.gain - LIMITS.min_pair_gain:
         return False
-    single, score_with_first = rescore_candidate(second.proposal, evidence), second.proposal.signed_score
+    single, score_with_first = recompute_candidate_score(second.proposal, evidence), second.proposal.signed_score
     if not single.direction.degrees_of_freedom:
         return False
     if single.signed_score * score_with_first < LIMITS.min_score_ratio * score_with_first**2:

@@ -11,7 +11,7 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.evidence import FitEvidence
-from calibration.diagnosis.extended import simulate_effect_change
+from calibration.diagnosis.extended import simulate_force_change_of_effect
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
@@ -40,12 +40,12 @@ _JUMP_SEARCH = JumpSearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class ScoredCandidate:
-    """Scored candidate.
+    """Candidate of an effect with the result of its score test.
 
     Attributes:
         candidate: candidate of an effect.
         change: change of the whitened model by the trial size, shape (N, q).
-        direction: projected change.
+        direction: change of the whitened model, projected onto the complement of the fitted space.
         score: score along the direction, shape (q,).
         p: family-wise p value.
         absent: path -> value at which the effect is absent, SI.
@@ -83,7 +83,7 @@ class ScoredCandidate:
 
 @dataclass(frozen=True, eq=False)
 class CatalogueScores:
-    """Scores of all effects of the catalogue.
+    """Candidates of all effects of the catalogue with their scores.
 
     Attributes:
         all: scored candidates that the tests can show.
@@ -109,7 +109,7 @@ class CatalogueScores:
         return {name: each for name, each in self.best_candidates.items() if each.p <= LIMITS.effect_level}
 
     @property
-    def describe_significant_candidates(self) -> list[str]:
+    def significant_candidate_descriptions(self) -> list[str]:
         """Descriptions of the significant candidates, such as ``zero offset (8.1 standard deviations)``."""
         return [f"{each.candidate.effect.title} ({abs(each.signed_score):.2g} standard deviations)"
                 for each in self.significant_candidates.values()]
@@ -150,7 +150,8 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
             untestable[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
     tasks = [(problem, evaluation, evidence.campaign, each) for each in candidates]
-    changes = context.run_task_for_all(simulate_effect_change, tasks, words, names=[each.title for each in candidates])
+    changes = context.run_task_for_all(simulate_force_change_of_effect, tasks, words,
+                                       names=[each.title for each in candidates])
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
     directions = {number: _make_effect_direction(candidates[number], change, evidence) for number,
@@ -158,7 +159,7 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
     # If nearly all of a change lies in the fitted space, the rest may be a nonlinearity. With c(s) = a s + b s^2 the
     # combination 4 c(1/2) - c(1) = a removes the second-order part.
     bent = [number for number, direction in directions.items() if direction.reach < _SECOND_ORDER * direction.length]
-    halves = context.run_task_for_all(simulate_effect_change,
+    halves = context.run_task_for_all(simulate_force_change_of_effect,
                                       [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
                                       for number in bent], words,
                           names=[candidates[number].title for number in bent]) if bent else []
@@ -177,7 +178,7 @@ def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effe
     return CatalogueScores(proposals, untestable, effects)
 
 
-def rescore_all_candidates(proposals: CatalogueScores, evidence: FitEvidence, known: Sequence[str]) -> CatalogueScores:
+def recompute_all_scores(proposals: CatalogueScores, evidence: FitEvidence, known: Sequence[str]) -> CatalogueScores:
     """Compute the scores of all candidates in a fit that contains some effects.
 
     The changes of the forces are taken from the fit without these effects, on which they hardly depend.
@@ -193,7 +194,7 @@ def rescore_all_candidates(proposals: CatalogueScores, evidence: FitEvidence, kn
         if each.candidate.name not in known], evidence))
 
 
-def rescore_candidate(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
+def recompute_candidate_score(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
     """Return a candidate with its score in another fit; the p value is unchanged."""
     direction = _make_effect_direction(proposal.candidate, proposal.change, evidence)
     return replace(proposal, direction=direction, score=direction.compute_score(evidence.whitened_residual))
@@ -229,23 +230,23 @@ def refine_jump_position(proposal: ScoredCandidate, evidence: FitEvidence) -> Sc
               if candidate.tests is None or curve.test.name in candidate.tests]
     deepest = max(float(curve.displacement.max()) for curve in curves)
     step = _JUMP_SEARCH.first_step * deepest
-    while step > max(smallest_sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
+    while step > max(find_smallest_sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
         step *= 0.5
         for change_of_depth in (-step, step):
             depth = float(np.clip(candidate.shape[candidate.jump] + change_of_depth, *candidate.bounds.get(
                 candidate.jump, (0.0, deepest))))
             other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-            change = simulate_effect_change(evidence.problem, evidence.evaluation, evidence.campaign, other)
+            change = simulate_force_change_of_effect(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):
                 continue
-            found = rescore_candidate(replace(proposal, candidate=other, change=change), evidence)
+            found = recompute_candidate_score(replace(proposal, candidate=other, change=change), evidence)
             if found.direction.degrees_of_freedom and found.log_likelihood_ratio < proposal.log_likelihood_ratio:
                 proposal = found
         candidate = proposal.candidate
     return proposal
 
 
-def smallest_sampling_step(curves: Sequence[MeasuredCurve]) -> float:
+def find_smallest_sampling_step(curves: Sequence[MeasuredCurve]) -> float:
     """Return the smallest median displacement between successive samples of some recordings, m."""
     return min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
 

@@ -15,8 +15,8 @@ from calibration.diagnosis.extended import add_effect_to_problem, select_free_va
 from calibration.diagnosis.proposals import (
     CatalogueScores,
     ScoredCandidate,
+    find_smallest_sampling_step,
     refine_jump_position,
-    smallest_sampling_step,
 )
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
@@ -78,7 +78,7 @@ _SETTINGS = RefitSettings()
 
 @dataclass(frozen=True, eq=False)
 class EffectRefit:
-    """Nonlinear fit with an effect.
+    """Nonlinear fit of a campaign with one candidate effect added to the model.
 
     Attributes:
         proposal: candidate that was added.
@@ -333,7 +333,7 @@ def _refit_with_better_jump(problem: GeneralisedProblem, campaign: Campaign, pro
     low, high = candidate.bounds.get(candidate.jump, (0.0, max(float(c.displacement.max()) for c in curves)))
     found = None
     for steps in (sign * steps for steps in _SETTINGS.jump_steps for sign in (-1, 1)):
-        depth = float(np.clip(position + steps * smallest_sampling_step(curves), low, high))
+        depth = float(np.clip(position + steps * find_smallest_sampling_step(curves), low, high))
         other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
         moved, changed = add_effect_to_problem(problem, campaign, other, free=True)
         try:

@@ -12,7 +12,7 @@ from calibration.diagnosis.decision_limits import LIMITS
 from calibration.diagnosis.diagnosis import Verdict
 from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.pairs import find_pairs
-from calibration.diagnosis.proposals import CatalogueScores, rescore_all_candidates, score_effects
+from calibration.diagnosis.proposals import CatalogueScores, recompute_all_scores, score_effects
 from calibration.diagnosis.refits import EffectRefit, compute_odds_against, fit_best_scored_effects
 from calibration.fit.fit import RegionMisfitTest
 from calibration.fit.run_context import RunContext
@@ -59,7 +59,7 @@ def decide_verdict(evidence: FitEvidence, proposals: CatalogueScores, context: R
     has_rival = next(rivals, 0.0) >= LIMITS.rival_gain_ratio * best.gain
     needed = LIMITS.explained_fraction if has_rival else LIMITS.explained_without_rival
     added, after = _add_effect_instances(best, evidence, context)
-    rest = rescore_all_candidates(proposals, after, [best.candidate_name]).significant_candidates
+    rest = recompute_all_scores(proposals, after, [best.candidate_name]).significant_candidates
     if rest or not after.has_adequate_residuals:
         pairs = find_pairs(evidence, good, proposals, context)
         if pairs and pairs[0].bic_decrease > sum(each.gain for each in added) + LIMITS.min_pair_gain:

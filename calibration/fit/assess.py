@@ -53,7 +53,7 @@ def build_fit_record(estimator: Estimator, estimate: Estimate, spread: Parameter
     values = space.values(theta)
     free = slice(0, len(space.free))
     specimens = estimate_specimen_population(space, theta, spread.covariance[free, free], spread.standard_errors[free])
-    moduli = space.of_law(specimens.representative_values(space, values))
+    moduli = space.of_law(specimens.make_representative_values(space, values))
     reached = {test.name: test.compute_stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),

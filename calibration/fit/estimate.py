@@ -40,7 +40,7 @@ _SETTINGS = MeshIterationSettings()
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimate(DescentResult):
-    """Minimum of a problem with mesh correction and jitter.
+    """Estimate of the parameters: minimum of a least-squares problem with mesh correction and jitter.
 
     Attributes:
         problem: `GeneralisedProblem` with its corrections and jitter, or `OrdinaryProblem`.

@@ -22,7 +22,7 @@ from calibration.statistics.uncertainty import ParameterUncertainty
 
 @dataclass(frozen=True, eq=False)
 class EstimateFindings:
-    """Results of an estimate from which `Estimator.describe` derives text and further fields.
+    """Results of an estimate from which `Estimator.derive_fit_fields` derives text and further fields.
 
     Attributes:
         estimate: minimum of the fit.
@@ -82,7 +82,7 @@ class Estimator(ABC):
     @abstractmethod
     def fit_laws(self, laws: Sequence[str],
                  context: RunContext) -> dict[str, tuple[list[DescentResult], Estimate | str]]:
-        """Fit laws.
+        """Estimate the parameters of several laws.
 
         Args:
             laws: names of the laws.
@@ -99,7 +99,7 @@ class Estimator(ABC):
 
     @abstractmethod
     def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
-        """Return the fields of `Fit` with messages, and those that only this method computes."""
+        """Return name -> value of the fields of `Fit` with messages, and of those that only this estimator computes."""
 
     @abstractmethod
     def build_held_out_test(self, test: Test, estimate: Estimate, predictor: ForcePredictor) -> tuple[ForwardTest,

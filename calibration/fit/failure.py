@@ -16,7 +16,7 @@ LAW_ERRORS = (ConvergenceError, InfeasibleError, ArithmeticError, ValueError)
 
 @dataclass(frozen=True)
 class CalibrationFailure:
-    """Failed part of a calibration.
+    """Failure of the calibration of one law, which does not end the calibration of the other laws.
 
     Attributes:
         reason: description of the failure.

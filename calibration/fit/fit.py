@@ -145,7 +145,7 @@ class RegionMisfitTest(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class WeakDirection(msgspec.Struct, frozen=True, kw_only=True):
-    """Weakly determined combination of parameters.
+    """Combination of parameters that the tests determine weakly.
 
     Attributes:
         shares: parameter -> component of the unit vector of relative changes.
@@ -157,7 +157,7 @@ class WeakDirection(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class SuggestedTest(msgspec.Struct, frozen=True, kw_only=True):
-    """Suggested further test.
+    """Further test that would determine the weakest combination of parameters better.
 
     Attributes:
         test: description of the test.

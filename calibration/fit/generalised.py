@@ -81,7 +81,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         usable = [law for law in laws if np.isfinite(best[law].error)]
         settled = context.run_descents(
             compute_estimate_from_minimum, usable,
-            [(problems[law], best[law], self.stated_or_prior_jitter(problems[law])) for law in usable],
+            [(problems[law], best[law], self.get_stated_or_prior_jitter(problems[law])) for law in usable],
             "the difference of the accurate mesh")
         found: dict[str, tuple[list[DescentResult], Estimate | str]] = {
             law: (descents[law], best[law].failure) for law in laws}
@@ -108,7 +108,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
             for (law, *_), end in zip(keys, ends, strict=True):
                 descents[law].append(end)
 
-    def stated_or_prior_jitter(self, problem: GeneralisedProblem) -> Noise:
+    def get_stated_or_prior_jitter(self, problem: GeneralisedProblem) -> Noise:
         """Return the stated jitter, or the priors of fitted offsets; None values are estimated."""
         if self.campaign.fit.offset == "fit":
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
@@ -120,7 +120,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         return compute_marginal_uncertainty
 
     def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
-        """Return messages and fields of an inverse fit; see `Estimator.describe`."""
+        """Return messages and fields of an inverse fit; see `Estimator.derive_fit_fields`."""
         estimate, spread, evaluation = found.estimate, found.spread, found.estimate.evaluation
         problem, space = estimate.problem, estimate.problem.space
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
@@ -173,7 +173,7 @@ class GeneralisedLeastSquaresEstimator(Estimator):
         return found, compute_mesh_uncertainty(found, error)
 
     def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:
-        """Return the marginalised jitter."""
+        """Return the jitter over which the fit marginalises."""
         return estimate.problem.jitter
 
 
@@ -220,7 +220,7 @@ def compute_estimate_from_minimum(problem: GeneralisedProblem, best: DescentResu
 
 
 def _build_jitter_record(problem: GeneralisedProblem) -> ReplicateJitterStatement:
-    """Return the record of the jitter."""
+    """Return the jitter of a problem as a record of `fit.json`."""
     return ReplicateJitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
                                     freedom=problem.jitter.freedom,
                                     stressed=all(curve.stressed for curve in problem.measured))
@@ -285,7 +285,7 @@ def _collect_distinct_minima(descents: Sequence[DescentResult], problem: General
     total = float(np.sum((problem.data - problem.data.mean())**2))
     kept = find_distinct_minima([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
                                 lambda one, other: np.abs(one - other) <= DESCENT.same_minimum
-                                * problem.unknown_scales(one))
+                                * problem.compute_unknown_scales(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
                     rise=(descent.error - kept[0][0].error)

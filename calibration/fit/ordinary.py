@@ -101,12 +101,13 @@ class OrdinaryLeastSquaresEstimator(Estimator):
         samples = sum(curve.force.size for curve in self.fitted)
         unknowns = len(self._build_parameter_space(law).names)
         if samples <= unknowns:
-            raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
-                             "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
+            raise InputError(f"the tests must have more samples than the {unknowns} parameters of {law}; got "
+                             f"{samples}. Increase max_strain, or choose a law with fewer parameters",
+                             file=self.campaign.path, field=f"fit.laws[{number}]")
 
     def fit_laws(self, laws: Sequence[str],
                  context: RunContext) -> dict[str, tuple[list[DescentResult], Estimate | str]]:
-        """Fit laws one after the other in this process; see `Estimator.estimate`."""
+        """Fit laws one after the other in this process; see `Estimator.fit_laws`."""
         found: dict[str, tuple[list[DescentResult], Estimate | str]] = {}
         for law in laws:
             plural = "s" if len(self.fitted) != 1 else ""
@@ -121,7 +122,7 @@ class OrdinaryLeastSquaresEstimator(Estimator):
         return partial(compute_sandwich_uncertainty, stated=self.campaign.noise)
 
     def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
-        """Return messages and fields of an analytical fit; see `Estimator.describe`."""
+        """Return messages and fields of an analytical fit; see `Estimator.derive_fit_fields`."""
         problem, spread = found.estimate.problem, found.spread
         on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
         nuisances = _build_nuisance_records(problem, found.estimate.theta, spread)

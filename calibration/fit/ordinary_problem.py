@@ -129,8 +129,8 @@ class OrdinaryProblem(LeastSquaresProblem):
             replace(test, measured=tuple(pool_thinned_recordings(list(map(thin_recording, test.measured)))))
             for test in self.tests))
 
-    def without_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquaresProblem.without_test`."""
+    def remove_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquaresProblem.remove_test`."""
         free = len(self.space.free)
         kept = [self.places[i][0] != number for i in self.shifted]
         tests = [test for i, test in enumerate(self.tests) if i != number]
@@ -139,13 +139,13 @@ class OrdinaryProblem(LeastSquaresProblem):
 
     @property
     def without_self_weight(self) -> OrdinaryProblem:
-        """Problem without self-weight."""
+        """Same problem without the self-weight of the specimens."""
         return replace(self, tests=tuple(test.without_self_weight for test in self.tests))
 
-    def unknown_scales(self, theta: np.ndarray) -> np.ndarray:
+    def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown: size of a parameter, prior deviation of an offset or zero; shape (k,)."""
         free = len(self.space.free)
-        return np.append(super().unknown_scales(theta[:free]), self.prior_deviation[free:])
+        return np.append(super().compute_unknown_scales(theta[:free]), self.prior_deviation[free:])
 
     def make_descent_variables(self, theta: np.ndarray) -> Variables:
         """Return the variables of a descent: `LongTermVariables` for Prony terms, otherwise scaled unknowns."""

@@ -48,7 +48,7 @@ class IndividualSpecimens:
 
     @property
     def specimen_names(self) -> tuple[str, ...]:
-        """Names of all specimens."""
+        """Names of all specimens with individual parameters."""
         return tuple(dict.fromkeys([*self.material_of, *self.left_out]))
 
     @property
@@ -79,7 +79,7 @@ class IndividualSpecimens:
                     "scatter between specimens"]
         return []
 
-    def representative_values(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
+    def make_representative_values(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
         """Return parameter values in which each specimen has those of the representative material.
 
         Args:

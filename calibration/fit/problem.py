@@ -92,11 +92,11 @@ class ProblemEvaluation:
 
         Source: Kaufman, BIT 15 (1975) 49.
         """
-        response = self._compensate_by_nuisances(self.rates)
+        response = self._compute_compensating_nuisances(self.rates)
         return (np.concatenate([self.residual, self.nuisances, self.prior_residual]),
                 np.concatenate([self.rates + self.columns @ response, response, self.prior_rates]))
 
-    def _compensate_by_nuisances(self, columns: np.ndarray) -> np.ndarray:
+    def _compute_compensating_nuisances(self, columns: np.ndarray) -> np.ndarray:
         """Return the change of the nuisances that compensates changes of the model, shape (m, ...).
 
         Args:
@@ -148,16 +148,16 @@ class LeastSquaresProblem(ABC):
 
     @property
     def measured(self) -> list[MeasuredCurve]:
-        """Recordings in the order of the rows."""
+        """Recordings of all tests, in the order of the rows of the residual."""
         return [self.tests[t].measured[r] for t, r in self.places]
 
-    def unknown_scales(self, theta: np.ndarray) -> np.ndarray:
+    def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown, SI, shape (k,)."""
         return self.space.sizes(self.space.values(theta))
 
     def make_descent_variables(self, theta: np.ndarray) -> Variables:
         """Return the variables of a descent from `theta`: the unknowns in units of their scales there."""
-        sizes, (low, high) = self.unknown_scales(theta), self.bounds
+        sizes, (low, high) = self.compute_unknown_scales(theta), self.bounds
         return ScaledVariables(sizes, (low / sizes, high / sizes))
 
     def evaluate(self, theta: np.ndarray) -> ProblemEvaluation:
@@ -182,7 +182,7 @@ class LeastSquaresProblem(ABC):
 
     @abstractmethod
     def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return residual, rates, columns, nuisances and force of an `ProblemEvaluation`."""
+        """Return residual, rates, columns, nuisances and force of a `ProblemEvaluation`."""
 
     def restrict_to_displacement_fraction(self, fraction: float) -> LeastSquaresProblem:
         """Return the problem with the samples of each test up to a fraction of its largest displacement."""
@@ -200,7 +200,7 @@ class LeastSquaresProblem(ABC):
         return replace(self, tests=tuple(tests))
 
     @abstractmethod
-    def without_test(self, number: int, theta: np.ndarray) -> tuple[LeastSquaresProblem, np.ndarray]:
+    def remove_test(self, number: int, theta: np.ndarray) -> tuple[LeastSquaresProblem, np.ndarray]:
         """Return the problem without one test, and its unknowns.
 
         Args:
@@ -241,8 +241,8 @@ class GeneralisedProblem(LeastSquaresProblem):
             self.shared.append(columns if size > 0 else slice(end, end))
         self.nuisances = end
 
-    def without_test(self, number: int, theta: np.ndarray) -> tuple[GeneralisedProblem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquaresProblem.without_test`."""
+    def remove_test(self, number: int, theta: np.ndarray) -> tuple[GeneralisedProblem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquaresProblem.remove_test`."""
         kept = [i for i in range(len(self.tests)) if i != number]
         return GeneralisedProblem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
                                   tuple(self.mesh_error[i] for i in kept)), theta
@@ -261,7 +261,7 @@ class GeneralisedProblem(LeastSquaresProblem):
         """Return whitened residual, shape (N,), and rates, shape (N, p), with all nuisances zero.
 
         Raises:
-            InfeasibleError: see `evaluate`.
+            InfeasibleError: see `LeastSquaresProblem.evaluate`.
         """
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
         return self._linearise_at_nuisances(answers, np.zeros(self.nuisances))[:2]

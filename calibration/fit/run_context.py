@@ -45,7 +45,7 @@ class RunContext:
             self.progress(f"{self.campaign}: {sentence}", *counts)
 
     def run_descents(self, function: Callable, laws: Sequence[str], arguments: Sequence[tuple], what: str) -> list:
-        """Run descents as `run_all` does, and send their iterations to the listener.
+        """Run descents as `run_task_for_all` does, and send their iterations to the listener.
 
         In this process the iterations are sent while a descent runs; from worker processes, when a descent has ended.
 

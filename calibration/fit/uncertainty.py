@@ -43,7 +43,7 @@ def compute_marginal_uncertainty(problem: GeneralisedProblem, evaluation: Proble
     """
     space = problem.space
     _, jacobian = evaluation.projected_residual_and_jacobian
-    sizes = problem.unknown_scales(evaluation.theta)
+    sizes = problem.compute_unknown_scales(evaluation.theta)
     near = _SETTINGS.bound_distance * sizes
     on_bound = (evaluation.theta - space.low <= near) | (space.high - evaluation.theta <= near)
     scaled = jacobian * sizes

@@ -37,7 +37,7 @@ _OTHER_LAW = "end the test before something else begins, such as failure (max_st
 
 @dataclass(frozen=True, eq=False)
 class UsabilityEvidence:
-    """Data on which the clauses are evaluated.
+    """Estimate and recordings from which the clauses of the usability rule are evaluated.
 
     Attributes:
         estimate: minimum of the sum of squares.
@@ -65,7 +65,7 @@ class UsabilityEvidence:
 
 
 def evaluate_usability_clauses(evidence: UsabilityEvidence) -> tuple[list[UsabilityClause], str, str | None]:
-    """Evaluate the usability rule.
+    """Evaluate all clauses of the usability rule; a fit is usable if all clauses hold.
 
     Returns:
         All clauses in the order of their weight, the status, and the reasons why the fit is not usable (None: it is).

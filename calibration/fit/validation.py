@@ -48,7 +48,7 @@ def predict_left_out_test(problem: LeastSquaresProblem, theta: np.ndarray, numbe
     """
     spent = problem.solves.start_effort_meter()
     test = problem.tests[number]
-    rest, theta = problem.without_test(number, theta)
+    rest, theta = problem.remove_test(number, theta)
     names = [other.name for other in rest.tests]
     descent = minimise_from_start(rest, theta, corrected=True)
     if not np.isfinite(descent.error):

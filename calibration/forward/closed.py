@@ -24,7 +24,7 @@ from tissue_sim.specimen import Specimen
 
 @dataclass(frozen=True, eq=False)
 class ClosedFormParameters:
-    """Parameter values for `ClosedFormTest.evaluate`.
+    """Parameter values for `ClosedFormTest.evaluate_force`.
 
     Attributes:
         space: parameter space.
@@ -47,7 +47,7 @@ class ClosedFormParameters:
 
 @dataclass(eq=False)
 class ClosedFormTest:
-    """Lubricated compression, tension or shear of an incompressible material.
+    """Forward model in closed form: lubricated compression, tension or shear of an incompressible material.
 
     Attributes:
         name: name of the test.
@@ -79,21 +79,21 @@ class ClosedFormTest:
 
     @property
     def equivalent_radius(self) -> float:
-        """Radius of a round specimen with this cross-section, m."""
+        """Radius of the circle whose area is the cross-section of the specimen, m."""
         return float(np.sqrt(self.area / np.pi))
 
     @property
     def without_self_weight(self) -> ClosedFormTest:
-        """Test without self-weight."""
+        """This test itself, since it has no self-weight."""
         return self
 
     @property
     def closed_form(self) -> ClosedForm:
-        """Closed form of the kind of test."""
+        """Closed form (stress as a function of strain) of the kind of test."""
         return self.kind.require_closed_form()
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormParameters]:
-        """Return the parameter values of each recording; `evaluate` computes the forces. See `ForwardTest.solve`."""
+        """Return the parameter values of each recording, which `evaluate_force` uses; see `ForwardTest.solve`."""
         values, solutions = space.values(theta), {}
         marks = [space.find_own_recording(self.name, curve.name) for curve in self.measured]
         for mark in marks:
@@ -118,7 +118,7 @@ class ClosedFormTest:
                                     recording, material if material is not None and material.remembers else None)
 
     def evaluate_force(self, answers: list[ClosedFormParameters], recording: int, offset: float, contact: bool = True):
-        """Evaluate force and derivatives; see `ForwardTest.evaluate`.
+        """Evaluate force and derivatives; see `ForwardTest.evaluate_force`.
 
         Args:
             answers: solutions of the recordings from `solve`.

@@ -17,7 +17,7 @@ from tissue_sim.specimen import Specimen
 
 @dataclass(eq=False)
 class ColumnTest(ClosedFormTest):
-    """Lubricated compression of a specimen that has settled under its own weight.
+    """Forward model of the lubricated compression of a column that has settled under its own weight.
 
     The displacement counts from the settled state; the height is the stated height.
 

@@ -55,7 +55,7 @@ class ForwardTest(Protocol):
 
     @property
     def is_force_proportional_to_moduli(self) -> bool:
-        """Whether the force is proportional to the moduli."""
+        """Whether the force is proportional to the moduli if all moduli change by the same factor."""
 
     @property
     def is_homogeneous(self) -> bool:
@@ -79,10 +79,10 @@ class ForwardTest(Protocol):
 
     @property
     def closed_form(self) -> ClosedForm:
-        """Closed form of a homogeneous test."""
+        """Closed form (stress as a function of strain) of a homogeneous test."""
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> Any:
-        """Solve the test at given parameters.
+        """Compute what `evaluate_force` needs at given parameters: a simulation, or the values in a closed form.
 
         Args:
             space: parameter space.
@@ -90,7 +90,7 @@ class ForwardTest(Protocol):
             solves: cache of simulations.
 
         Returns:
-            Solution for `evaluate`.
+            Solution, which `evaluate_force` uses.
 
         Raises:
             InfeasibleError: the material is invalid, or the solver does not converge.

@@ -26,7 +26,7 @@ FINEST_MESH_ERRORS = {"plate": 0.0002, "flat": 0.0005}
 
 @dataclass(frozen=True)
 class MeshErrorSettings:
-    """Settings of the errors of meshes.
+    """Settings of the estimated discretisation errors of meshes.
 
     Attributes:
         finest_fraction: error after correction by the finest mesh, as a fraction of the correction.
@@ -52,7 +52,7 @@ _SPECIMEN_SIZE = 10.0
 
 
 class SolverMeshes(NamedTuple):
-    """Resolutions of a solver in a fit, and their errors.
+    """Resolutions of a solver that a fit uses (fast, accurate and finest), and their errors.
 
     Attributes:
         fast: resolution during the iterations of the fit.
@@ -87,11 +87,11 @@ MESHES = {"axisymmetric": SolverMeshes("fast", "accurate", "finest"),
 
 
 def get_solver_meshes(solver: str) -> SolverMeshes:
-    """Return the meshes of a solver by its name."""
+    """Return the resolutions and mesh errors of a solver (fast, accurate, finest) by the name of the solver."""
     return MESHES.get(solver, MESHES["axisymmetric"])
 
 
-def make_exact_mesh(model: Model, solver: str) -> SolidMesh | None:
+def make_exact_block_mesh(model: Model, solver: str) -> SolidMesh | None:
     """Return a mesh of eight elements for a block in homogeneous deformation, where every mesh is exact; else None."""
     experiment = model.experiment
     if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.homogeneous
@@ -134,7 +134,7 @@ class MeshError:
 
     @property
     def largest_error(self) -> float:
-        """Largest relative error; infinite if unknown."""
+        """Largest relative error of the force along the loading; infinite if unknown."""
         return float(np.abs(self.relative).max(initial=0.0)) if self.relative.size else float("inf")
 
     def compute_correction_factor(self, depth: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ from tissue_sim.rig.rig import Rig
 
 @dataclass(frozen=True)
 class MotionStepSettings:
-    """Steps of a simulated motion.
+    """Numbers and sizes of the steps in which a motion is simulated.
 
     Attributes:
         smooth_steps: smallest number of steps of a smooth force curve. With `smooth_strain` the error of the cubic
@@ -66,7 +66,7 @@ class MonotonicLoading:
     @classmethod
     def make_loading_to_depth(cls, depth: float, speed: float, *, smooth: bool,
                               strain: float = 0.0) -> MonotonicLoading:
-        """Return a loading from rest to a depth.
+        """Return a monotonic loading from zero depth to a depth.
 
         Args:
             depth: largest depth, m.
@@ -185,7 +185,7 @@ class TimedMotion:
     @classmethod
     def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *,
                        steps: int = MOTION_STEPS.timed_steps) -> TimedMotion:
-        """Return the knots of a recorded motion.
+        """Return a recorded motion as a sequence of straight parts in time.
 
         If a recording begins below the surface, its first straight part is extrapolated to first contact.
 
@@ -279,7 +279,7 @@ class _TimedCurve:
         columns: force, its derivatives, and the derivative of the force with the contact offset as the last column,
             shape (k, m + 1).
         position: true position of the tool at the knots, m, shape (k,).
-        separates: see `TimedMotion.interpolate`.
+        separates: see `TimedMotion.make_curve`.
     """
 
     def __init__(self, motion: TimedMotion, columns: np.ndarray, position: np.ndarray, separates: bool):

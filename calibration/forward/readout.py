@@ -53,7 +53,7 @@ class RigReadout:
         return None if reading.ideal else reading
 
     def convert_to_readings(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
-        """Return the readings of the force sensor.
+        """Convert true forces to the readings of the force sensor.
 
         Args:
             measured: recording with displacement and time of the samples.
@@ -120,7 +120,7 @@ class ReadoutEffects:
         return any(part in (effect.name, f"effects.{effect.name}") for effect in self.effects)
 
     def remove_effects_from_model(self, model: Model) -> Model:
-        """Return the model without these effects."""
+        """Return the model without these effects, so that a simulation does not apply them twice."""
         material = model.material
         if not self.effects:
             return model
@@ -166,7 +166,7 @@ def compute_depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: Measured
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSolution:
-    """Simulated forces of one test at one set of parameters.
+    """Simulated forces of one test at one set of parameters, and their derivatives.
 
     Attributes:
         curves: force and derivatives of each recording.

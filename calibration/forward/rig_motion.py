@@ -34,7 +34,7 @@ class RigMotionSettings:
         position_tolerance: tolerance of the tool position, relative to the largest depth.
         max_iterations: maximum number of iterations of Newton's method for the tool position.
         min_growth: smallest ratio of stage displacement to tool displacement, 1 + C dF/dx, for which the equilibrium
-            counts as stable; below it the load train snaps.
+            counts as stable; below it the load train is unstable (snap-through).
     """
 
     step_tolerance: float = 1e-3
@@ -156,7 +156,7 @@ def _compute_strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class AlignedCurve:
-    """Force at the samples of a recording, from the true positions of its tool.
+    """Force at the samples of a recording, from the true tool positions behind the compliant load train.
 
     Attributes:
         curve: force against tool position.
@@ -184,13 +184,14 @@ class AlignedCurve:
             Columns, force first, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
 
         Raises:
-            InfeasibleError: the load train snaps, or the tool has no equilibrium position.
+            InfeasibleError: the load train is unstable (snap-through), or the tool has no equilibrium position.
         """
         position = self.compute_tool_positions(offset)
         columns, slope = self.curve(position)
         growth = 1.0 + self.compliance * slope
         if growth.min(initial=1.0) < _SETTINGS.min_growth:
-            raise InfeasibleError("the force falls so steeply that the load train snaps")
+            raise InfeasibleError("the force decreases with depth so steeply that the compliant load train is unstable "
+                                  "(snap-through)")
         columns[:, 1:] /= growth[:, None]
         rate = -slope / growth
         # The force is zero before the first contact.
@@ -234,7 +235,7 @@ class AlignedCurve:
             position = position + change
             if np.abs(change).max(initial=0.0) <= tolerance:
                 return position
-        raise InfeasibleError("the tool has no equilibrium position with the load train")
+        raise InfeasibleError("no equilibrium position of the tool behind the compliant load train was found")
 
 
 def is_path_dependent(model: Model) -> bool:
@@ -246,7 +247,7 @@ def is_path_dependent(model: Model) -> bool:
     return model.is_path_dependent or bool(reduced and (model.rig.compliance or model.experiment.tilt))
 
 
-def separates_on_retraction(experiment: Experiment) -> bool:
+def tool_separates_on_retraction(experiment: Experiment) -> bool:
     """Return whether the tool separates from the tissue when it retracts past the first contact."""
     return experiment.friction != "bonded" and experiment.adhesion is None and not experiment.contact_laws
 
@@ -260,6 +261,6 @@ def is_rig_motion_parameter(path: str) -> bool:
     return path.startswith("rig.") or path == "experiment.tilt"
 
 
-def with_ideal_rig(model: Model) -> Model:
+def replace_rig_by_ideal_rig(model: Model) -> Model:
     """Return the model with an ideal rig and without tilt: the tool is at the position of the stage."""
     return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())

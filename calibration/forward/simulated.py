@@ -27,7 +27,7 @@ from calibration.forward.rig_motion import (
     build_rig_loading,
     is_path_dependent,
     is_rig_motion_parameter,
-    separates_on_retraction,
+    tool_separates_on_retraction,
 )
 from calibration.forward.simulated_motions import SimulatedMotions
 from calibration.forward.simulation_cache import SimulationCache
@@ -45,7 +45,7 @@ _PULL_FRACTION = 0.02
 
 @dataclass(eq=False)
 class SimulatedTest(SimulatedMotions):
-    """Test that finite elements simulate on one mesh; see `ForwardTest`.
+    """Forward model that simulates one test with finite elements on one mesh; see `ForwardTest`.
 
     Between the knots of the simulated motions the force is interpolated at the samples of the recordings.
     """
@@ -113,11 +113,11 @@ class SimulatedTest(SimulatedMotions):
         # The tensile response of a bonded face cannot be extrapolated from compression.
         paths = [motion.displacement[int(np.argmax(motion.displacement >= 0)):] for motion in self._timed_motions]
         pulls = min(float(path.min()) for path in paths) < -_PULL_FRACTION * max(float(path.max()) for path in paths)
-        return (pulls and not separates_on_retraction(self.experiment)) or any(map(is_path_dependent, models))
+        return (pulls and not tool_separates_on_retraction(self.experiment)) or any(map(is_path_dependent, models))
 
     def _simulate_motions(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
                           models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
-        """Simulate each motion.
+        """Simulate the whole motion of each recording.
 
         Returns:
             Force curve of each recording, and the names of parameters whose derivatives are finite differences.
@@ -134,7 +134,7 @@ class SimulatedTest(SimulatedMotions):
                     force = force + self.correction[number]
                 columns = np.column_stack([force, rates])
                 curves[key] = motion.make_curve(columns, position=model.rig.tool_motion(motion.displacement),
-                                                separates=separates_on_retraction(self.experiment)) \
+                                                separates=tool_separates_on_retraction(self.experiment)) \
                     if isinstance(motion, TimedMotion) else motion.make_curve(columns)
             chosen.append(curves[key])
         return chosen, differences
@@ -158,7 +158,7 @@ class SimulatedTest(SimulatedMotions):
                 differences |= inexact
                 by_mark[mark] = ForcePositionCurve.make_interpolant(
                     loading.depth, np.column_stack([force + self._interpolate_correction(loading), rates]),
-                    holds=not separates_on_retraction(model.experiment))
+                    holds=not tool_separates_on_retraction(model.experiment))
             neighbours = {}
             for column, each in enumerate(space.varied, start=1):
                 if is_rig_motion_parameter(each.path) and each.acts_in(self.name, measured.name) \
@@ -263,7 +263,7 @@ class SimulatedTest(SimulatedMotions):
         self.correction, self.position_correction = [], None
 
     def evaluate_force(self, answer: SimulatedSolution, recording: int, offset: float):
-        """Evaluate force and derivatives at the samples of a recording; see `ForwardTest.evaluate`."""
+        """Evaluate force and derivatives at the samples of a recording; see `ForwardTest.evaluate_force`."""
         measured, readout = self.measured[recording], answer.readouts[recording]
         rig = readout.rig
         values, rate = answer.curves[recording](self._convert_to_motion_time(recording), measured.displacement, offset)

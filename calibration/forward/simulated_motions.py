@@ -18,7 +18,7 @@ from calibration.forward.readout import (
 )
 from calibration.forward.rig_motion import (
     is_rig_motion_parameter,
-    with_ideal_rig,
+    replace_rig_by_ideal_rig,
 )
 from calibration.forward.simulation_cache import SimulationCache, hash_content, simulate_curve
 from tissue_sim.errors import InputError
@@ -125,7 +125,7 @@ class SimulatedMotions:
         def build_true_model(of: dict[str, float]) -> Model:
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
             model = self._build_model(space, of, motion, recording)
-            return with_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
+            return replace_rig_by_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
 
         model = build_true_model(values)
         topology = build_true_model(space.with_start_geometry(values)) if space.shapes_mesh(self.name) else None

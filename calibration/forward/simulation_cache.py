@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 import tissue_sim
-from calibration.forward.meshes import make_exact_mesh
+from calibration.forward.meshes import make_exact_block_mesh
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
@@ -48,7 +48,7 @@ class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
 
 
 class SimulationCache:
-    """Simulated curves by key.
+    """Cache of simulated curves in memory and in files; the key is the hash of model, motion and mesh.
 
     Args:
         folder: folder with one file per curve; None: curves are kept in memory only.
@@ -104,7 +104,7 @@ class SimulationCache:
 
 def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
                    solver: str = "axisymmetric", *, one_sided: bool = False) -> SimulatedCurve:
-    """Simulate a model with the derivatives of its force.
+    """Simulate a model, and return its force with the derivatives by the free parameters.
 
     Args:
         model: model, see `tissue_sim.simulation.simulate`.
@@ -119,7 +119,7 @@ def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], r
     """
     began = time.process_time()
     try:
-        mesh = make_exact_mesh(topology or model, solver)
+        mesh = make_exact_block_mesh(topology or model, solver)
         if names:
             answer = sensitivities(model, names, resolution=resolution, mesh=mesh, topology=topology, solver=solver,
                                    one_sided=one_sided)

@@ -11,7 +11,7 @@ from tissue_sim.simulation import simulate
 
 
 def compute_homogeneous_range(closed_form: ClosedForm, low: float) -> StretchRange:
-    """Return the range of a homogeneous test.
+    """Return the range of the principal stretches in a homogeneous test.
 
     Args:
         closed_form: closed form of the test.

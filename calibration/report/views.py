@@ -78,7 +78,7 @@ Lines = Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 
 @dataclass(frozen=True, eq=False)
 class PanelView:
-    """Content of one panel.
+    """Panel of a figure: labels of the axes, and the function that converts a curve to lines in the panel.
 
     Attributes:
         title: title of the panel.
@@ -100,7 +100,7 @@ class PanelView:
 
 
 def list_panel_views(best: TestCurves, units: ReportUnits) -> list[PanelView]:
-    """Return the views of a test.
+    """Return the panels in which the curves of a test are drawn.
 
     - Force against displacement, for tests with a specimen.
     - Nominal stress against strain, if grips or plates load the entire cross-section.

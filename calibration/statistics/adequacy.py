@@ -11,7 +11,7 @@ from scipy import special
 
 @dataclass(frozen=True)
 class ScoreTestSettings:
-    """Numerical limits of score tests.
+    """Numerical limits of Rao's score tests.
 
     Attributes:
         min_free_fraction: smallest fraction of a mode's squared norm outside the span of the design for which the mode
@@ -29,7 +29,7 @@ SCORE_TEST = ScoreTestSettings()
 
 @dataclass(frozen=True, eq=False)
 class RegionScoreTest:
-    """Result of a score test in one region.
+    """Result of Rao's score test for a smooth misfit in one region.
 
     Attributes:
         statistic: test statistic; chi-square distributed if the model is correct.

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 
 @dataclass(frozen=True)
 class JitterEstimateSettings:
-    """Settings of the search for the jitter.
+    """Settings of the search for the jitter (scatter of contact point and force zero between replicates).
 
     Attributes:
         rank_tolerance: smallest relative eigenvalue for which a direction of the fixed effects counts as independent.
@@ -35,7 +35,7 @@ _SETTINGS = JitterEstimateSettings()
 
 @dataclass(frozen=True)
 class ReplicateJitter:
-    """Standard deviations between the replicates of a test.
+    """Jitter: standard deviations of contact point and force zero between the replicates of a test.
 
     Attributes:
         contact: standard deviation of the displacement at first contact, m.

@@ -102,8 +102,8 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     x, V = np.array(estimates, dtype=float), np.array(covariances, dtype=float)
     n, p = len(specimens), len(order)
     if n < POPULATION.min_specimens:
-        raise InputError(f"the scatter between specimens requires at least {POPULATION.min_specimens} specimens; got "
-                         f"{n}", field="specimen")
+        raise InputError(f"a population must have at least {POPULATION.min_specimens} specimens; got {n}. Add "
+                         "specimens, or fit the specimens without a population", field="specimen")
     if x.shape != (n, p) or V.shape != (n, p, p):
         raise InputError(f"estimates and covariances must have the shapes {(n, p)} and {(n, p, p)}; got {x.shape} and "
                          f"{V.shape}", field="estimates")

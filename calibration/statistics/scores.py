@@ -13,7 +13,7 @@ from calibration.statistics.adequacy import SCORE_TEST
 
 @dataclass(frozen=True)
 class ScoreTestSimulationSettings:
-    """Settings of score tests of many alternatives.
+    """Settings of the simulated p values of score tests of many alternative effects.
 
     Attributes:
         min_free_fraction: smallest fraction of the length of a change outside the span of the fit for which the change
@@ -48,7 +48,7 @@ class EffectDirection:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Number of degrees of freedom q."""
+        """Number q of degrees of freedom of the score test: the rank of the change of the residuals."""
         return int(self.basis.shape[1])
 
     @classmethod
@@ -82,7 +82,7 @@ class EffectDirection:
         return -(self.basis.T @ residual)
 
     def compute_p_value(self, score: np.ndarray) -> np.ndarray:
-        """Return the p value of a score for this direction alone.
+        """Return the p value of a score for this direction alone, without correction for the other directions.
 
         The p value is that of a one-sided normal test for a positive effect with q = 1, otherwise of a chi-square test
         with q degrees of freedom.

@@ -17,7 +17,7 @@ Signal = tuple[np.ndarray, np.ndarray | None, Sequence | np.ndarray | None]
 
 @dataclass(frozen=True)
 class SensorNoiseSettings:
-    """Settings of the noise estimate.
+    """Settings of the estimate of the noise of a force sensor.
 
     Attributes:
         max_degree: highest polynomial degree of a segment's trend; a relaxation 100 times shorter than its hold needs
@@ -145,7 +145,7 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
 
 @dataclass(frozen=True, eq=False)
 class _RecordingSegment:
-    """Segment of a recording.
+    """Segment of a recording whose force is modelled as a polynomial trend in time plus noise.
 
     Attributes:
         columns: Legendre polynomials of the trend, and the force as the last column, shape (n, degrees + 2).

@@ -25,7 +25,7 @@ OnDone = Callable[[int, Any], None]
 
 @dataclass(frozen=True)
 class Workers:
-    """Selection of the workers that run tasks.
+    """Selection of the workers that run tasks: local processes or a dask cluster.
 
     Attributes:
         count: number of worker processes; 1: tasks run serially in this process.

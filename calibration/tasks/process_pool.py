@@ -38,7 +38,7 @@ class ProcessPool:
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
-        """Start a task and return its future.
+        """Send a task to a worker process and return its future.
 
         Raises:
             WorkerError: the processes end before they accept a task.

@@ -180,7 +180,7 @@ def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
     again = calibration.diagnose([campaign, other], tmp_path)
     assert all(result.resumed for result in again)
     assert [result.diagnosis for result in again] == [result.diagnosis for result in results]
-    with pytest.raises(ts.InputError, match="the results of other work"):
+    with pytest.raises(ts.InputError, match="it contains results of other campaigns"):
         calibration.diagnose([campaign, other], tmp_path, law="reduced_polynomial_2")
     with pytest.raises(ts.InputError, match="got 'plain' twice"):
         calibration.diagnose([campaign, campaign], tmp_path / "twice")

@@ -72,6 +72,6 @@ def fitted(name, axis, strength, gain=50.0):
 def test_two_need_each_other(axis, alone, second_alone, rival, needed, monkeypatch):
     first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, second_alone)
     plain = fitted("second", axis, alone).proposal
-    monkeypatch.setattr("calibration.diagnosis.pairs.rescore_candidate", lambda proposal, evidence: plain)
+    monkeypatch.setattr("calibration.diagnosis.pairs.recompute_candidate_score", lambda proposal, evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
     assert _are_both_required(first, second, good, None) is needed

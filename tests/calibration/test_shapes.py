@@ -14,7 +14,7 @@ from calibration.campaign.digest import compute_digest
 from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, SolverMeshes, make_exact_mesh
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, SolverMeshes, make_exact_block_mesh
 from calibration.forward.simulation_cache import hash_content, simulate_curve
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
@@ -190,7 +190,7 @@ def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
     experiment = ts.KINDS["lubricated_compression"].experiment(
         specimen=ts.Block(0.020, 0.030, 0.015), protocol=ts.Protocol(time, 1e-3 * np.array([0.0, 1.0, 2.0, 2.0, 0.5])))
     model = ts.Model(experiment, replace(MATERIAL, **more))
-    assert make_exact_mesh(model, "solid").connectivity.shape[0] == 8
+    assert make_exact_block_mesh(model, "solid").connectivity.shape[0] == 8
     few = simulate_curve(model, None, ["C10"], "realtime", "solid")
     many = ts.sensitivities(model, ["C10"], resolution="realtime", solver="solid")
     # Steps end where forces balance to 1e-6.
@@ -203,7 +203,7 @@ def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
     {"specimen": ts.Block(0.020, 0.030, 0.015, density=1000.0, gravity=9.81)}])
 def test_where_a_mesh_matters_it_is_that_of_the_resolution(change):
     experiment = replace(pressed(ts.Block(0.020, 0.030, 0.015), kind="lubricated_compression"), **change)
-    assert make_exact_mesh(ts.Model(experiment, MATERIAL), "solid") is None
+    assert make_exact_block_mesh(ts.Model(experiment, MATERIAL), "solid") is None
 
 
 def test_a_moved_block_keeps_its_circle_and_its_sides():

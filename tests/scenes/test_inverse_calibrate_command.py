@@ -305,7 +305,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgress
 
-keep, kept = SimulationCache.store, []
+keep, kept = SimulationCache.store_curve, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -313,7 +313,7 @@ def keep_some(solves, key, curve):
     if len(kept) == {count}:
         os.kill(os.getpid(), signal.SIGKILL)
 
-SimulationCache.store = keep_some
+SimulationCache.store_curve = keep_some
 main(sys.argv[1:])
 """
 
