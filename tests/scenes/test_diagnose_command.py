@@ -236,5 +236,5 @@ def test_bad_input_is_one_sentence(method, more, words, expected, study, tmp_pat
 def test_other_files_in_the_folder_are_kept(study, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert run(study, "-o", tmp_path) == 2
-    assert "choose an empty folder or add --overwrite" in capsys.readouterr().err
+    assert "Choose an empty folder or add --overwrite" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]
