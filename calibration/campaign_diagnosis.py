@@ -19,27 +19,27 @@ from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
 from calibration.diagnosis.confirmation import (
     compare_segment_misfits,
+    compute_smooth_misfit,
     predict_held_out_tests,
     predict_left_out_recordings,
-    smooth_misfit,
 )
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
-from calibration.diagnosis.diagnosis import Diagnosis, Stage
-from calibration.diagnosis.duration import describe_duration, estimate_simulation_seconds
-from calibration.diagnosis.evidence import Evidence, Measured, gather_evidence, make_whole_recording_campaign
+from calibration.diagnosis.diagnosis import Diagnosis, DiagnosisStage
+from calibration.diagnosis.duration import describe_expected_duration, estimate_simulation_seconds
+from calibration.diagnosis.evidence import FitEvidence, Measured, fit_without_effects, make_whole_recording_campaign
 from calibration.diagnosis.next_experiment import suggest_experiments
-from calibration.diagnosis.offsets import refit_from_contacts
+from calibration.diagnosis.offsets import refit_from_fitted_contacts
 from calibration.diagnosis.proposals import CatalogueScores, score_effects
 from calibration.diagnosis.result import DiagnosisResult
 from calibration.diagnosis.statements import list_candidate_statements, list_found_effects
 from calibration.diagnosis.verdict import decide_verdict
-from calibration.diagnosis.words import format_diagnosis_message
+from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.catalogue import CATALOGUE
-from calibration.fit.assess import assess_fit
+from calibration.fit.assess import build_fit_record
 from calibration.fit.fit import Fit
-from calibration.fit.generalised import Generalised
+from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
 from calibration.fit.run_context import RunContext
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.simulation_cache import SimulationCache, hash_content
 from calibration.output_folder import SOLVES
 from calibration.report.diagnosis_outputs import write_diagnosis
@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Diagnosed:
+class DiagnosisOutcome:
     """A diagnosis with the fits and scores on which it is based.
 
     Attributes:
@@ -62,8 +62,8 @@ class Diagnosed:
     """
 
     diagnosis: Diagnosis
-    before: Evidence
-    after: Evidence | None
+    before: FitEvidence
+    after: FitEvidence | None
     proposals: CatalogueScores
 
 
@@ -77,15 +77,15 @@ class _StageClock:
     """
 
     solves: SimulationCache
-    stages: list[Stage] = field(default_factory=list)
+    stages: list[DiagnosisStage] = field(default_factory=list)
 
     @contextmanager
     def measure_stage(self, name: str) -> Iterator[None]:
         """Append duration and number of simulations of the block to `stages`."""
         began, before = time.monotonic(), self._count_simulations()
         yield
-        self.stages.append(Stage(name=name, wall_s=time.monotonic() - began,
-                                 simulations=self._count_simulations() - before))
+        self.stages.append(DiagnosisStage(name=name, wall_s=time.monotonic() - began,
+                                          simulations=self._count_simulations() - before))
 
     def _count_simulations(self) -> int:
         """Return the number of simulations of all processes so far."""
@@ -95,7 +95,7 @@ class _StageClock:
 
 
 def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
-                      solves: SimulationCache | None = None, limits: DecisionLimits = LIMITS) -> Diagnosed:
+                      solves: SimulationCache | None = None, limits: DecisionLimits = LIMITS) -> DiagnosisOutcome:
     """Diagnose a campaign without writing files.
 
     Args:
@@ -112,12 +112,13 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     campaign = scale_offsets(campaign, measured)
     clock = _StageClock(solves)
     with clock.measure_stage("fit without any effect"):
-        before, offsets = refit_from_contacts(gather_evidence(campaign, measured, solves, steps, limits), steps)
+        plain = fit_without_effects(campaign, measured, solves, steps, limits)
+        before, offsets = refit_from_fitted_contacts(plain, steps)
     with clock.measure_stage("scores of the catalogue"):
         proposals = score_effects(before, steps)
     with clock.measure_stage("fits with the likeliest"):
         judgement = decide_verdict(before, proposals, steps)
-    after: Evidence | None = None
+    after: FitEvidence | None = None
     with clock.measure_stage("last fit and unseen data"):
         steps.report_progress("final fit and prediction of data that were not fitted")
         if judgement.added:
@@ -131,18 +132,18 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
     with clock.measure_stage("the next experiment"):
         steps.report_progress("choosing the next experiment")
         further = suggest_experiments(before, proposals, judgement)
-    gaps = smooth_misfit(before), None if after is None else smooth_misfit(after)
+    gaps = compute_smooth_misfit(before), None if after is None else compute_smooth_misfit(after)
     noises = [curve.noise for curve in before.problem.measured]
     noise = float(np.sqrt(np.mean([one.deviation**2 for one in noises])))
     titles = {row.name: row.title for row in candidates}
     jitter = (after or before).problem.jitter
     diagnosis = Diagnosis(
         campaign=campaign.name, law=campaign.fit.laws[0], verdict=judgement.verdict,
-        message=format_diagnosis_message(
+        message=summarise_diagnosis(
             judgement.verdict, effects, [titles.get(name, name) for name in judgement.indistinguishable], regions,
             (*gaps, noise), sum(not row.testable for row in candidates), held_out,
             next((row for row in candidates if row.explained_percent is not None), None),
-            before.common_signals_in_words, offsets, list(proposals.significant_in_words),
+            before.common_signal_descriptions, offsets, list(proposals.significant_candidate_descriptions),
             stressed=all(curve.stressed for curve in before.problem.measured), limits=limits),
         effects=effects, indistinguishable=judgement.indistinguishable, candidates=candidates, regions=regions,
         gap_before_N=gaps[0], gap_after_N=gaps[1], noise_N=noise,
@@ -151,19 +152,19 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         mesh_percent=100.0 * max(before.problem.mesh_error, default=0.0), held_out=held_out,
         next_experiment=further, fit_before=fit_before, fit_after=fit_after, stages=clock.stages,
         decision_limits=list_changed_settings(limits))
-    return Diagnosed(diagnosis, before, after, proposals)
+    return DiagnosisOutcome(diagnosis, before, after, proposals)
 
 
-def _convert_to_fit(evidence: Evidence) -> Fit:
-    """Return the fit in the form of a calibration, without profiles."""
+def _convert_to_fit(evidence: FitEvidence) -> Fit:
+    """Return the `Fit` record of a diagnosis, without profile likelihoods."""
     estimate = evidence.estimate
-    estimator = Generalised(evidence.campaign, evidence.measured, evidence.problem.solves)
-    spread = assess_uncertainty(evidence.problem, evidence.evaluation)
-    return assess_fit(estimator, estimate, spread, [estimate], [], evidence.campaign)
+    estimator = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured, evidence.problem.solves)
+    spread = compute_marginal_uncertainty(evidence.problem, evidence.evaluation)
+    return build_fit_record(estimator, estimate, spread, [estimate], [], evidence.campaign)
 
 
-def read_for_diagnosis(path: str | Path, law: str | None = None
-                       ) -> tuple[Campaign, dict[str, tuple[MeasuredCurve, ...]]]:
+def read_campaign_for_diagnosis(path: str | Path, law: str | None = None
+                                ) -> tuple[Campaign, dict[str, tuple[MeasuredCurve, ...]]]:
     """Read a campaign with one law and its recordings, including holds and unloading.
 
     Args:
@@ -181,7 +182,7 @@ def read_for_diagnosis(path: str | Path, law: str | None = None
 
 
 def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
-                  progress: Progress | None = None) -> Diagnosed:
+                  progress: Progress | None = None) -> DiagnosisOutcome:
     """Diagnose a campaign file without writing files.
 
     Args:
@@ -194,7 +195,7 @@ def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers 
         InputError: the campaign or a recording is invalid.
         ConvergenceError: no start converges.
     """
-    campaign, measured = read_for_diagnosis(path, law)
+    campaign, measured = read_campaign_for_diagnosis(path, law)
     with open_tasks(workers or Workers()) as tasks:
         return diagnose_campaign(campaign, measured, RunContext(campaign.name, tasks, progress))
 
@@ -203,8 +204,8 @@ class CampaignDiagnosis:
     """Diagnose one campaign and write the results to a folder.
 
     Args:
-        campaign: campaign with one law, see `read_for_diagnosis`.
-        measured: recordings of each test, see `read_for_diagnosis`.
+        campaign: campaign with one law, see `read_campaign_for_diagnosis`.
+        measured: recordings of each test, see `read_campaign_for_diagnosis`.
         folder: folder of the results.
         steps: task executor and progress reports.
         limits: decision limits.
@@ -222,24 +223,25 @@ class CampaignDiagnosis:
         self.recordings = [curve for curves in measured.values() for curve in curves]
         self.digest = hash_content("diagnosis", compute_digest(
             campaign, self.recordings, list_changed_settings(limits)), campaign.fit.laws[0],
-                                   sorted(CATALOGUE), _hash_source())
+                                   sorted(CATALOGUE), _hash_diagnosis_source())
         self.solves = SimulationCache()
         self._clock = _StageClock(self.solves)
 
-    def check(self) -> None:
+    def check_fittable(self) -> None:
         """Check that the campaign can be fitted, before any file is written.
 
         Raises:
             InputError: the campaign cannot be fitted; the error states file and field.
         """
-        self.solves.read_from(self.folder / SOLVES)
+        self.solves.add_read_folder(self.folder / SOLVES)
         self.steps.report_progress("checking the start values")
         campaign = scale_offsets(self.campaign, self.measured)
         with self._clock.measure_stage("check of the start values"):
-            estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
-            estimator.check(law, 0)
+            estimator, law = GeneralisedLeastSquaresEstimator(campaign, self.measured,
+                                                              self.solves), campaign.fit.laws[0]
+            estimator.check_law(law, 0)
             if self.steps.announce is not None and (
-                    words := describe_duration(estimate_simulation_seconds(estimator.problem(law)))):
+                    words := describe_expected_duration(estimate_simulation_seconds(estimator.build_law_problem(law)))):
                 self.steps.announce(f"{campaign.name}: {words}")
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> DiagnosisResult:
@@ -252,7 +254,7 @@ class CampaignDiagnosis:
         Raises:
             ConvergenceError: no start converges.
         """
-        self.solves.move_to(self.folder / SOLVES)
+        self.solves.move_to_folder(self.folder / SOLVES)
         found = diagnose_campaign(self.campaign, self.measured, self.steps, self.solves, self.limits)
         self.steps.report_progress("writing the report")
         diagnosis = replace(found.diagnosis, stages=[*self._clock.stages, *found.diagnosis.stages])
@@ -262,7 +264,7 @@ class CampaignDiagnosis:
 
 
 @cache
-def _hash_source() -> str:
+def _hash_diagnosis_source() -> str:
     """Return the SHA-256 digest of the source code of this package, which affects the result."""
     digest = hashlib.sha256()
     for path in sorted(Path(__file__).parent.rglob("*.py")):

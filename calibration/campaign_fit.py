@@ -14,35 +14,36 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.digest import compute_digest
 from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.segmented import summarise_notes
-from calibration.fit.assess import assess_fit
-from calibration.fit.curves import draw_curves
+from calibration.fit.assess import build_fit_record
+from calibration.fit.curves import compute_test_curves
 from calibration.fit.estimate import Estimate
 from calibration.fit.estimator import Estimator
-from calibration.fit.failure import Failure, catch_law_errors
-from calibration.fit.fit import SensorStatement
-from calibration.fit.generalised import Generalised
-from calibration.fit.influence import add_influence
-from calibration.fit.ordinary import Ordinary
-from calibration.fit.predictor import Predictor, make_held_out_predictor
-from calibration.fit.preload_cover import list_notes_after_fit
+from calibration.fit.failure import CalibrationFailure, call_and_catch_law_errors
+from calibration.fit.fit import SensorNoiseStatement
+from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
+from calibration.fit.influence import add_influence_to_fit
+from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator
+from calibration.fit.predictor import ForcePredictor, make_held_out_predictor
+from calibration.fit.preload_cover import list_recording_notes_after_fit
 from calibration.fit.profiles import ProfileSide, compute_profile_side
-from calibration.fit.ranking import Fitted, describe_ranking, rank_laws
-from calibration.fit.replicates import find_disagreements
+from calibration.fit.ranking import Fitted, explain_ranking, rank_laws
+from calibration.fit.replicates import find_replicate_disagreements
 from calibration.fit.result import CalibrationResult
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import Descent
+from calibration.fit.trust_region import DescentResult
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
-from calibration.fit.validation import LeftOut, predict_held_out, predict_left_out_test
-from calibration.forward.geometry import check_geometry
+from calibration.fit.validation import LeftOutPrediction, predict_held_out_test, predict_left_out_test
+from calibration.forward.geometry import check_test_geometries
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.output_folder import SOLVES
-from calibration.report.outputs import write_campaign, write_failure
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.report.outputs import write_calibration_files, write_failure_report
+from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.errors import ConvergenceError
 from tissue_sim.settings import list_changed_settings
 
 #: Method of a campaign -> estimator.
-ESTIMATORS: dict[str, type[Estimator]] = {"analytical": Ordinary, "inverse_fem": Generalised}
+ESTIMATORS: dict[str, type[Estimator]] = {"analytical": OrdinaryLeastSquaresEstimator,
+                                          "inverse_fem": GeneralisedLeastSquaresEstimator}
 
 
 class CampaignFit:
@@ -73,7 +74,7 @@ class CampaignFit:
         #: Law -> number of simulations in the check of its start values.
         self.checked: dict[str, int] = {}
 
-    def check(self) -> None:
+    def check_fittable(self) -> None:
         """Check that the campaign can be fitted, before any file is written.
 
         Stored simulations of an earlier run of the same campaign are used.
@@ -81,14 +82,14 @@ class CampaignFit:
         Raises:
             InputError: the campaign cannot be fitted; the error states file and field.
         """
-        self.solves.read_from(self.folder / SOLVES)
+        self.solves.add_read_folder(self.folder / SOLVES)
         if self.estimator.explores:
-            check_geometry(self.campaign)
+            check_test_geometries(self.campaign)
         for number, law in enumerate(self.campaign.fit.laws):
             if self.estimator.explores:
                 self.steps.report_progress(f"checking the start values of {law}")
             before = self.solves.counts.total()
-            self.estimator.check(law, number)
+            self.estimator.check_law(law, number)
             self.checked[law] = self.solves.counts.total() - before
 
     def run(self, *, figures: bool, figures_format: str | None = None) -> CalibrationResult:
@@ -102,17 +103,17 @@ class CampaignFit:
             ConvergenceError: no law could be fitted.
         """
         if self.estimator.explores:
-            self.solves.move_to(self.folder / SOLVES)
+            self.solves.move_to_folder(self.folder / SOLVES)
         disagreements = self._describe_disagreements()
-        found, failures = self._fit_laws()
+        found, failures = self._fit_all_laws()
         if not found:
-            write_failure(self.campaign, failures, self.folder)
+            write_failure_report(self.campaign, failures, self.folder)
             raise ConvergenceError(f"{self.campaign.path}: no start of any law converges "
                                    f"({next(iter(failures.values()), '')}); state other values in fit.start, or use a "
                                    "smaller max_strain")
         fits, predictions, curves = rank_laws(found)
         fitted = [curve for test in self.campaign.tests if not test.hold_out for curve in self.measured[test.name]]
-        message = describe_ranking(fits, predictions, fitted)
+        message = explain_ranking(fits, predictions, fitted)
         for disagreement in disagreements:
             message = message if disagreement in message else f"{disagreement}. {message}"
         for law, failure in failures.items():
@@ -121,34 +122,35 @@ class CampaignFit:
         # A material with memory describes relaxation and creep, so these need no note.
         left_out = {"control"} if self.campaign.fit.material.remembers else set()
         message += summarise_notes((curve.test.name, curve.name, {
-            subject: note for subject, note in list_notes_after_fit(curve, fits[0]).items()
+            subject: note for subject, note in list_recording_notes_after_fit(curve, fits[0]).items()
             if note not in message_before_notes and subject not in left_out})
             for curve in self.recordings)
         noises = {name: several[0].noise for name, several in self.measured.items()}
-        noise = tuple(SensorStatement(test=name, deviation_N=one.deviation, correlation_time_s=one.correlation_time,
-                                      source=one.source) for name, one in noises.items())
+        noise = tuple(SensorNoiseStatement(test=name, deviation_N=one.deviation,
+                                           correlation_time_s=one.correlation_time,
+                                           source=one.source) for name, one in noises.items())
         sources = {curve.noise.source for curve in fitted}
         result = CalibrationResult(
             self.campaign, tuple(fits), tuple(predictions), message, self.folder, self.digest,
-            self.estimator.pooled_noise, sources.pop() if len(sources) == 1 else "mixed",
+            self.estimator.pooled_stress_noise, sources.pop() if len(sources) == 1 else "mixed",
             noise if self.estimator.explores else (), failures=failures,
             usability_settings=list_changed_settings(self.limits))
         if self.estimator.explores:
             self.steps.report_progress("writing the report")
-        write_campaign(result, curves, self.measured, self.estimator.words, figures=figures,
-                       figures_format=figures_format)
+        write_calibration_files(result, curves, self.measured, self.estimator.words, figures=figures,
+                                figures_format=figures_format)
         return result
 
-    def _fit_laws(self) -> tuple[list[Fitted], dict[str, str]]:
+    def _fit_all_laws(self) -> tuple[list[Fitted], dict[str, str]]:
         """Return the results of the fitted laws, and the reason of failure of each other law."""
         laws = self.campaign.fit.laws
-        ends = self.estimator.estimate(laws, self.steps)
+        ends = self.estimator.fit_laws(laws, self.steps)
         estimates = {law: estimate for law, (_, estimate) in ends.items() if isinstance(estimate, Estimate)}
         failures = {law: estimate for law, (_, estimate) in ends.items() if not isinstance(estimate, Estimate)}
-        spreads: dict[str, Uncertainty] = {}
+        spreads: dict[str, ParameterUncertainty] = {}
         for law, estimate in list(estimates.items()):
-            spread = catch_law_errors(_compute_uncertainty, self.estimator, estimate)
-            if isinstance(spread, Failure):
+            spread = call_and_catch_law_errors(_compute_estimate_uncertainty, self.estimator, estimate)
+            if isinstance(spread, CalibrationFailure):
                 failures[law] = spread.reason
                 del estimates[law]
             else:
@@ -158,32 +160,32 @@ class CampaignFit:
         for law, estimate in estimates.items():
             if self.estimator.explores:
                 self.steps.report_progress(f"uncertainty and predictions of {law}")
-            answer = catch_law_errors(self._assess_law, estimate, spreads[law], ends[law][0], sides_of[law],
-                                      left_of[law])
-            if isinstance(answer, Failure):
+            answer = call_and_catch_law_errors(self._compute_law_results, estimate, spreads[law], ends[law][0],
+                                               sides_of[law], left_of[law])
+            if isinstance(answer, CalibrationFailure):
                 failures[law] = answer.reason
             else:
                 answers.append(answer)
         return answers, failures
 
-    def _assess_law(self, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
-                    sides: Sequence[ProfileSide], left: Sequence[LeftOut]) -> Fitted:
-        """Return fit, predictions and curves of one law."""
+    def _compute_law_results(self, estimate: Estimate, spread: ParameterUncertainty, descents: Sequence[DescentResult],
+                             sides: Sequence[ProfileSide], left: Sequence[LeftOutPrediction]) -> Fitted:
+        """Return the `Fit` record, the predictions of other tests, and the curves of one law."""
         campaign, law = self.campaign, estimate.problem.space.law
-        spent = self.solves.start_meter()
-        fit = assess_fit(self.estimator, estimate, spread, descents, sides, campaign, self.limits)
-        fit = add_influence(fit, estimate.problem, estimate.evaluation)
+        spent = self.solves.start_effort_meter()
+        fit = build_fit_record(self.estimator, estimate, spread, descents, sides, campaign, self.limits)
+        fit = add_influence_to_fit(fit, estimate.problem, estimate.evaluation)
         fitted = zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True)
-        own = Predictor.of(estimate.problem.space, estimate.theta, spread)
+        own = ForcePredictor.from_estimate(estimate.problem.space, estimate.theta, spread)
         predictors = {test.name: make_held_out_predictor(test, own, fit.population)
                       for test in campaign.tests if test.hold_out}
         tests = [self.estimator.build_held_out_test(test, estimate, predictors[test.name] or own) if test.hold_out
                  else next(fitted) for test in campaign.tests]
-        scatter = self.estimator.find_jitter(estimate)
-        held_out = [predict_held_out(estimate.problem, test, predictors[test.name], scatter)
+        scatter = self.estimator.get_replicate_jitter(estimate)
+        held_out = [predict_held_out_test(estimate.problem, test, predictors[test.name], scatter)
                     for test, _ in tests if test.name in predictors]
-        curves = draw_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
-                                                                in predictors.items() if predictor is not None})
+        curves = compute_test_curves(estimate, spread, tests, scatter, {name: predictor for name, predictor
+                                                                        in predictors.items() if predictor is not None})
         parts: list[Any] = [*descents, estimate, *sides, *left]
         costs = [spent(), *((part.simulations, part.cpu_s) for part in parts)]
         best = min(descents, key=lambda end: end.error)
@@ -192,15 +194,15 @@ class CampaignFit:
                       estimate_cpu_s=best.cpu_s + estimate.cpu_s if self.estimator.explores else 0.0)
         return fit, [*(one.prediction for one in left), *held_out], curves
 
-    def _compute_profiles_and_validation(self, estimates: dict[str, Estimate], spreads: dict[str, Uncertainty]
-                                         ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOut]]]:
+    def _compute_profiles_and_validation(self, estimates: dict[str, Estimate], spreads: dict[str, ParameterUncertainty]
+                                         ) -> tuple[dict[str, list[ProfileSide]], dict[str, list[LeftOutPrediction]]]:
         """Compute the profiles of all parameters with a standard error, and the fits with one test left out.
 
         Returns:
             The sides of the profiles by law, and the left-out results by law.
         """
         sides_of: dict[str, list[ProfileSide]] = {law: [] for law in estimates}
-        left_of: dict[str, list[LeftOut]] = {law: [] for law in estimates}
+        left_of: dict[str, list[LeftOutPrediction]] = {law: [] for law in estimates}
         sides, left = [], []
         for law, estimate in estimates.items():
             known = [i for i, error in enumerate(spreads[law].standard_errors) if np.isfinite(error) and error > 0
@@ -208,27 +210,27 @@ class CampaignFit:
             sides += [(law, (estimate.problem, estimate.theta, estimate.error, spreads[law], i, side)) for i in known
                       for side in (-1, 1)]
             if len(estimate.problem.tests) > 1:
-                left += [(law, (estimate.problem, estimate.theta, number, self.estimator.uncertainty,
-                                self.estimator.find_jitter(estimate)))
+                left += [(law, (estimate.problem, estimate.theta, number, self.estimator.uncertainty_function,
+                                self.estimator.get_replicate_jitter(estimate)))
                          for number in range(len(estimate.problem.tests))]
         for function, tasks, words, found in ((compute_profile_side, sides, "profiles", sides_of),
                                               (predict_left_out_test, left, "tests left out, one at a time", left_of)):
-            answers = self.steps.run_all(partial(catch_law_errors, function), [arguments for _, arguments in tasks],
-                                         words) if tasks else []
+            answers = self.steps.run_task_for_all(partial(call_and_catch_law_errors, function),
+                                                  [arguments for _, arguments in tasks], words) if tasks else []
             for (law, _), answer in zip(tasks, answers, strict=True):
                 # A failed profile or left-out test does not invalidate the fit.
-                if not isinstance(answer, Failure):
+                if not isinstance(answer, CalibrationFailure):
                     found[law].append(answer)
         return sides_of, left_of
 
     def _describe_disagreements(self) -> list[str]:
         """Return a sentence for each group of disagreeing recordings, and announce them before they are pooled."""
-        found = [each.describe() for each in find_disagreements(self.measured)]
+        found = [each.describe() for each in find_replicate_disagreements(self.measured)]
         for sentence in found:
             self.steps.report_progress(sentence)
         return found
 
 
-def _compute_uncertainty(estimator: Estimator, estimate: Estimate) -> Uncertainty:
-    """Return the uncertainty at the estimate."""
-    return estimator.uncertainty(estimate.problem, estimate.evaluation)
+def _compute_estimate_uncertainty(estimator: Estimator, estimate: Estimate) -> ParameterUncertainty:
+    """Return the covariance of the unknowns at the estimate."""
+    return estimator.uncertainty_function(estimate.problem, estimate.evaluation)

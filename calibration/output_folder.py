@@ -41,24 +41,26 @@ PICTURES_OF_LAW = ("profiles", "windows", "correlation", "population")
 CLAIM_SCHEMA = "tissue_sim/calibration/2"
 
 
-def result_files(campaign: Campaign, folder: Path) -> list[Path]:
+def list_calibration_files(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of all files that the calibration of a campaign may write."""
     return [*(folder / f"{law}.material.json" for law in campaign.fit.laws), *(folder / name for name in TABLES),
-            *(folder / picture_file(name, kind) for name in _name_pictures(campaign) for kind in PICTURE_FORMATS),
+            *(folder / make_figure_file_name(name, kind) for name in _list_figure_names(campaign)
+              for kind in PICTURE_FORMATS),
             folder / FIT_FILE]
 
 
-def diagnosis_files(campaign: Campaign, folder: Path) -> list[Path]:
+def list_diagnosis_result_files(campaign: Campaign, folder: Path) -> list[Path]:
     """Return the paths of report, tables, figures and result file of the diagnosis of a campaign."""
-    pictures = [*(picture_of_test(campaign, number) for number in range(len(campaign.tests))), *PICTURES_OF_DIAGNOSIS]
+    pictures = [*(make_test_figure_name(campaign, number) for number in range(len(campaign.tests))),
+                *PICTURES_OF_DIAGNOSIS]
     return [*(folder / name for name in TABLES_OF_DIAGNOSIS),
-            *(folder / picture_file(name, kind) for name in pictures for kind in PICTURE_FORMATS),
+            *(folder / make_figure_file_name(name, kind) for name in pictures for kind in PICTURE_FORMATS),
             folder / DIAGNOSIS_FILE]
 
 
-def claim_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
-                 recordings: Sequence[MeasuredCurve], digests: Mapping[str, str], overwrite: bool,
-                 files_of: Callable[[Campaign, Path], list[Path]] = result_files) -> None:
+def claim_output_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[Campaign],
+                        recordings: Sequence[MeasuredCurve], digests: Mapping[str, str], overwrite: bool,
+                        files_of: Callable[[Campaign, Path], list[Path]] = list_calibration_files) -> None:
     """Prepare the output folder for these campaigns.
 
     Results of the same campaigns stay. Files of an earlier calibration are removed if ``work.json`` lists them; other
@@ -83,52 +85,53 @@ def claim_folder(output: Path, folders: Mapping[str, Path], campaigns: Sequence[
     planned += [output / CLAIM_FILE, *([output / SUMMARY_FILE] if len(campaigns) > 1 else [])]
     for folder in folders.values():
         if (folder / SOLVES).exists() and not (folder / SOLVES).is_dir():
-            raise InputError("this file has the name of the folder for simulations; move the file",
+            raise InputError("the path of the folder for simulations must not be a file; move or rename this file",
                              file=folder / SOLVES)
-    _protect_inputs(planned, campaigns, recordings)
-    found = _read_claim(output)
+    _require_inputs_not_replaced(planned, campaigns, recordings)
+    found = _read_earlier_claim(output)
     if not overwrite and output.exists() and any(output.iterdir()):
         if found.get("campaigns") != digests:
-            content = "the results of other work" if found else "other files"
-            raise InputError(f"the folder contains {content}; choose an empty folder or add --overwrite", file=output)
+            content = "results of other campaigns" if found else "other files"
+            raise InputError(f"the output folder must be empty or contain results of the same campaigns; it contains "
+                             f"{content}. Choose an empty folder or add --overwrite", file=output)
         return
     earlier = [output / name for name in found.get("files", ())]
     for path in planned:
         if path.exists() and path not in earlier:
             raise InputError("a result would replace this file, which was not written by an earlier run in this "
                              "folder; move the file or choose another folder", file=path)
-    _clear_solves({path.parent for path in earlier})
-    _remove_files(earlier, output)
+    _remove_stored_simulations({path.parent for path in earlier})
+    _remove_files_and_empty_folders(earlier, output)
     files = [path.relative_to(output).as_posix() for path in planned]
     claimed = {"schema": CLAIM_SCHEMA, "campaigns": dict(digests), "files": files}
     write_text(output / CLAIM_FILE, json.dumps(claimed, indent=2) + "\n")
 
 
-def picture_of_test(campaign: Campaign, number: int, what: str = "test") -> str:
+def make_test_figure_name(campaign: Campaign, number: int, what: str = "test") -> str:
     """Return the name of the figure of a test or of its ``segments``; `number` is its index in the campaign."""
     return f"{what} {number + 1} {campaign.tests[number].name}"
 
 
-def picture_file(name: str, kind: str) -> str:
+def make_figure_file_name(name: str, kind: str) -> str:
     """Return the file name of a figure; all characters except letters and digits become underscores."""
     return f"report_{re.sub(r'[^0-9A-Za-z]+', '_', name).strip('_')}.{kind}"
 
 
-def has_pictures(campaign: Campaign, folder: Path, kind: str) -> bool:
+def has_all_figure_files(campaign: Campaign, folder: Path, kind: str) -> bool:
     """Return whether the figure files of all tests of a finished campaign exist in this format."""
-    return all((folder / picture_file(picture_of_test(campaign, number), kind)).is_file()
+    return all((folder / make_figure_file_name(make_test_figure_name(campaign, number), kind)).is_file()
                for number in range(len(campaign.tests)))
 
 
-def _name_pictures(campaign: Campaign) -> list[str]:
+def _list_figure_names(campaign: Campaign) -> list[str]:
     """Return the names of all figures that the report of a campaign may have."""
-    return [*(picture_of_test(campaign, number, what) for number in range(len(campaign.tests))
+    return [*(make_test_figure_name(campaign, number, what) for number in range(len(campaign.tests))
               for what in ("test", "segments")), *PICTURES,
             *(f"{name} {law}" for name in PICTURES_OF_LAW for law in campaign.fit.laws)]
 
 
-def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
-                    recordings: Sequence[MeasuredCurve]) -> None:
+def _require_inputs_not_replaced(planned: Sequence[Path], campaigns: Sequence[Campaign],
+                                 recordings: Sequence[MeasuredCurve]) -> None:
     """Raise an `InputError` if a planned file would replace a campaign or recording."""
     files = {recording.file for recording in recordings}
     inputs = [*(campaign.path for campaign in campaigns), *files, *(path.with_suffix(".json") for path in files)]
@@ -139,7 +142,7 @@ def _protect_inputs(planned: Sequence[Path], campaigns: Sequence[Campaign],
             raise InputError("a result would replace this input file; choose another folder", file=path)
 
 
-def _read_claim(output: Path) -> dict[str, Any]:
+def _read_earlier_claim(output: Path) -> dict[str, Any]:
     """Return the content of ``work.json`` of an earlier run; empty if there is none or if its content is invalid."""
     try:
         found = read_json(output / CLAIM_FILE, "the list of files of an earlier run")
@@ -153,7 +156,7 @@ def _read_claim(output: Path) -> dict[str, Any]:
     return found if inside else {}
 
 
-def _clear_solves(folders: Iterable[Path]) -> None:
+def _remove_stored_simulations(folders: Iterable[Path]) -> None:
     """Remove the stored simulations of earlier campaigns from these folders."""
     for folder in folders:
         for file in (folder / SOLVES).glob("*.msgpack"):
@@ -163,7 +166,7 @@ def _clear_solves(folders: Iterable[Path]) -> None:
             (folder / SOLVES).rmdir()
 
 
-def _remove_files(files: Sequence[Path], output: Path) -> None:
+def _remove_files_and_empty_folders(files: Sequence[Path], output: Path) -> None:
     """Remove these files and the folders of campaigns that become empty."""
     for path in files:
         path.unlink(missing_ok=True)

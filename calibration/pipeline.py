@@ -9,7 +9,13 @@ from typing import TYPE_CHECKING, Any
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
 from calibration.campaign.planned import PLANNED, read_planned
-from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim_folder, has_pictures, result_files
+from calibration.output_folder import (
+    PICTURE_FORMATS,
+    SUMMARY_FILE,
+    claim_output_folder,
+    has_all_figure_files,
+    list_calibration_files,
+)
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
 
@@ -81,7 +87,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
         1000.0
     """
     output = Path(output)
-    _check_figures_format(figures_format)
+    _require_known_figure_format(figures_format)
     campaigns = _require_distinct_names([load_campaign(path) for path in paths])
     measured = [read_measured(campaign) for campaign in campaigns]
     # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
@@ -89,7 +95,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     from calibration.fit.result import read_earlier_result
     from calibration.fit.run_context import RunContext
     from calibration.fit.usability_settings import USABILITY
-    from calibration.report.outputs import write_summary
+    from calibration.report.outputs import write_summary_table
 
     with open_tasks(workers or Workers()) as tasks:
         fits = [CampaignFit(campaign, curves, output / campaign.name if len(campaigns) > 1 else output,
@@ -97,7 +103,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
                 for campaign, curves in zip(campaigns, measured, strict=True)]
         results, failures = _run_campaigns(fits, output, read_earlier_result, overwrite, figures, figures_format)
     if len(campaigns) > 1:
-        write_summary(results, output / SUMMARY_FILE)
+        write_summary_table(results, output / SUMMARY_FILE)
     if failures:
         raise ConvergenceError("; ".join(failures))
     return results
@@ -135,7 +141,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
         WorkerError: a worker process ends each time it works on a part.
     """
     output = Path(output)
-    _check_figures_format(figures_format)
+    _require_known_figure_format(figures_format)
     from calibration.diagnosis.evidence import make_whole_recording_campaign
 
     campaigns = _require_distinct_names([make_whole_recording_campaign(load_campaign(path), law) for path in paths])
@@ -159,7 +165,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
 
 def _run_campaigns(parts: Sequence[Any], output: Path, read_result: Callable[..., Any], overwrite: bool, figures: bool,
                    figures_format: str | None,
-                   files_of: Callable[..., list[Path]] = result_files) -> tuple[list[Any], list[str]]:
+                   files_of: Callable[..., list[Path]] = list_calibration_files) -> tuple[list[Any], list[str]]:
     """Run several campaigns, and read the results of finished campaigns.
 
     Args:
@@ -174,15 +180,15 @@ def _run_campaigns(parts: Sequence[Any], output: Path, read_result: Callable[...
     Returns:
         The results, and the messages of campaigns that failed.
     """
-    finished = [None if overwrite or not (figures_format is None or has_pictures(
+    finished = [None if overwrite or not (figures_format is None or has_all_figure_files(
         part.campaign, part.folder, figures_format)) else read_result(part.campaign, part.folder, part.digest)
         for part in parts]
     for part, result in zip(parts, finished, strict=True):
         if result is None:
-            part.check()
-    claim_folder(output, {part.campaign.name: part.folder for part in parts}, [part.campaign for part in parts],
-                 [recording for part in parts for recording in part.recordings],
-                 {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
+            part.check_fittable()
+    claim_output_folder(output, {part.campaign.name: part.folder for part in parts}, [part.campaign for part in parts],
+                        [recording for part in parts for recording in part.recordings],
+                        {part.campaign.name: part.digest for part in parts}, overwrite, files_of)
     results, failures = [], []
     for part, result in zip(parts, finished, strict=True):
         try:
@@ -218,14 +224,14 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
 
     campaign = make_whole_recording_campaign(load_campaign(path, planned=True), law)
     measured = read_planned(campaign, replicates, samples)
-    from calibration.diagnosis.design import compute_design
+    from calibration.diagnosis.design import compute_experiment_design
     from calibration.fit.run_context import RunContext
 
     with open_tasks(workers or Workers()) as tasks:
-        return compute_design(campaign, measured, RunContext(campaign.name, tasks, progress))
+        return compute_experiment_design(campaign, measured, RunContext(campaign.name, tasks, progress))
 
 
-def _check_figures_format(figures_format: str | None) -> None:
+def _require_known_figure_format(figures_format: str | None) -> None:
     """Raise an `InputError` if the format of figures is unknown."""
     if figures_format not in (None, *PICTURE_FORMATS):
         raise InputError(f"figures_format must be {', '.join(PICTURE_FORMATS)} or None; got {figures_format!r}",
@@ -235,7 +241,7 @@ def _check_figures_format(figures_format: str | None) -> None:
 def _require_distinct_names(campaigns: list[Campaign]) -> list[Campaign]:
     """Return the campaigns after checking that there is at least one and that their names differ."""
     if not campaigns:
-        raise InputError("at least one campaign file is required")
+        raise InputError("campaigns must contain at least one campaign file; got none")
     for i, campaign in enumerate(campaigns):
         if any(other.name == campaign.name for other in campaigns[:i]):
             raise InputError(f"names of campaign files must be different, because they name the folders of the "

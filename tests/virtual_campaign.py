@@ -7,15 +7,15 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.measured import read_measured, scale_offsets
-from calibration.campaign_diagnosis import Diagnosed, diagnose_campaign, read_for_diagnosis
-from calibration.diagnosis.extended import simulate_effect_change
+from calibration.campaign_diagnosis import DiagnosisOutcome, diagnose_campaign, read_campaign_for_diagnosis
+from calibration.diagnosis.extended import simulate_force_change_of_effect
 from calibration.effects.effect import Candidate, Situation
-from calibration.fit.campaign_problem import build_problem
-from calibration.fit.problem import Evaluation, Problem
+from calibration.fit.campaign_problem import build_generalised_problem
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.adequacy import orthonormal_basis
-from calibration.statistics.scores import Direction
+from calibration.statistics.adequacy import compute_orthonormal_basis
+from calibration.statistics.scores import EffectDirection
 from calibration.tasks.executors import Workers, open_tasks
 
 #: Name of the law.
@@ -42,8 +42,8 @@ class Fitted:
     """A campaign at the true parameters of its law."""
 
     situation: Situation
-    problem: Problem
-    evaluation: Evaluation
+    problem: GeneralisedProblem
+    evaluation: ProblemEvaluation
 
     @property
     def campaign(self) -> Campaign:
@@ -51,17 +51,18 @@ class Fitted:
 
     def change(self, candidate: Candidate) -> np.ndarray:
         """Return the change of the whitened forces by an effect of its trial size, (N, q)."""
-        column = simulate_effect_change(self.problem, self.evaluation, self.campaign, candidate)
+        column = simulate_force_change_of_effect(self.problem, self.evaluation, self.campaign, candidate)
         assert isinstance(column, np.ndarray), (candidate.name, column)
         return column
 
     def score(self, candidate: Candidate) -> float:
         """Return the signal of an effect in standard deviations, with the sign of its trial size."""
-        residual, design = self.evaluation.design
+        residual, design = self.evaluation.full_residual_and_jacobian
         column = self.change(candidate)
-        direction = Direction.project(np.vstack([column, np.zeros((residual.size - len(column), column.shape[1]))]),
-                                 orthonormal_basis(design), positive=True)
-        return float(direction.score(residual)[0]) if direction.freedom else 0.0
+        direction = EffectDirection.from_whitened_change(np.vstack([column, np.zeros((residual.size - len(column),
+                                                                                column.shape[1]))]),
+                                 compute_orthonormal_basis(design), positive=True)
+        return float(direction.compute_score(residual)[0]) if direction.degrees_of_freedom else 0.0
 
 
 def measured_campaign(folder, change=lambda name, model: model, *, tests=TESTS, specimens=("one",), fit="", seed=1):
@@ -95,7 +96,7 @@ def situation_of(path):
 
 def fitted(path):
     situation = situation_of(path)
-    problem = build_problem(situation.law, situation.campaign, situation.measured, SimulationCache())
+    problem = build_generalised_problem(situation.law, situation.campaign, situation.measured, SimulationCache())
     theta = np.array([TRUTH[name] for name in problem.space.free])
     return Fitted(situation, problem, problem.evaluate(theta))
 
@@ -118,7 +119,7 @@ start = { C10 = 1500.0 }
 
 
 def diagnosed_plates(folder, *, terms=(), rig=None, friction="frictionless", ripple=0.0, samples=121,
-                     seed=3) -> Diagnosed:
+                     seed=3) -> DiagnosisOutcome:
     """Three recordings of a ramp, a hold and a return with what is hidden in them, diagnosed."""
     time = np.linspace(0.0, 60.0, samples)
     depth = np.interp(time, [0, 15, 45, 60], [0, 3e-3, 3e-3, 0])
@@ -134,6 +135,6 @@ def diagnosed_plates(folder, *, terms=(), rig=None, friction="frictionless", rip
         ts.write_recording(ts.Recording({"time": time, "displacement": depth, "force": measured}),
                            folder / f"plates_{number}.csv")
     (folder / "study.toml").write_text(PLATES, encoding="utf-8")
-    campaign, recordings = read_for_diagnosis(folder / "study.toml")
+    campaign, recordings = read_campaign_for_diagnosis(folder / "study.toml")
     with open_tasks(Workers()) as tasks:
         return diagnose_campaign(campaign, recordings, RunContext("study", tasks))

@@ -21,11 +21,11 @@ from benchmarks.hidden_effects.peers import best_by_bic, gaussian_process, ordin
 from benchmarks.hidden_effects.recordings import draw_scatter, write_campaign
 from benchmarks.hidden_effects.sizes import NOISE, REPLICATES, TABLE, class_of, frozen
 from benchmarks.hidden_effects.truth import PROTOCOLS, VirtualTest, plain
-from calibration.campaign_diagnosis import Diagnosed, diagnose_campaign, read_for_diagnosis
+from calibration.campaign_diagnosis import DiagnosisOutcome, diagnose_campaign, read_campaign_for_diagnosis
 from calibration.diagnosis import proposals
 from calibration.effects.catalogue import CATALOGUE
 from calibration.fit.run_context import RunContext
-from calibration.tasks.executors import Tasks
+from calibration.tasks.executors import TaskExecutor
 from tissue_sim.errors import ConvergenceError, InputError
 
 #: What the figures depend on; sealed figures stand under the hash of all of it, thresholds included.
@@ -162,17 +162,17 @@ def run_one(planned: Planned, digest: str = "", with_peers: bool = True) -> dict
         "catalogue": [name for name in CATALOGUE if name not in taken]}
     with tempfile.TemporaryDirectory() as folder:
         path = write_campaign(Path(folder), tests, forces, scatter, rng)
-        campaign, measured = read_for_diagnosis(path)
+        campaign, measured = read_campaign_for_diagnosis(path)
         recorded = [(test, np.array([_on(test, curve) for curve in measured[test.name]])) for test in tests]
         try:
             with _without(taken):
-                done = diagnose_campaign(campaign, measured, RunContext(campaign.name, Tasks()))
+                done = diagnose_campaign(campaign, measured, RunContext(campaign.name, TaskExecutor()))
         except (ConvergenceError, InputError) as failure:
             # As a user would see it: no verdict.
             return answer | {"failure": str(failure), "wall_s": time.monotonic() - began}
     answer |= _said(done) | {"wall_s": time.monotonic() - began}
     if with_peers:
-        samples = float(done.before.samples)
+        samples = float(done.before.effective_sample_count)
         statements = [{name: getattr(row, name) for name in ("effect", "testable", "score", "delta_BIC")}
                       for row in done.diagnosis.candidates]
         answer["peers"] = {"least squares": ordinary(recorded), "BIC": best_by_bic(statements, samples),
@@ -186,7 +186,7 @@ def _on(test: VirtualTest, curve) -> np.ndarray:
     return np.interp(test.time, time, curve.force)
 
 
-def _said(done: Diagnosed) -> dict:
+def _said(done: DiagnosisOutcome) -> dict:
     """Return a diagnosis as a dictionary of plain values."""
     said = done.diagnosis
     weights: dict[str, float] = {}

@@ -26,7 +26,7 @@ from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import SHARED, NamedParameter
 from calibration.campaign_fit import ESTIMATORS
-from calibration.fit.curves import TestCurves, draw_curves
+from calibration.fit.curves import TestCurves, compute_test_curves
 from calibration.fit.run_context import RunContext
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
@@ -145,12 +145,12 @@ def draw_case(case: Case, rng: np.random.Generator) -> tuple[TestCurves, list[Me
     measured = {"plates": tuple(record(number) for number in range(case.replicates))}
     estimator = ESTIMATORS[case.method](campaign, measured, SimulationCache())
     with open_tasks(Workers()) as tasks:
-        _, estimate = estimator.estimate([case.law], RunContext("bands", tasks))[case.law]
+        _, estimate = estimator.fit_laws([case.law], RunContext("bands", tasks))[case.law]
     if isinstance(estimate, str):
         raise RuntimeError(estimate)
-    spread = estimator.uncertainty(estimate.problem, estimate.evaluation)
+    spread = estimator.uncertainty_function(estimate.problem, estimate.evaluation)
     tests = list(zip(estimate.problem.tests, estimate.problem.mesh_error, strict=True))
-    curves, = draw_curves(estimate, spread, tests, estimator.find_jitter(estimate))
+    curves, = compute_test_curves(estimate, spread, tests, estimator.get_replicate_jitter(estimate))
     return curves, [record(100 + number) for number in range(NEW)]
 
 

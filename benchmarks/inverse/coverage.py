@@ -46,15 +46,15 @@ from benchmarks.inverse.starts import (
 )
 from benchmarks.measure import about, show, table, verdict
 from calibration.campaign.campaign import Noise
-from calibration.fit.campaign_problem import build_problem
-from calibration.fit.estimate import iterate_mesh_and_jitter
-from calibration.fit.problem import Problem
+from calibration.fit.campaign_problem import build_generalised_problem
+from calibration.fit.estimate import iterate_mesh_correction_and_jitter
+from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.profiles import compute_profile_side
-from calibration.fit.trust_region import descend
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.trust_region import minimise_from_start
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.forms import ACCURATE_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import Jitter
+from calibration.statistics.jitter import ReplicateJitter
 from calibration.tasks.executors import Workers, open_tasks
 
 #: Jitter of the contact, m.
@@ -126,22 +126,23 @@ def run_campaign(number: int, seed: int, truth: Truth, drawn: bool, profiled: bo
     solves, found = SimulationCache(), {}
     for method, campaign in campaigns.items():
         began = time.process_time()
-        problem = build_problem(LAW, campaign, measured, solves)
-        estimate = iterate_mesh_and_jitter(problem, descend(problem, START).theta, STATED[method])
+        problem = build_generalised_problem(LAW, campaign, measured, solves)
+        estimate = iterate_mesh_correction_and_jitter(problem, minimise_from_start(problem, START).theta,
+                                                      STATED[method])
         cost = {"refreshes": estimate.refreshes, "cpu_s": time.process_time() - began}
         converged = estimate.converged and not estimate.warnings
         found[method] = _interval(problem, estimate.theta, estimate.error, converged, profiled) | cost
-        exact = Problem(problem.space, problem.tests, solves, problem.jitter, (0.0,) * len(problem.tests))
-        descent = descend(exact, estimate.theta, corrected=True)
+        exact = GeneralisedProblem(problem.space, problem.tests, solves, problem.jitter, (0.0,) * len(problem.tests))
+        descent = minimise_from_start(exact, estimate.theta, corrected=True)
         found[method + NO_MESH_ERROR] = _interval(exact, descent.theta, descent.error, descent.converged, profiled)
         if ORDINARY not in found:
             found[ORDINARY] = _ordinary(problem, estimate.theta)
     return found
 
 
-def _interval(problem: Problem, theta: np.ndarray, error: float, converged: bool, profiled: bool) -> dict:
+def _interval(problem: GeneralisedProblem, theta: np.ndarray, error: float, converged: bool, profiled: bool) -> dict:
     """Return the interval of generalised least squares."""
-    spread = assess_uncertainty(problem, problem.evaluate(theta))
+    spread = compute_marginal_uncertainty(problem, problem.evaluate(theta))
     ends = None
     if profiled:
         ends = [[compute_profile_side(problem, theta, error, spread, i, side).end for side in (-1, 1)]
@@ -151,13 +152,14 @@ def _interval(problem: Problem, theta: np.ndarray, error: float, converged: bool
             "converged": bool(converged)}
 
 
-def _ordinary(settled: Problem, theta: np.ndarray) -> dict:
+def _ordinary(settled: GeneralisedProblem, theta: np.ndarray) -> dict:
     """Return the interval of ordinary least squares with the same model: s^2 (J'J)^-1."""
-    problem = Problem(settled.space, settled.tests, settled.solves, Jitter(0.0, 0.0, None), (0.0,) * len(settled.tests))
-    descent = descend(problem, theta, corrected=True)
+    problem = GeneralisedProblem(settled.space, settled.tests, settled.solves, ReplicateJitter(0.0, 0.0, None),
+                                 (0.0,) * len(settled.tests))
+    descent = minimise_from_start(problem, theta, corrected=True)
     evaluation = problem.evaluate(descent.theta)
     freedom = problem.samples - theta.size
-    covariance = evaluation.error / freedom * np.linalg.inv(evaluation.rates.T @ evaluation.rates)
+    covariance = evaluation.sum_of_squares / freedom * np.linalg.inv(evaluation.rates.T @ evaluation.rates)
     return {"theta": descent.theta.tolist(), "errors": np.sqrt(np.diag(covariance)).tolist(),
             "quantile": [float(stats.t.ppf(0.5 + 0.5 * NOMINAL, freedom))] * theta.size, "profile": None,
             "converged": descent.converged}

@@ -16,10 +16,10 @@ import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameters import PER_SPECIMEN, NamedParameter
-from calibration.fit.curves import draw_curves
-from calibration.fit.ordinary import Ordinary, fit_law
-from calibration.fit.population import find_specimens
-from calibration.fit.predictor import Predictor, make_held_out_predictor
+from calibration.fit.curves import compute_test_curves
+from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_analytically
+from calibration.fit.population import estimate_specimen_population
+from calibration.fit.predictor import ForcePredictor, make_held_out_predictor
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.population import estimate_population
 from calibration.statistics.sensor_noise import SensorNoise
@@ -88,15 +88,16 @@ def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
              for path, deviation in zip(law.parameters, spread, strict=True) if deviation}
     campaign = Campaign(Path("synthetic.toml"), {test.specimen.name: test.specimen for test in tests}, tuple(tests),
                         FitSettings((name,), named=named), Noise(NOISE), "")
-    estimator = Ordinary(campaign, measured, SimulationCache())
-    _, estimate = fit_law(estimator.problem(name))
-    spread_of = estimator.uncertainty(estimate.problem, estimate.evaluation)
-    own = Predictor.of(estimate.problem.space, estimate.theta, spread_of)
-    population = find_specimens(own.space, own.theta, own.covariance, spread_of.standard_errors).population
+    estimator = OrdinaryLeastSquaresEstimator(campaign, measured, SimulationCache())
+    _, estimate = fit_law_analytically(estimator.build_law_problem(name))
+    spread_of = estimator.uncertainty_function(estimate.problem, estimate.evaluation)
+    own = ForcePredictor.from_estimate(estimate.problem.space, estimate.theta, spread_of)
+    population = estimate_specimen_population(own.space, own.theta, own.covariance,
+                                              spread_of.standard_errors).population
     further = tests[specimens:]
     predictors = {test.name: make_held_out_predictor(test, own, population) for test in further}
     unseen = [estimator.build_held_out_test(test, estimate, own) for test in further]
-    curves = draw_curves(estimate, spread_of, unseen, None, predictors)
+    curves = compute_test_curves(estimate, spread_of, unseen, None, predictors)
     held = []
     for curve in curves:
         recorded, = curve.measured

@@ -30,10 +30,10 @@ from benchmarks import ROOT
 from benchmarks.measure import about, option_parser, show, summary, table, verdict
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.campaign_problem import build_problem
-from calibration.fit.estimate import iterate_mesh_and_jitter
-from calibration.fit.trust_region import DESCENT, descend
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.campaign_problem import build_generalised_problem
+from calibration.fit.estimate import iterate_mesh_correction_and_jitter
+from calibration.fit.trust_region import DESCENT, minimise_from_start
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.simulation_cache import SimulationCache
 from calibration.statistics.sensor_noise import SensorNoise
 from calibration.tasks.executors import Workers, open_tasks
@@ -166,14 +166,15 @@ def run_start(scenes: Sequence[str], start: np.ndarray, settled: bool) -> dict:
         estimate parameters, standard errors, mesh difference, simulations on both meshes, CPU seconds.
     """
     campaign = make_campaign(scenes, Noise(NOISE, contact_jitter=None, zero_jitter=None, correlation_time=0.0))
-    problem = build_problem(LAW, campaign, reference_recordings(campaign), SimulationCache())
-    descent = descend(problem, np.array(start), enough=DESCENT.min_gain_of_start)
+    problem = build_generalised_problem(LAW, campaign, reference_recordings(campaign), SimulationCache())
+    descent = minimise_from_start(problem, np.array(start), enough=DESCENT.min_gain_of_start)
     found = {"start": list(start), "end": descent.theta.tolist(), "error": descent.error,
              "converged": descent.converged, "problem": descent.failure, "cpu_s": descent.cpu_s,
              "solves": [descent.simulations.get((name, "fast"), 0) for name in scenes]}
     if settled and descent.converged:
-        estimate = iterate_mesh_and_jitter(problem, descent.theta, Noise(contact_jitter=None, zero_jitter=None))
-        spread = assess_uncertainty(problem, problem.evaluate(estimate.theta))
+        estimate = iterate_mesh_correction_and_jitter(problem, descent.theta,
+                                                      Noise(contact_jitter=None, zero_jitter=None))
+        spread = compute_marginal_uncertainty(problem, problem.evaluate(estimate.theta))
         simulated = Counter(descent.simulations) + Counter(estimate.simulations)
         found["estimate"] = {
             "parameters": estimate.theta.tolist(), "standard_errors": spread.standard_errors.tolist(),

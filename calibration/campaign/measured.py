@@ -22,7 +22,7 @@ from calibration.campaign.screened import (
 from calibration.campaign.segmented import SegmentedRecording, list_notes_with_air, list_origin_notes, segment_recording
 from calibration.campaign.specimen_check import check_size
 from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, spread_time_stamps
-from calibration.statistics.statistics import estimate_noise, quantisation_step
+from calibration.statistics.statistics import estimate_white_noise, find_quantisation_step
 from tissue_sim.errors import InputError
 from tissue_sim.material.material import Material
 from tissue_sim.recording.file import read_recordings
@@ -284,8 +284,8 @@ def attach_noise(loading: MeasuredCurve, campaign: Campaign, window: MeasuredCur
     """
     stated, window = _find_stated_noise(loading, campaign), loading if window is None else window
     if stated is None:
-        spread = estimate_noise(loading.force, loading.displacement)
-        rounding = quantisation_step(loading.force) / np.sqrt(12.0)
+        spread = estimate_white_noise(loading.force, loading.displacement)
+        rounding = find_quantisation_step(loading.force) / np.sqrt(12.0)
         noise = SensorNoise(spread, source="estimated") if spread >= rounding else \
             SensorNoise(rounding, source="resolution")
     else:

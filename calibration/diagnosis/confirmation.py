@@ -10,16 +10,16 @@ from scipy import linalg, special
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.diagnosis import HeldOutPrediction, SegmentMisfit
-from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.refits import copy_problem
-from calibration.fit.estimate import Estimate, iterate_mesh_and_jitter
-from calibration.fit.fit import Region
-from calibration.fit.generalised import Generalised
-from calibration.fit.predictor import Predictor
-from calibration.fit.problem import Problem
-from calibration.fit.regions import judge_regions
-from calibration.fit.trust_region import descend
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
+from calibration.fit.fit import RegionMisfitTest
+from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
+from calibration.fit.predictor import ForcePredictor
+from calibration.fit.problem import GeneralisedProblem
+from calibration.fit.regions import compute_region_misfit_tests
+from calibration.fit.trust_region import minimise_from_start
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 
@@ -29,61 +29,62 @@ _SMALLEST = 1e-14
 _END_FRACTION = 0.1
 
 
-def update_corrections(evidence: Evidence) -> Evidence:
+def refit_with_updated_corrections(evidence: FitEvidence) -> FitEvidence:
     """Recompute jitter and mesh corrections of evidence with an effect, which are those of the fit without it.
 
     The evidence is returned unchanged if this fit fails.
     """
     problem = evidence.problem
-    stated = Generalised(evidence.campaign, evidence.measured, problem.solves).stated_jitter(problem)
-    estimate = iterate_mesh_and_jitter(copy_problem(problem), evidence.estimate.theta, stated)
+    stated = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured,
+                                              problem.solves).get_stated_or_prior_jitter(problem)
+    estimate = iterate_mesh_correction_and_jitter(copy_problem(problem), evidence.estimate.theta, stated)
     return replace(evidence, estimate=estimate) if np.isfinite(estimate.error) else evidence
 
 
-def p_value_in_deviations(region: Region) -> float:
+def convert_p_value_to_deviations(region: RegionMisfitTest) -> float:
     """Return the number of standard deviations of a normal distribution with the p value of a region (two-sided)."""
     if region.p > _SMALLEST:
         return max(float(-special.ndtri(0.5 * region.p)), 0.0) + 0.0  # converts -0.0 to 0.0
     return float(np.sqrt(2.0 * region.statistic) - np.sqrt(2.0 * region.freedom - 1.0))
 
 
-def compare_segment_misfits(before: Evidence, after: Evidence | None) -> list[SegmentMisfit]:
+def compare_segment_misfits(before: FitEvidence, after: FitEvidence | None) -> list[SegmentMisfit]:
     """Return the misfit of each region before and after effects were added, with a description.
 
     Args:
         before: fit without effects.
         after: fit with effects; None: no effect was added.
     """
-    later = {(region.test, region.segment): region for region in (after.regions if after is not None else ())}
+    later = {(region.test, region.segment): region for region in (after.region_tests if after is not None else ())}
     answers = []
-    for region in before.regions:
+    for region in before.region_tests:
         other = later.get((region.test, region.segment))
         curves = [(curve, rows) for curve, rows in zip(before.problem.measured, before.problem.rows, strict=True)
                   if curve.test.name == region.test]
-        inside = _mask_segment(curves[0][0], region.segment)
+        inside = _select_segment_samples(curves[0][0], region.segment)
         answers.append(SegmentMisfit(
             test=region.test, segment=region.segment, speed_mm_s=_compute_mean_speed(curves[0][0], inside),
-            cycle=_parse_cycle_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
-            before_sigma=p_value_in_deviations(region), adequate_before=region.adequate,
+            cycle=_parse_segment_number(region.segment), before_N=region.misfit_N, largest_before_N=-region.largest_N,
+            before_sigma=convert_p_value_to_deviations(region), adequate_before=region.adequate,
             after_N=None if other is None else other.misfit_N,
-            after_sigma=None if other is None else p_value_in_deviations(other),
+            after_sigma=None if other is None else convert_p_value_to_deviations(other),
             adequate_after=None if other is None else other.adequate,
             sentence=_describe_misfit(region, curves, before)))
     return answers
 
 
-def smooth_misfit(evidence: Evidence) -> float:
+def compute_smooth_misfit(evidence: FitEvidence) -> float:
     """Return the root mean square of the smooth part of the residuals over all samples, N."""
     weights, total = 0.0, 0.0
-    for region in evidence.regions:
-        count = sum(int(_mask_segment(curve, region.segment).sum()) for curve in evidence.problem.measured
+    for region in evidence.region_tests:
+        count = sum(int(_select_segment_samples(curve, region.segment).sum()) for curve in evidence.problem.measured
                     if curve.test.name == region.test)
         weights += count
         total += count * region.misfit_N**2
     return float(np.sqrt(total / weights)) if weights else 0.0
 
 
-def predict_left_out_recordings(before: Evidence, after: Evidence | None) -> list[HeldOutPrediction]:
+def predict_left_out_recordings(before: FitEvidence, after: FitEvidence | None) -> list[HeldOutPrediction]:
     """Predict the last recording of each test with at least three recordings by fits to the other recordings."""
     plain = _fit_without_last_recordings(before)
     if plain is None:
@@ -95,7 +96,7 @@ def predict_left_out_recordings(before: Evidence, after: Evidence | None) -> lis
             for test, one, two in zip(plain[1].tests, first, second, strict=True)]
 
 
-def predict_held_out_tests(before: Evidence, after: Evidence | None) -> list[HeldOutPrediction]:
+def predict_held_out_tests(before: FitEvidence, after: FitEvidence | None) -> list[HeldOutPrediction]:
     """Predict the tests that the campaign holds out."""
     found = []
     for test in before.campaign.tests:
@@ -123,21 +124,23 @@ def _build_held_out_record(name: str, kind: str, before: Prediction | str, after
                              note=note)
 
 
-def _predict_held_out_test(evidence: Evidence, name: str) -> Prediction | str:
+def _predict_held_out_test(evidence: FitEvidence, name: str) -> Prediction | str:
     """Predict a held-out test; return the reason if this is impossible."""
     asked = next(test for test in evidence.campaign.tests if test.name == name)
     problem = evidence.problem
     try:
-        own = Predictor.of(problem.space, evidence.estimate.theta, assess_uncertainty(problem, evidence.evaluation))
-        test, error = Generalised(evidence.campaign, evidence.measured, problem.solves).build_held_out_test(
+        own = ForcePredictor.from_estimate(problem.space, evidence.estimate.theta,
+                                           compute_marginal_uncertainty(problem, evidence.evaluation))
+        test, error = GeneralisedLeastSquaresEstimator(evidence.campaign, evidence.measured,
+                                                       problem.solves).build_held_out_test(
             asked, evidence.estimate, own)
-        unseen = Problem(problem.space, (test,), problem.solves, problem.jitter, (error,))
+        unseen = GeneralisedProblem(problem.space, (test,), problem.solves, problem.jitter, (error,))
         return _compute_prediction_errors(unseen, own.theta, own.covariance)[0]
     except (InfeasibleError, InputError) as failure:
         return str(failure)
 
 
-def _fit_without_last_recordings(evidence: Evidence) -> tuple[Estimate, Problem] | None:
+def _fit_without_last_recordings(evidence: FitEvidence) -> tuple[Estimate, GeneralisedProblem] | None:
     """Return the fit without the last recording of each test with three or more, and the problem of these recordings.
 
     None if no test has three recordings.
@@ -147,35 +150,36 @@ def _fit_without_last_recordings(evidence: Evidence) -> tuple[Estimate, Problem]
     if not any(repeated):
         return None
 
-    def with_recordings(test, first: int, last: int | None):
+    def restrict_to_recordings(test, first: int, last: int | None):
         changes: dict = {"measured": test.measured[first:last]}
         if hasattr(test, "motion_of"):
             changes["motion_of"] = test.motion_of[first:last]
         return replace(test, **changes)
 
-    rest = Problem(problem.space, tuple(with_recordings(test, 0, -1) if several else test
-                                        for test, several in zip(problem.tests, repeated, strict=True)),
-                   problem.solves, problem.jitter, problem.mesh_error)
+    rest = GeneralisedProblem(problem.space, tuple(restrict_to_recordings(test, 0, -1) if several else test
+                                                   for test, several in zip(problem.tests, repeated, strict=True)),
+                              problem.solves, problem.jitter, problem.mesh_error)
     chosen = [i for i, several in enumerate(repeated) if several]
-    last = Problem(problem.space, tuple(with_recordings(problem.tests[i], -1, None) for i in chosen), problem.solves,
-                   problem.jitter, tuple(problem.mesh_error[i] for i in chosen))
-    descent = descend(rest, evidence.estimate.theta, corrected=True)
+    last = GeneralisedProblem(problem.space, tuple(restrict_to_recordings(problem.tests[i], -1, None) for i in chosen),
+                              problem.solves, problem.jitter, tuple(problem.mesh_error[i] for i in chosen))
+    descent = minimise_from_start(rest, evidence.estimate.theta, corrected=True)
     estimate = Estimate(1, descent.theta, descent.error, descent.converged, descent.failure, (), {}, 0.0, problem=rest)
     return estimate, last
 
 
-def _predict_last_recordings(estimate: Estimate, last: Problem) -> list[Prediction | str]:
+def _predict_last_recordings(estimate: Estimate, last: GeneralisedProblem) -> list[Prediction | str]:
     """Predict each test of a problem from an estimate; return the reason if this is impossible."""
     if not np.isfinite(estimate.error):
         return [f"no fit to the others: {estimate.failure}"] * len(last.tests)
-    covariance = assess_uncertainty(estimate.problem, estimate.evaluation).covariance
+    covariance = compute_marginal_uncertainty(estimate.problem, estimate.evaluation).covariance
     try:
         return list(_compute_prediction_errors(last, estimate.theta, covariance))
     except InfeasibleError as failure:
         return [str(failure)] * len(last.tests)
 
 
-def _compute_prediction_errors(unseen: Problem, theta: np.ndarray, covariance: np.ndarray) -> list[Prediction]:
+def _compute_prediction_errors(unseen: GeneralisedProblem, theta: np.ndarray,
+                               covariance: np.ndarray) -> list[Prediction]:
     """Return the prediction error of each test, and whether its residuals are adequate.
 
     Contact offset and zero of each recording are fitted. The covariance of the parameters enters the residual tests as
@@ -187,7 +191,7 @@ def _compute_prediction_errors(unseen: Problem, theta: np.ndarray, covariance: n
         covariance: covariance of the parameters, shape (p, p).
     """
     evaluation = unseen.evaluate(theta)
-    sizes = unseen.sizes(theta)
+    sizes = unseen.compute_unknown_scales(theta)
     scaled = covariance / np.outer(sizes, sizes)
     values, axes = linalg.eigh(0.5 * (scaled + scaled.T))
     known = values > 1e-14 * max(values.max(initial=0.0), 1e-300)
@@ -196,7 +200,7 @@ def _compute_prediction_errors(unseen: Problem, theta: np.ndarray, covariance: n
     held = (axes[:, ~known].T / sizes) * 1e6
     rows = np.vstack([root, held])
     judged = replace(evaluation, prior_residual=np.zeros(rows.shape[0]), prior_rates=rows)
-    regions = judge_regions(unseen, judged)
+    regions = compute_region_misfit_tests(unseen, judged)
     answers = []
     for number, test in enumerate(unseen.tests):
         gaps = np.concatenate([evaluation.force[rows] - unseen.data[rows] for rows, (t, _) in zip(
@@ -206,7 +210,7 @@ def _compute_prediction_errors(unseen: Problem, theta: np.ndarray, covariance: n
     return answers
 
 
-def _mask_segment(curve: MeasuredCurve, segment: str) -> np.ndarray:
+def _select_segment_samples(curve: MeasuredCurve, segment: str) -> np.ndarray:
     """Return the samples of a segment, bool, shape (n,); all samples if the region is a third of a loading."""
     if curve.segment is None or segment not in curve.segment:
         return np.ones(curve.force.size, bool)
@@ -223,23 +227,24 @@ def _compute_mean_speed(curve: MeasuredCurve, inside: np.ndarray) -> float | Non
     return float(f"{1e3 * speed:.3g}")
 
 
-def _parse_cycle_number(segment: str) -> int:
+def _parse_segment_number(segment: str) -> int:
     """Return the number at the end of a segment's name, such as 2 for ``hold 2``; 1 without a number."""
     last = segment.rpartition(" ")[2]
     return int(last) if last.isdigit() else 1
 
 
-def _describe_misfit(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence) -> str:
+def _describe_misfit(region: RegionMisfitTest, curves: Sequence[tuple[MeasuredCurve, slice]],
+                     evidence: FitEvidence) -> str:
     """Describe the misfit of a region: change over a hold, or largest deviation, and its significance."""
     place = f"{region.test} {region.segment}"
     if region.adequate:
         return f"{place} agrees"
-    sigma, stressed = p_value_in_deviations(region), curves[0][0].stressed
+    sigma, stressed = convert_p_value_to_deviations(region), curves[0][0].stressed
     what, unit, factor = ("stress", "kPa", 1e-3) if stressed else ("force", "N", 1.0)
     at = f"strain {region.at:.3g}" if stressed else f"{region.at:.3g} mm"
     if region.segment.startswith("hold"):
-        measured, error = _measure_force_change_over_hold(region, curves, evidence, "data")
-        modelled, _ = _measure_force_change_over_hold(region, curves, evidence, "model")
+        measured, error = _compute_force_change_over_hold(region, curves, evidence, "data")
+        modelled, _ = _compute_force_change_over_hold(region, curves, evidence, "model")
         if abs(measured - modelled) > evidence.limits.hold_change * error:
             goes, sign = ("falls", -1) if measured < 0 else ("rises", 1)
             predicted = f"{sign * factor * modelled:.2g} {unit}" if abs(modelled) > 0.1 * error else "nothing"
@@ -250,8 +255,8 @@ def _describe_misfit(region: Region, curves: Sequence[tuple[MeasuredCurve, slice
             f"({sigma:.0f} sigma)")
 
 
-def _measure_force_change_over_hold(region: Region, curves: Sequence[tuple[MeasuredCurve, slice]], evidence: Evidence,
-                                    of: str) -> tuple[float, float]:
+def _compute_force_change_over_hold(region: RegionMisfitTest, curves: Sequence[tuple[MeasuredCurve, slice]],
+                                    evidence: FitEvidence, of: str) -> tuple[float, float]:
     """Return the mean change of the force over a hold, N, and its standard error, N.
 
     Args:
@@ -263,7 +268,7 @@ def _measure_force_change_over_hold(region: Region, curves: Sequence[tuple[Measu
     force = evidence.problem.data if of == "data" else evidence.evaluation.force
     changes, errors = [], []
     for curve, rows in curves:
-        inside = force[rows][_mask_segment(curve, region.segment)]
+        inside = force[rows][_select_segment_samples(curve, region.segment)]
         end = max(int(_END_FRACTION * inside.size), 1)
         changes.append(inside[-end:].mean() - inside[:end].mean())
         errors.append(curve.noise.deviation * np.sqrt(2.0 / end))

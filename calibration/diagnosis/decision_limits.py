@@ -80,7 +80,7 @@ class DecisionLimits:
         require_positive_settings(self)
 
     @property
-    def min_gain(self) -> float:
+    def min_bic_decrease(self) -> float:
         """Smallest decrease of BIC for which an effect is accepted: `odds` against the fit without effects."""
         return 2.0 * float(np.log(self.odds))
 

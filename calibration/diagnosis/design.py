@@ -13,25 +13,25 @@ from calibration.campaign.measured import MeasuredCurve, scale_offsets
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.campaign.planned import replace_forces
 from calibration.diagnosis.diagnosis import CandidateStatement
-from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import score_effects
 from calibration.diagnosis.statements import list_candidate_statements
-from calibration.diagnosis.verdict import Judgement
-from calibration.fit.campaign_problem import build_problem, guess_jitter
+from calibration.diagnosis.verdict import VerdictWithFits
+from calibration.fit.campaign_problem import build_generalised_problem, make_initial_jitter
 from calibration.fit.estimate import Estimate
 from calibration.fit.identifiability import find_undetermined_parameters
-from calibration.fit.problem import Problem
+from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.run_context import RunContext
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import InputError
 
 
-class PlannedTest(msgspec.Struct, frozen=True, kw_only=True):
-    """Summary of a planned test.
+class PlannedTestSummary(msgspec.Struct, frozen=True, kw_only=True):
+    """Summary of a planned test: recordings, samples, largest depth and force, duration.
 
     Attributes:
         name: name of the test.
@@ -74,11 +74,11 @@ class Design(msgspec.Struct, frozen=True, kw_only=True):
     units: dict[str, str]
     standard_errors: dict[str, float | None]
     noise_N: float
-    tests: list[PlannedTest]
+    tests: list[PlannedTestSummary]
 
 
-def simulate_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
-                      solves: SimulationCache) -> Evidence:
+def simulate_noise_free_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
+                                 solves: SimulationCache) -> FitEvidence:
     """Return the evidence of noise-free recordings of a material with the starting values of the campaign.
 
     Args:
@@ -91,7 +91,7 @@ def simulate_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
     """
     campaign = scale_offsets(campaign, measured)
     law = campaign.fit.laws[0]
-    problem = build_problem(law, campaign, measured, solves)
+    problem = build_generalised_problem(law, campaign, measured, solves)
     space = problem.space
     if missing := [name for name in space.free if name not in space.start]:
         raise InputError(f"fit.start must give the material of a design; state {', '.join(missing)}",
@@ -101,67 +101,70 @@ def simulate_evidence(campaign: Campaign, measured: Mapping[str, tuple[MeasuredC
     try:
         for test in problem.tests:
             answer = test.solve(space, theta, solves)
-            known[test.name] = replace_forces(test.measured, [test.evaluate(answer, number, 0.0)[0]
+            known[test.name] = replace_forces(test.measured, [test.evaluate_force(answer, number, 0.0)[0]
                                                                for number in range(len(test.measured))])
     except InfeasibleError as failure:
         raise InputError(f"the tests cannot be simulated with this start ({failure}); state another start or a smaller "
                          "depth", file=campaign.path, field="fit.start") from None
     # The default scatter between recordings is proportional to the force, which is known only now.
-    jitter = guess_jitter(campaign, [curve for curves in known.values() for curve in curves])
-    problem = Problem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests), solves,
-                      jitter, tuple(_expected_mesh_error(test, space, theta, solves) for test in problem.tests))
+    jitter = make_initial_jitter(campaign, [curve for curves in known.values() for curve in curves])
+    problem = GeneralisedProblem(space, tuple(replace(test, measured=known[test.name]) for test in problem.tests),
+                                 solves,
+                                 jitter, tuple(_compute_expected_mesh_error(test, space, theta, solves)
+                                               for test in problem.tests))
     evaluation = problem.evaluate(theta)
-    estimate = Estimate(1, theta, evaluation.error, True, "", (), {}, 0.0, problem=problem)
-    return Evidence(campaign, {**measured, **known}, estimate)
+    estimate = Estimate(1, theta, evaluation.sum_of_squares, True, "", (), {}, 0.0, problem=problem)
+    return FitEvidence(campaign, {**measured, **known}, estimate)
 
 
-def _expected_mesh_error(test: ForwardTest, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
-    """Return the relative mesh error that a fit would have; see `calibration.forward.forms.mesh_uncertainty`."""
+def _compute_expected_mesh_error(test: ForwardTest, space: ParameterSpace, theta: np.ndarray,
+                                 solves: SimulationCache) -> float:
+    """Return the relative error of the mesh in a fit; see `calibration.forward.forms.compute_mesh_uncertainty`."""
     corrected = replace(test)
     try:
-        corrected.update_correction(space, theta, solves)
+        corrected.update_mesh_correction(space, theta, solves)
     except InfeasibleError:
-        return mesh_uncertainty(test, FAST_MESH_ERRORS)
-    return mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
+        return compute_mesh_uncertainty(test, FAST_MESH_ERRORS)
+    return compute_mesh_uncertainty(corrected, ACCURATE_MESH_ERRORS)
 
 
-def compute_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]], context: RunContext,
-                   solves: SimulationCache | None = None) -> Design:
+def compute_experiment_design(campaign: Campaign, measured: Mapping[str, tuple[MeasuredCurve, ...]],
+                              context: RunContext, solves: SimulationCache | None = None) -> Design:
     """Compute the expected information of planned experiments.
 
     Args:
-        campaign: see `simulate_evidence`.
-        measured: see `simulate_evidence`.
+        campaign: see `simulate_noise_free_evidence`.
+        measured: see `simulate_noise_free_evidence`.
         context: workers and listeners.
         solves: cache of simulations; None: a new one.
 
     Raises:
-        InputError: see `simulate_evidence`.
+        InputError: see `simulate_noise_free_evidence`.
     """
-    evidence = simulate_evidence(campaign, measured, solves or SimulationCache())
+    evidence = simulate_noise_free_evidence(campaign, measured, solves or SimulationCache())
     proposals = score_effects(evidence, context)
-    nothing = Judgement("NONE", [], (), [], evidence)
+    nothing = VerdictWithFits("NONE", [], (), [], evidence)
     rows = [msgspec.structs.replace(row, score=None, p=None, estimate={})
             for row in list_candidate_statements(proposals, nothing, evidence)]
     rows.sort(key=lambda row: not row.testable)
     problem = evidence.problem
-    spread = assess_uncertainty(problem, evidence.evaluation)
+    spread = compute_marginal_uncertainty(problem, evidence.evaluation)
     open_names = find_undetermined_parameters(problem.space, spread)
     space = problem.space
-    errors = {**dict.fromkeys(evidence.values, 0.0),
+    errors = {**dict.fromkeys(evidence.parameter_values, 0.0),
               **{name: float(error) if np.isfinite(error) and name not in open_names else None
                  for name, error in zip(space.free, spread.standard_errors, strict=True)}}
     noise = float(np.sqrt(np.mean([curve.noise.deviation**2 for curve in problem.measured])))
-    return Design(campaign=campaign.name, law=campaign.fit.laws[0], candidates=rows, parameters=evidence.values,
-                  symbols=space.symbols,
+    return Design(campaign=campaign.name, law=campaign.fit.laws[0], candidates=rows,
+                  parameters=evidence.parameter_values, symbols=space.symbols,
                   units={each.name: each.declaration.unit for each in space.unknowns}, standard_errors=errors,
                   noise_N=noise, tests=[_summarise_planned_test(test.name, test.measured) for test in problem.tests])
 
 
-def _summarise_planned_test(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTest:
+def _summarise_planned_test(name: str, curves: Sequence[MeasuredCurve]) -> PlannedTestSummary:
     """Summarise the recordings of a planned test."""
     clocks = [curve.clock[-1] - curve.clock[0] for curve in curves if curve.time is not None]
-    return PlannedTest(
+    return PlannedTestSummary(
         name=name, recordings=len(curves), samples=max(curve.force.size for curve in curves),
         depth_mm=1e3 * max(float(curve.displacement.max()) for curve in curves),
         force_N=max(float(curve.force.max()) for curve in curves), duration_s=float(max(clocks)) if clocks else None)

@@ -67,7 +67,7 @@ class FoundEffect(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class CandidateStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """Result for one effect of the catalogue.
+    """Result of a diagnosis for one candidate: detectability, score and fit of an effect of the catalogue.
 
     Attributes:
         name: name of the candidate: the effect, with its test if it acts in one only.
@@ -175,7 +175,7 @@ class HeldOutPrediction(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class NextExperiment(msgspec.Struct, frozen=True, kw_only=True):
-    """Experiment that would separate candidates.
+    """Further experiment whose result would separate candidates.
 
     Attributes:
         sentence: description of the experiment.
@@ -188,8 +188,8 @@ class NextExperiment(msgspec.Struct, frozen=True, kw_only=True):
     deviations: float | None = None
 
 
-class Stage(msgspec.Struct, frozen=True, kw_only=True):
-    """Duration of one stage of a diagnosis.
+class DiagnosisStage(msgspec.Struct, frozen=True, kw_only=True):
+    """Duration and number of simulations of one stage of a diagnosis.
 
     Attributes:
         name: name of the stage.
@@ -249,6 +249,6 @@ class Diagnosis(msgspec.Struct, frozen=True, kw_only=True):
     next_experiment: list[NextExperiment] = []
     fit_before: Fit
     fit_after: Fit | None = None
-    stages: list[Stage] = []
+    stages: list[DiagnosisStage] = []
     files: dict[str, str] = {}
     decision_limits: dict[str, float] = {}

@@ -6,9 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
-from calibration.fit.problem import Problem
-from calibration.fit.starts import generate_starts
-from calibration.forward.meshes import find_meshes
+from calibration.fit.problem import GeneralisedProblem
+from calibration.fit.starts import generate_starting_values
+from calibration.forward.meshes import get_solver_meshes
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import simulate_curve
 from tissue_sim.errors import InputError
@@ -17,7 +17,7 @@ from tissue_sim.rig.rig import Rig
 
 
 @dataclass(frozen=True)
-class DurationSettings:
+class DiagnosisDurationSettings:
     """Range of the duration of a diagnosis, in simulations of each test.
 
     Attributes:
@@ -32,10 +32,10 @@ class DurationSettings:
     min_announced: float = 60.0
 
 
-SETTINGS = DurationSettings()
+SETTINGS = DiagnosisDurationSettings()
 
 
-def estimate_simulation_seconds(problem: Problem) -> dict[str, float]:
+def estimate_simulation_seconds(problem: GeneralisedProblem) -> dict[str, float]:
     """Measure the processor time of a simulation of each three-dimensional test, without derivatives.
 
     Tests with fast solvers and failed simulations are omitted.
@@ -48,13 +48,13 @@ def estimate_simulation_seconds(problem: Problem) -> dict[str, float]:
     """
     found = {}
     for test in problem.tests:
-        if isinstance(test, SimulatedTest) and find_meshes(test.solver).slow:
-            experiment = replace(test.experiment, protocol=test.motions[0].protocol)
+        if isinstance(test, SimulatedTest) and get_solver_meshes(test.solver).slow:
+            experiment = replace(test.experiment, protocol=test.motions[0].tool_protocol)
             try:
-                values = problem.space.values(generate_starts(problem.space, 1)[0])
+                values = problem.space.values(generate_starting_values(problem.space, 1)[0])
                 material = problem.space.material(values, test=test.name)
-                curve = simulate_curve(Model(experiment, material, Rig()), None, [], find_meshes(test.solver).fast,
-                                       test.solver)
+                curve = simulate_curve(Model(experiment, material, Rig()), None, [],
+                                       get_solver_meshes(test.solver).fast, test.solver)
             except InputError:
                 continue
             if not curve.problem:
@@ -62,7 +62,7 @@ def estimate_simulation_seconds(problem: Problem) -> dict[str, float]:
     return found
 
 
-def describe_duration(seconds: Mapping[str, float]) -> str:
+def describe_expected_duration(seconds: Mapping[str, float]) -> str:
     """Describe the expected duration and ways to shorten it; empty for a short diagnosis.
 
     Args:

@@ -15,16 +15,16 @@ from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
 from calibration.effects.effect import Situation
 from calibration.fit.estimate import Estimate
-from calibration.fit.fit import Region
-from calibration.fit.generalised import Generalised
-from calibration.fit.problem import Evaluation, Problem
-from calibration.fit.regions import judge_regions
+from calibration.fit.fit import RegionMisfitTest
+from calibration.fit.generalised import GeneralisedLeastSquaresEstimator
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
+from calibration.fit.regions import compute_region_misfit_tests
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import descend
+from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.adequacy import orthonormal_basis
-from calibration.statistics.common_signal import CommonSignal, find_common_signal, variance_ratio
-from calibration.statistics.jitter import Jitter
+from calibration.statistics.adequacy import compute_orthonormal_basis
+from calibration.statistics.common_signal import CommonSignal, compute_variance_ratio, find_common_signal
+from calibration.statistics.jitter import ReplicateJitter
 from tissue_sim.errors import ConvergenceError, InputError
 
 #: Largest difference of the displacements of corresponding samples of two recordings, as a fraction of the largest
@@ -45,11 +45,11 @@ def make_whole_recording_campaign(campaign: Campaign, law: str | None = None) ->
         InputError: the campaign is analytical, or does not list the law.
     """
     if campaign.fit.method != "inverse_fem":
-        raise InputError('a diagnosis simulates the tests; set method = "inverse_fem"', file=campaign.path,
-                         field="fit.method")
+        raise InputError(f'method must be "inverse_fem" for a diagnosis, which simulates the tests; got '
+                         f'"{campaign.fit.method}". Set method = "inverse_fem"', file=campaign.path, field="fit.method")
     if law is not None and law not in campaign.fit.laws:
-        raise InputError(f"{law!r} is not among its laws ({', '.join(campaign.fit.laws)})", file=campaign.path,
-                         field="fit.laws")
+        raise InputError(f"law must be one of the laws of the campaign ({', '.join(campaign.fit.laws)}); got {law!r}. "
+                         "Choose one of these laws, or add the law to fit.laws", file=campaign.path, field="fit.laws")
     # Samples after a drop of the force are kept: they are evidence of a tear, a puncture or lost steps.
     return replace(campaign, tests=tuple(
         replace(test, failure="keep") if test.failure == "cut" else test for test in campaign.tests),
@@ -57,8 +57,8 @@ def make_whole_recording_campaign(campaign: Campaign, law: str | None = None) ->
 
 
 @dataclass(eq=False)
-class Evidence:
-    """Fit of a campaign and its residuals.
+class FitEvidence:
+    """Fit of a campaign to whole recordings, and tests of its whitened residuals.
 
     Attributes:
         campaign: campaign with one law and whole recordings.
@@ -73,50 +73,50 @@ class Evidence:
     limits: DecisionLimits = LIMITS
 
     @property
-    def problem(self) -> Problem:
+    def problem(self) -> GeneralisedProblem:
         """Least-squares problem of the fit."""
         return self.estimate.problem
 
     @property
-    def law(self) -> str:
+    def law_name(self) -> str:
         """Name of the fitted law."""
         return self.problem.space.law
 
     @cached_property
-    def evaluation(self) -> Evaluation:
+    def evaluation(self) -> ProblemEvaluation:
         """Residuals and derivatives at the minimum."""
         return self.estimate.evaluation
 
     @cached_property
-    def values(self) -> dict[str, float]:
+    def parameter_values(self) -> dict[str, float]:
         """Name -> value of all parameters, SI."""
         return self.problem.space.values(self.estimate.theta)
 
     @cached_property
-    def situation(self) -> Situation:
+    def effect_situation(self) -> Situation:
         """Tests and recordings for `calibration.effects.effect.Effect.candidates`."""
-        return Situation(self.campaign, self.measured, self.law)
+        return Situation(self.campaign, self.measured, self.law_name)
 
     @cached_property
-    def residual(self) -> np.ndarray:
+    def whitened_residual(self) -> np.ndarray:
         """Whitened model minus data, followed by nuisances and priors, shape (M,)."""
-        return self.evaluation.design[0]
+        return self.evaluation.full_residual_and_jacobian[0]
 
     @cached_property
-    def fitted(self) -> np.ndarray:
+    def fitted_space_basis(self) -> np.ndarray:
         """Orthonormal basis of the space of all fitted unknowns including nuisances, shape (M, k)."""
-        return orthonormal_basis(self.evaluation.design[1])
+        return compute_orthonormal_basis(self.evaluation.full_residual_and_jacobian[1])
 
     @cached_property
-    def regions(self) -> list[Region]:
+    def region_tests(self) -> list[RegionMisfitTest]:
         """Residual tests of all regions; a region is adequate if its p value exceeds `DecisionLimits.region_level`."""
         return [msgspec.structs.replace(region, adequate=region.p > self.limits.region_level)
-                for region in judge_regions(self.problem, self.evaluation)]
+                for region in compute_region_misfit_tests(self.problem, self.evaluation)]
 
     @property
-    def adequate(self) -> bool:
+    def has_adequate_residuals(self) -> bool:
         """Whether no region has a significant smooth misfit."""
-        return all(region.adequate for region in self.regions)
+        return all(region.adequate for region in self.region_tests)
 
     @cached_property
     def _replicate_residuals(self) -> dict[str, tuple[MeasuredCurve, np.ndarray]]:
@@ -136,9 +136,12 @@ class Evidence:
         return found
 
     @cached_property
-    def coherence(self) -> dict[str, tuple[float, int, int]]:
-        """Test with several recordings -> `calibration.statistics.common_signal.variance_ratio` of its residuals."""
-        return {name: variance_ratio(residuals) for name, (_, residuals) in self._replicate_residuals.items()}
+    def variance_ratios(self) -> dict[str, tuple[float, int, int]]:
+        """Name of a test with several recordings -> F ratio and degrees of freedom of its residuals.
+
+        See `calibration.statistics.common_signal.compute_variance_ratio`.
+        """
+        return {name: compute_variance_ratio(residuals) for name, (_, residuals) in self._replicate_residuals.items()}
 
     @cached_property
     def common_signals(self) -> dict[str, CommonSignal]:
@@ -148,7 +151,7 @@ class Evidence:
         """
         found = {}
         for name, (curve, residuals) in self._replicate_residuals.items():
-            segments = _find_runs(curve.segment, residuals.shape[1])
+            segments = _find_label_runs(curve.segment, residuals.shape[1])
             signal = find_common_signal(residuals, segments)
             if len(self._replicate_residuals) * signal.p < self.limits.common_signal_level:
                 found[name] = signal
@@ -160,7 +163,7 @@ class Evidence:
         return list(self.common_signals)
 
     @cached_property
-    def common_signals_in_words(self) -> list[str]:
+    def common_signal_descriptions(self) -> list[str]:
         """Descriptions of the common signals, such as ``needle (most at 5.1 mm)`` or ``plates (a wave of 17 s)``."""
         words = []
         for name, each in self.common_signals.items():
@@ -176,12 +179,12 @@ class Evidence:
         return words
 
     @property
-    def explained(self) -> bool:
+    def is_misfit_explained(self) -> bool:
         """Whether the residuals have neither a smooth misfit nor a common signal."""
-        return self.adequate and not self.tests_with_common_signal
+        return self.has_adequate_residuals and not self.tests_with_common_signal
 
     @cached_property
-    def samples(self) -> float:
+    def effective_sample_count(self) -> float:
         """Effective number of independent samples of all recordings: n (1 - rho) / (1 + rho), at least 2."""
         total = 0.0
         for curve in self.problem.measured:
@@ -193,7 +196,7 @@ class Evidence:
         return max(total, 2.0)
 
 
-def _find_runs(labels: np.ndarray | None, size: int) -> list[slice]:
+def _find_label_runs(labels: np.ndarray | None, size: int) -> list[slice]:
     """Return the runs of equal labels as slices; one slice without labels."""
     if labels is None:
         return [slice(0, size)]
@@ -201,9 +204,10 @@ def _find_runs(labels: np.ndarray | None, size: int) -> list[slice]:
     return list(map(slice, ends[:-1], ends[1:]))
 
 
-def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCache, context: RunContext,
-                    limits: DecisionLimits = LIMITS) -> Evidence:
-    """Fit a campaign without effects.
+def fit_without_effects(campaign: Campaign, measured: Measured, solves: SimulationCache,
+                        context: RunContext,
+                    limits: DecisionLimits = LIMITS) -> FitEvidence:
+    """Fit the plain model of a campaign, without any effect of the catalogue.
 
     Args:
         campaign: campaign from `make_whole_recording_campaign`.
@@ -216,22 +220,22 @@ def gather_evidence(campaign: Campaign, measured: Measured, solves: SimulationCa
         ConvergenceError: the simulation fails for all starts.
     """
     law = campaign.fit.laws[0]
-    estimator = Generalised(campaign, measured, solves)
-    _, estimate = estimator.estimate((law,), context)[law]
+    estimator = GeneralisedLeastSquaresEstimator(campaign, measured, solves)
+    _, estimate = estimator.fit_laws((law,), context)[law]
     if not isinstance(estimate, Estimate):
         raise ConvergenceError(f"{campaign.path}: no start of {law} can be simulated over the data ({estimate}); state "
                                "another start in fit.start, or a smaller max_strain")
     problem = estimate.problem
-    problem.jitter = jitter_upper_limit(problem, estimate.theta, estimator.stated_jitter(problem),
+    problem.jitter = compute_jitter_upper_limit(problem, estimate.theta, estimator.get_stated_or_prior_jitter(problem),
                                         limits.jitter_exceedance)
-    problem.reset_nuisances()
-    descent = descend(problem, estimate.theta, corrected=True)
+    problem.rebuild_nuisance_columns()
+    descent = minimise_from_start(problem, estimate.theta, corrected=True)
     estimate = replace(estimate, theta=descent.theta, error=descent.error)
-    return Evidence(campaign, measured, estimate, limits)
+    return FitEvidence(campaign, measured, estimate, limits)
 
 
-def jitter_upper_limit(problem: Problem, theta: np.ndarray, stated: Noise,
-                       exceedance: float = LIMITS.jitter_exceedance) -> Jitter:
+def compute_jitter_upper_limit(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise,
+                       exceedance: float = LIMITS.jitter_exceedance) -> ReplicateJitter:
     """Return an upper confidence limit of an estimated jitter; stated or assumed jitter is returned unchanged.
 
     Few recordings may agree by chance; with too small a jitter, effects that resemble a contact offset or a zero would
@@ -261,4 +265,4 @@ def jitter_upper_limit(problem: Problem, theta: np.ndarray, stated: Noise,
         own_variance, value = float(np.median(several)), getattr(jitter, name)
         larger = np.sqrt((value**2 + own_variance) * factor - own_variance)
         found[name] = value if known[name] is not None else float(larger)
-    return Jitter(found["contact"], found["zero"], jitter.freedom)
+    return ReplicateJitter(found["contact"], found["zero"], jitter.freedom)

@@ -10,14 +10,14 @@ import numpy as np
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.effects.effect import Candidate, NotTestableError
-from calibration.fit.problem import Evaluation, Problem
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulated import SimulatedTest
 from tissue_sim.errors import InputError
 
 
-def add_effect(problem: Problem, campaign: Campaign, candidate: Candidate, values: Mapping[str, float] | None = None, *,
-               free: bool) -> tuple[Problem, Campaign]:
+def add_effect_to_problem(problem: GeneralisedProblem, campaign: Campaign, candidate: Candidate,
+               values: Mapping[str, float] | None = None, *, free: bool) -> tuple[GeneralisedProblem, Campaign]:
     """Return the problem and the campaign with an effect; mesh corrections and jitter are unchanged.
 
     Args:
@@ -36,7 +36,7 @@ def add_effect(problem: Problem, campaign: Campaign, candidate: Candidate, value
     by_name = {test.name: test for test in changed.tests}
     layered = bool(changed.fit.material.layers)
 
-    def add_effect_to_test(test: ForwardTest) -> ForwardTest:
+    def extend_test_with_effect(test: ForwardTest) -> ForwardTest:
         if not isinstance(test, SimulatedTest):
             return test
         asked = by_name[test.name]
@@ -45,8 +45,8 @@ def add_effect(problem: Problem, campaign: Campaign, candidate: Candidate, value
         experiment = replace(asked.experiment, protocol=test.experiment.protocol)
         return replace(test, experiment=experiment, rig=asked.rig, layered=layered)
 
-    return Problem(space, tuple(map(add_effect_to_test, problem.tests)), problem.solves, problem.jitter,
-                   problem.mesh_error), changed
+    return GeneralisedProblem(space, tuple(map(extend_test_with_effect, problem.tests)), problem.solves, problem.jitter,
+                              problem.mesh_error), changed
 
 
 def select_free_values(space: ParameterSpace, values: Mapping[str, float], sizes: Mapping[str, float]) -> np.ndarray:
@@ -60,8 +60,8 @@ def select_free_values(space: ParameterSpace, values: Mapping[str, float], sizes
     return np.array([values[each.name] if each.name in values else sizes[each.path] for each in space.varied])
 
 
-def simulate_effect_change(problem: Problem, evaluation: Evaluation, campaign: Campaign, candidate: Candidate,
-                           factor: float = 1.0) -> np.ndarray | str:
+def simulate_force_change_of_effect(problem: GeneralisedProblem, evaluation: ProblemEvaluation, campaign: Campaign,
+                           candidate: Candidate, factor: float = 1.0) -> np.ndarray | str:
     """Compute the change of the whitened model by an effect of its trial size.
 
     Args:
@@ -82,19 +82,20 @@ def simulate_effect_change(problem: Problem, evaluation: Evaluation, campaign: C
         if t in touched), *(evaluation.nuisances[first:last] for first, last in dict.fromkeys(
             (problem.shared[t].start, problem.shared[t].stop) for t in touched))])
 
-    def hold_parameters(of: Problem) -> Problem:
+    def fix_parameters(of: GeneralisedProblem) -> GeneralisedProblem:
         # Fixed parameters avoid the computation of derivatives.
         space = of.space.held(dict(zip(problem.space.free, evaluation.theta, strict=True)))
-        return Problem(space, tuple(of.tests[t] for t in touched), of.solves, of.jitter,
-                       tuple(of.mesh_error[t] for t in touched))
+        return GeneralisedProblem(space, tuple(of.tests[t] for t in touched), of.solves, of.jitter,
+                                  tuple(of.mesh_error[t] for t in touched))
 
     try:
         absent = {path: candidate.absent_value(campaign, path) for path in candidate.sizes}
         sizes = candidate.scaled_sizes(absent, factor)
-        with_it = hold_parameters(add_effect(problem, campaign, candidate, sizes, free=False)[0])
+        with_it = fix_parameters(add_effect_to_problem(problem, campaign, candidate, sizes, free=False)[0])
         # Both forces must be computed on one mesh and by one method, so that their difference is due to the effect.
-        without = _match_simulation_method(hold_parameters(problem), with_it) if not candidate.changes_mesh(campaign) \
-            else hold_parameters(add_effect(problem, campaign, candidate, absent, free=False)[0])
+        without = _match_full_motion_simulation(fix_parameters(problem),
+                                                with_it) if not candidate.changes_mesh(campaign) \
+            else fix_parameters(add_effect_to_problem(problem, campaign, candidate, absent, free=False)[0])
         change = _fit_residual_at_fixed_parameters(with_it, nuisances)
         # Without changes of mesh and method the residual without the effect is that of the evaluation.
         change -= np.concatenate([evaluation.residual[rows] for rows, (t, _) in zip(
@@ -109,7 +110,7 @@ def simulate_effect_change(problem: Problem, evaluation: Evaluation, campaign: C
     return np.column_stack(list(groups.values()))
 
 
-def _match_simulation_method(held: Problem, other: Problem) -> Problem | None:
+def _match_full_motion_simulation(held: GeneralisedProblem, other: GeneralisedProblem) -> GeneralisedProblem | None:
     """Return the problem with the whole motion simulated in the tests for which another problem requires it.
 
     Returns:
@@ -125,17 +126,17 @@ def _match_simulation_method(held: Problem, other: Problem) -> Problem | None:
     tests = tuple(map(simulate_full_motion, held.tests, other.tests))
     if all(one is test for one, test in zip(tests, held.tests, strict=True)):
         return None
-    return Problem(held.space, tests, held.solves, held.jitter, held.mesh_error)
+    return GeneralisedProblem(held.space, tests, held.solves, held.jitter, held.mesh_error)
 
 
-def _fit_residual_at_fixed_parameters(held: Problem, nuisances: np.ndarray) -> np.ndarray:
+def _fit_residual_at_fixed_parameters(held: GeneralisedProblem, nuisances: np.ndarray) -> np.ndarray:
     """Return the whitened residual of a problem without free parameters at given nuisances, shape (N,).
 
     Raises:
         InfeasibleError: see `ForwardTest.solve`.
     """
     answers = [test.solve(held.space, np.zeros(0), held.solves) for test in held.tests]
-    return held._linearise(answers, nuisances)[0]
+    return held._linearise_at_nuisances(answers, nuisances)[0]
 
 
 def _parameter_group_key(test: ForwardTest, candidate: Candidate) -> str:

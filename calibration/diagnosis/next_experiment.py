@@ -12,15 +12,15 @@ from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.planned import create_planned_curves
 from calibration.diagnosis.diagnosis import NextExperiment
-from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.proposals import CatalogueScores
-from calibration.diagnosis.refits import Refit
-from calibration.diagnosis.verdict import Judgement
+from calibration.diagnosis.refits import EffectRefit
+from calibration.diagnosis.verdict import VerdictWithFits
 from calibration.effects.effect import Candidate
-from calibration.fit.problem import Problem
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.problem import GeneralisedProblem
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import build_test, mesh_uncertainty
+from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
@@ -28,7 +28,7 @@ from tissue_sim.parameters import declared, with_values
 
 
 @dataclass(frozen=True)
-class PlanSettings:
+class PlannedTestVariationSettings:
     """Variations of the existing tests that are considered as further experiments.
 
     Attributes:
@@ -48,17 +48,17 @@ class PlanSettings:
     max_plans: int = 4
 
 
-_SETTINGS = PlanSettings()
+_SETTINGS = PlannedTestVariationSettings()
 
 
 @dataclass(frozen=True, eq=False)
 class PlannedRamp:
-    """Planned test.
+    """Planned further test: a variation of a test of the campaign.
 
     Attributes:
-        sentence: description of the test.
-        test: test of the campaign.
-        protocol: motion of the tool.
+        sentence: description of the planned test for the report.
+        test: planned test, with the tool and the specimen of the variation.
+        protocol: motion of the tool: displacement in m at times in s.
     """
 
     sentence: str
@@ -66,7 +66,8 @@ class PlannedRamp:
     protocol: Protocol
 
 
-def suggest_experiments(before: Evidence, proposals: CatalogueScores, judgement: Judgement) -> list[NextExperiment]:
+def suggest_experiments(before: FitEvidence, proposals: CatalogueScores,
+                        judgement: VerdictWithFits) -> list[NextExperiment]:
     """Return further experiments, the most informative first.
 
     For a set of indistinguishable effects, planned tests are ranked by the smallest difference of any two members.
@@ -77,11 +78,11 @@ def suggest_experiments(before: Evidence, proposals: CatalogueScores, judgement:
         proposals: scores of all effects.
         judgement: verdict.
     """
-    rivals = [each for each in judgement.refits if each.name in judgement.indistinguishable]
+    rivals = [each for each in judgement.refits if each.candidate_name in judgement.indistinguishable]
     found: list[NextExperiment] = []
     if judgement.verdict == "SET" and len(rivals) > 1:
         for plan in vary_existing_tests(before):
-            closest = _smallest_separation(plan, before, rivals)
+            closest = _find_least_separated_rivals(plan, before, rivals)
             if closest is not None and closest[1] > 1.0:
                 found.append(NextExperiment(sentence=plan.sentence, separates=closest[0], deviations=closest[1]))
         found.sort(key=lambda each: -(each.deviations or 0.0))
@@ -101,11 +102,11 @@ def suggest_experiments(before: Evidence, proposals: CatalogueScores, judgement:
     return [*found[:_SETTINGS.max_plans], *by_hand]
 
 
-def vary_existing_tests(before: Evidence) -> list[PlannedRamp]:
+def vary_existing_tests(before: FitEvidence) -> list[PlannedRamp]:
     """Return variations of the existing tests: hold, higher speed, larger depth, smaller tool or lower specimen."""
     found = []
     faster, smaller = _SETTINGS.speed_factor, _SETTINGS.size_factor
-    for test in before.situation.simulated_tests():
+    for test in before.effect_situation.simulated_tests():
         curve = before.measured[test.name][0]
         experiment = test.experiment
         if curve.time is None or experiment is None:
@@ -115,28 +116,31 @@ def vary_existing_tests(before: Evidence) -> list[PlannedRamp]:
         held = curve.segment is not None and any(str(name).startswith(("hold", "unload")) for name in curve.segment)
         label = f"{1e3 * depth:.3g} mm"
         if not held:
-            found.append(_plan_ramp(f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and unloading",
-                                    test, depth, speed, hold=True))
-        found.append(_plan_ramp(f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)", test,
-                                depth, faster * speed, hold=held))
+            found.append(_make_planned_ramp(f"{test.name} again, to {label}, with a hold of {_SETTINGS.hold:g} s and "
+                                            "unloading", test, depth, speed, hold=True))
+        found.append(_make_planned_ramp(f"{test.name} again {faster:g} times as fast ({1e3 * faster * speed:.3g} mm/s)",
+                                        test, depth, faster * speed, hold=held))
         height = experiment.specimen.height
         deeper = min(_SETTINGS.depth_factor * depth, _SETTINGS.max_depth * experiment.thickness)
         if deeper > 1.1 * depth:
-            found.append(_plan_ramp(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper, speed, hold=held))
+            found.append(_make_planned_ramp(f"{test.name} again to {1e3 * deeper:.3g} mm", test, deeper, speed,
+                                            hold=held))
         radius = experiment.tool.radius
         if not experiment.tool.is_plate and radius is not None:
             tool = replace(experiment.tool, radius=smaller * radius)
-            found.append(_plan_ramp(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
-                                    replace(test, experiment=replace(experiment, tool=tool)), depth, speed, hold=held))
+            found.append(_make_planned_ramp(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
+                                            replace(test, experiment=replace(experiment, tool=tool)), depth, speed,
+                                            hold=held))
         elif "height" in declared(type(experiment.specimen)):
             lower = with_values(experiment.specimen, {"height": smaller * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
-            found.append(_plan_ramp(f"{test.name} on a specimen of half the height, to {1e3 * smaller * depth:.3g} mm",
-                                    shorter, smaller * depth, speed, hold=held))
+            found.append(_make_planned_ramp(f"{test.name} on a specimen of half the height, to "
+                                            f"{1e3 * smaller * depth:.3g} mm", shorter, smaller * depth, speed,
+                                            hold=held))
     return [plan for plan in found if plan is not None]
 
 
-def _plan_ramp(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) -> PlannedRamp | None:
+def _make_planned_ramp(sentence: str, test: Test, depth: float, speed: float, *, hold: bool) -> PlannedRamp | None:
     """Return a planned ramp, with hold and unloading if `hold`; None if the motion or geometry is invalid."""
     ending = f"; hold {_SETTINGS.hold:g}s; unload" if hold else ""
     text = f"ramp {1e3 * depth:.6g}mm @{1e3 * speed:.6g}mm/s{ending}"
@@ -149,8 +153,8 @@ def _plan_ramp(sentence: str, test: Test, depth: float, speed: float, *, hold: b
         return None
 
 
-def _smallest_separation(plan: PlannedRamp, before: Evidence,
-                         rivals: Sequence[Refit]) -> tuple[list[str], float] | None:
+def _find_least_separated_rivals(plan: PlannedRamp, before: FitEvidence,
+                                 rivals: Sequence[EffectRefit]) -> tuple[list[str], float] | None:
     """Return the two rivals that a planned test separates least, and their difference in standard deviations.
 
     The difference of the expected forces is taken relative to noise, nuisances and parameter uncertainty: d'V^-1 d with
@@ -173,12 +177,12 @@ def _smallest_separation(plan: PlannedRamp, before: Evidence,
             absorbed = covariance @ cho_solve(cho_factor(inner), covariance.T @ gap)
             separation = float(np.sqrt(max(gap @ (gap - absorbed), 0.0)))
             if worst is None or separation < worst[1]:
-                worst = [rivals[j].name, rivals[i].name], separation
+                worst = [rivals[j].candidate_name, rivals[i].candidate_name], separation
     return worst
 
 
-def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before: Evidence,
-                          rival: Refit) -> tuple[np.ndarray, np.ndarray]:
+def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before: FitEvidence,
+                          rival: EffectRefit) -> tuple[np.ndarray, np.ndarray]:
     """Return the whitened force that a refit predicts for a planned test, and its uncertainty.
 
     Returns:
@@ -189,15 +193,15 @@ def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before:
     changed = candidate.add_to(campaign, free=True)
     asked = changed.tests[-1]
     problem = rival.problem
-    forward = build_test(asked, curves, changed.fit, problem.jitter.contact)
+    forward = build_forward_test(asked, curves, changed.fit, problem.jitter.contact)
     names = {each.name: [curve.name for curve in each.measured] for each in problem.tests}
     space = type(problem.space).of(changed.fit.laws[0], changed, {**names, asked.name: [c.name for c in curves]})
-    error = mesh_uncertainty(forward, ACCURATE_MESH_ERRORS)
-    planned = Problem(space, (forward,), problem.solves, problem.jitter, (error,))
+    error = compute_mesh_uncertainty(forward, ACCURATE_MESH_ERRORS)
+    planned = GeneralisedProblem(space, (forward,), problem.solves, problem.jitter, (error,))
     theta = np.array([problem.space.values(rival.theta)[name] for name in space.free])
     answers = [forward.solve(space, theta, problem.solves)]
-    residual, rates, columns, _ = planned._linearise(answers, np.zeros(planned.nuisances))
-    spread = assess_uncertainty(problem, problem.evaluate(rival.theta))
+    residual, rates, columns, _ = planned._linearise_at_nuisances(answers, np.zeros(planned.nuisances))
+    spread = compute_marginal_uncertainty(problem, problem.evaluate(rival.theta))
     order = [problem.space.free.index(name) for name in space.free]
     covariance = spread.covariance[np.ix_(order, order)]
     values, axes = np.linalg.eigh(covariance)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from calibration.diagnosis.evidence import Evidence, gather_evidence
+from calibration.diagnosis.evidence import FitEvidence, fit_without_effects
 from calibration.fit.generalised import INVERSE_WARNINGS
 from calibration.fit.run_context import RunContext
-from calibration.statistics.jitter import Jitter
+from calibration.statistics.jitter import ReplicateJitter
 from tissue_sim.errors import ConvergenceError
 
 
@@ -28,7 +28,7 @@ class ContactIterationSettings:
 _SETTINGS = ContactIterationSettings()
 
 
-def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Evidence, list[str]]:
+def refit_from_fitted_contacts(evidence: FitEvidence, context: RunContext) -> tuple[FitEvidence, list[str]]:
     """Repeat the fit with displacements counted from the fitted contacts if these are far beyond their prior.
 
     The prior and the linear extrapolation of the simulated force bias such a contact, and the bias may appear as an
@@ -43,7 +43,7 @@ def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Eviden
         The evidence, and a sentence for each contact far beyond its prior.
     """
     scatter, found, shifts = evidence.problem.jitter, evidence, dict[str, float]()
-    if scatter.freedom != 0 or not evidence.explained:
+    if scatter.freedom != 0 or not evidence.is_misfit_explained:
         return evidence, []
     for _ in range(_SETTINGS.max_fits):
         far = {name: contact for name, contact in _read_contact_offsets(found).items()
@@ -55,10 +55,10 @@ def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Eviden
         measured = {test: tuple(replace(curve, displacement=curve.displacement - shifts.get(curve.name, 0.0))
                                 for curve in curves) for test, curves in evidence.measured.items()}
         try:
-            found = gather_evidence(evidence.campaign, measured, evidence.problem.solves, context, evidence.limits)
+            found = fit_without_effects(evidence.campaign, measured, evidence.problem.solves, context, evidence.limits)
         except ConvergenceError:
             return evidence, []
-    if not found.explained:
+    if not found.is_misfit_explained:
         return evidence, []
     rest = _read_contact_offsets(found)
     stressed = {curve.name: curve.stressed for curve in evidence.problem.measured}
@@ -66,7 +66,7 @@ def refit_from_contacts(evidence: Evidence, context: RunContext) -> tuple[Eviden
                    for name, shift in shifts.items()]
 
 
-def _read_contact_offsets(evidence: Evidence) -> dict[str, float]:
+def _read_contact_offsets(evidence: FitEvidence) -> dict[str, float]:
     """Return recording -> fitted contact offset, m (strain for recordings of stress)."""
     problem, nuisances = evidence.problem, evidence.evaluation.nuisances
     if "contact" not in problem.kinds:
@@ -76,7 +76,7 @@ def _read_contact_offsets(evidence: Evidence) -> dict[str, float]:
             for columns, curve in zip(problem.offset_columns, problem.measured, strict=True)}
 
 
-def _describe_contact_offset(name: str, contact: float, scatter: Jitter, stressed: bool) -> str:
+def _describe_contact_offset(name: str, contact: float, scatter: ReplicateJitter, stressed: bool) -> str:
     """Describe a contact offset beyond the assumed scatter."""
     size, assumed = (f"{each:.2g} of strain" if stressed else f"{1e3 * each:.2f} mm"
                      for each in (abs(contact), scatter.contact))

@@ -7,11 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate, rescore, rescore_all
-from calibration.diagnosis.refits import Refit, fit_effects, odds
+from calibration.diagnosis.evidence import FitEvidence
+from calibration.diagnosis.proposals import (
+    CatalogueScores,
+    ScoredCandidate,
+    recompute_all_scores,
+    recompute_candidate_score,
+)
+from calibration.diagnosis.refits import EffectRefit, compute_odds_against, fit_best_scored_effects
 from calibration.fit.run_context import RunContext
-from calibration.statistics.scores import largest_cosine
+from calibration.statistics.scores import compute_largest_principal_cosine
 
 
 @dataclass(frozen=True)
@@ -34,7 +39,7 @@ _SETTINGS = PairSearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class EffectPair:
-    """Two effects.
+    """Pair of effects that one fit contains together.
 
     Attributes:
         first: fit with the first effect.
@@ -42,17 +47,17 @@ class EffectPair:
         with_first: evidence with the first effect.
     """
 
-    first: Refit
-    second: Refit
-    with_first: Evidence
+    first: EffectRefit
+    second: EffectRefit
+    with_first: FitEvidence
 
     @property
-    def gain(self) -> float:
-        """Decrease of BIC by both effects."""
+    def bic_decrease(self) -> float:
+        """Decrease of the Schwarz criterion (BIC) by both effects, compared with the fit without effects."""
         return self.first.gain + self.second.gain
 
 
-def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: CatalogueScores,
+def find_pairs(evidence: FitEvidence, good: Sequence[EffectRefit], proposals: CatalogueScores,
                context: RunContext) -> list[EffectPair]:
     """Return pairs of effects that are as likely as the best pair, best first; empty if one effect suffices.
 
@@ -65,27 +70,28 @@ def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: CatalogueSc
     limits = evidence.limits
     found: list[EffectPair] = []
     firsts = [first for number, first in enumerate(good[:_SETTINGS.max_first_effects])
-              if number < _SETTINGS.first_effects or odds(good[0], first) < limits.odds]
+              if number < _SETTINGS.first_effects or compute_odds_against(good[0], first) < limits.odds]
     for first in firsts:
-        with_first = first.evidence(evidence)
-        others = rescore_all(proposals, with_first, [first.name])
+        with_first = first.make_evidence(evidence)
+        others = recompute_all_scores(proposals, with_first, [first.candidate_name])
         # Two effects with a common parameter cannot be combined.
-        likely = [name for name, each in others.significant.items() if each.p <= limits.pair_level
+        likely = [name for name, each in others.significant_candidates.items() if each.p <= limits.pair_level
                   and not each.candidate.paths & first.proposal.candidate.paths][:_SETTINGS.second_effects]
-        fits = fit_effects(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
-                           likely) if likely else []
+        fits = fit_best_scored_effects(with_first, others, context,
+                                       f"fits with {first.proposal.candidate.effect.title}", likely) if likely else []
         found += [EffectPair(first, second, with_first) for second in fits if second.gain >= limits.min_pair_gain
-                  and not second.is_absent and not second.is_at_bound
+                  and not second.is_effect_absent and not second.is_size_at_bound
                   and _are_both_required(first, second, good, evidence)]
-    found.sort(key=lambda pair: -pair.gain)
+    found.sort(key=lambda pair: -pair.bic_decrease)
     kept: dict[frozenset[str], EffectPair] = {}
     for pair in found:
-        if 0.5 * (found[0].gain - pair.gain) < np.log(limits.odds):
-            kept.setdefault(frozenset((pair.first.name, pair.second.name)), pair)
+        if 0.5 * (found[0].bic_decrease - pair.bic_decrease) < np.log(limits.odds):
+            kept.setdefault(frozenset((pair.first.candidate_name, pair.second.candidate_name)), pair)
     return list(kept.values())
 
 
-def _are_both_required(first: Refit, second: Refit, good: Sequence[Refit], evidence: Evidence) -> bool:
+def _are_both_required(first: EffectRefit, second: EffectRefit, good: Sequence[EffectRefit],
+                       evidence: FitEvidence) -> bool:
     """Return whether both effects of a pair are required and change the forces differently.
 
     Two effects with similar changes of the forces could explain a misfit by the difference of their changes, although
@@ -97,18 +103,19 @@ def _are_both_required(first: Refit, second: Refit, good: Sequence[Refit], evide
         good: fits with one effect.
         evidence: fit without effects.
     """
-    alone = next((each for each in good if each.name == second.name), None)
+    alone = next((each for each in good if each.candidate_name == second.candidate_name), None)
     if alone is not None and alone.gain > first.gain + second.gain - evidence.limits.min_pair_gain:
         return False
-    single, score_with_first = rescore(second.proposal, evidence), second.proposal.strength
-    if not single.direction.freedom:
+    single, score_with_first = recompute_candidate_score(second.proposal, evidence), second.proposal.signed_score
+    if not single.direction.degrees_of_freedom:
         return False
-    if single.strength * score_with_first < evidence.limits.min_score_ratio * score_with_first**2:
+    if single.signed_score * score_with_first < evidence.limits.min_score_ratio * score_with_first**2:
         return False
-    return largest_cosine(first.proposal.direction, single.direction) < evidence.limits.max_pair_cosine
+    cosine = compute_largest_principal_cosine(first.proposal.direction, single.direction)
+    return cosine < evidence.limits.max_pair_cosine
 
 
-def find_most_changed_regions(proposal: ScoredCandidate, evidence: Evidence, most: int = 2) -> list[str]:
+def find_most_changed_regions(proposal: ScoredCandidate, evidence: FitEvidence, most: int = 2) -> list[str]:
     """Return the regions in which an effect changes the force most, after projection on the residual space.
 
     Args:

@@ -10,12 +10,12 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import LIMITS, DecisionLimits
-from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.extended import simulate_effect_change
+from calibration.diagnosis.evidence import FitEvidence
+from calibration.diagnosis.extended import simulate_force_change_of_effect
 from calibration.effects.catalogue import CATALOGUE
 from calibration.effects.effect import Candidate, Effect, NotTestableError
 from calibration.fit.run_context import RunContext
-from calibration.statistics.scores import Direction, familywise_p_values, largest_cosine
+from calibration.statistics.scores import EffectDirection, compute_familywise_p_values, compute_largest_principal_cosine
 
 #: Fraction of a change outside the fitted space below which its second-order part is computed too.
 _SECOND_ORDER = 0.05
@@ -40,12 +40,12 @@ _JUMP_SEARCH = JumpSearchSettings()
 
 @dataclass(frozen=True, eq=False)
 class ScoredCandidate:
-    """Scored candidate.
+    """Candidate of an effect with the result of its score test.
 
     Attributes:
         candidate: candidate of an effect.
         change: change of the whitened model by the trial size, shape (N, q).
-        direction: projected change.
+        direction: change of the whitened model, projected onto the complement of the fitted space.
         score: score along the direction, shape (q,).
         p: family-wise p value.
         absent: path -> value at which the effect is absent, SI.
@@ -53,37 +53,37 @@ class ScoredCandidate:
 
     candidate: Candidate
     change: np.ndarray
-    direction: Direction
+    direction: EffectDirection
     score: np.ndarray
     p: float
     absent: dict[str, float]
 
     @property
-    def strength(self) -> float:
+    def signed_score(self) -> float:
         """Score in standard deviations; with the sign of the effect if it has one degree of freedom."""
-        return float(self.score[0]) if self.direction.freedom == 1 else float(np.linalg.norm(self.score))
+        return float(self.score[0]) if self.direction.degrees_of_freedom == 1 else float(np.linalg.norm(self.score))
 
     @property
-    def factor(self) -> float:
+    def estimated_size_factor(self) -> float:
         """Estimated size of the effect from the score, in units of the trial size."""
-        return self.strength / self.direction.reach if self.direction.reach else 0.0
+        return self.signed_score / self.direction.reach if self.direction.reach else 0.0
 
     @cached_property
-    def improbability(self) -> float:
+    def log_likelihood_ratio(self) -> float:
         """Log likelihood ratio -score^2 / 2 for the ranking of candidates; 0 if the sign of the score is impossible."""
         squares = float(np.sum(self.score**2))
-        if self.direction.positive and self.direction.freedom == 1 and self.strength < 0:
+        if self.direction.positive and self.direction.degrees_of_freedom == 1 and self.signed_score < 0:
             return 0.0
         return -0.5 * squares
 
-    def sizes(self, factor: float | None = None) -> dict[str, float]:
+    def get_parameter_sizes(self, factor: float | None = None) -> dict[str, float]:
         """Return path -> value, SI, at a multiple of the trial size; None: at the size from the score."""
-        return self.candidate.scaled_sizes(self.absent, self.factor if factor is None else factor)
+        return self.candidate.scaled_sizes(self.absent, self.estimated_size_factor if factor is None else factor)
 
 
 @dataclass(frozen=True, eq=False)
 class CatalogueScores:
-    """Scores of all effects of the catalogue.
+    """Candidates of all effects of the catalogue with their scores.
 
     Attributes:
         all: scored candidates that the tests can show.
@@ -98,37 +98,37 @@ class CatalogueScores:
     limits: DecisionLimits = LIMITS
 
     @cached_property
-    def best(self) -> dict[str, ScoredCandidate]:
+    def best_candidates(self) -> dict[str, ScoredCandidate]:
         """Name -> candidate with the highest score, in the order of the scores."""
         found: dict[str, ScoredCandidate] = {}
-        for each in sorted(self.all, key=lambda one: one.improbability):
+        for each in sorted(self.all, key=lambda one: one.log_likelihood_ratio):
             found.setdefault(each.candidate.name, each)
         return found
 
     @property
-    def significant(self) -> dict[str, ScoredCandidate]:
+    def significant_candidates(self) -> dict[str, ScoredCandidate]:
         """Name -> significant candidates (`DecisionLimits.effect_level`), strongest first."""
-        return {name: each for name, each in self.best.items() if each.p <= self.limits.effect_level}
+        return {name: each for name, each in self.best_candidates.items() if each.p <= self.limits.effect_level}
 
     @property
-    def significant_in_words(self) -> list[str]:
+    def significant_candidate_descriptions(self) -> list[str]:
         """Descriptions of the significant candidates, such as ``zero offset (8.1 standard deviations)``."""
-        return [f"{each.candidate.effect.title} ({abs(each.strength):.2g} standard deviations)"
-                for each in self.significant.values()]
+        return [f"{each.candidate.effect.title} ({abs(each.signed_score):.2g} standard deviations)"
+                for each in self.significant_candidates.values()]
 
-    def twins(self, name: str) -> list[str]:
+    def find_indistinguishable_candidates(self, name: str) -> list[str]:
         """Return the names of indistinguishable candidates of other effects, most similar first."""
         mine = [each for each in self.all if each.candidate.name == name]
         found: dict[str, float] = {}
         for other in self.all:
             if other.candidate.effect.name != mine[0].candidate.effect.name:
-                likeness = max(largest_cosine(one.direction, other.direction) for one in mine)
+                likeness = max(compute_largest_principal_cosine(one.direction, other.direction) for one in mine)
                 found[other.candidate.name] = max(found.get(other.candidate.name, 0.0), likeness)
         return [other for other, likeness in sorted(found.items(), key=lambda pair: -pair[1])
                 if likeness > self.limits.twin_cosine]
 
 
-def score_effects(evidence: Evidence, context: RunContext, words: str = "effects, one at a time",
+def score_effects(evidence: FitEvidence, context: RunContext, words: str = "effects, one at a time",
                   only: str | None = None) -> CatalogueScores:
     """Simulate every effect of the catalogue at its trial size, and compute its score.
 
@@ -147,27 +147,30 @@ def score_effects(evidence: Evidence, context: RunContext, words: str = "effects
             untestable[name] = "forces cannot separate it from the moduli"
             continue
         try:
-            candidates += effect.candidates(evidence.situation)
+            candidates += effect.candidates(evidence.effect_situation)
         except NotTestableError as reason:
             untestable[name] = str(reason)
     problem, evaluation = evidence.problem, evidence.evaluation
     tasks = [(problem, evaluation, evidence.campaign, each) for each in candidates]
-    changes = context.run_all(simulate_effect_change, tasks, words, names=[each.title for each in candidates])
+    changes = context.run_task_for_all(simulate_force_change_of_effect, tasks, words,
+                                       names=[each.title for each in candidates])
     columns = {number: change for number, change in enumerate(changes) if not isinstance(change, str)}
     failures = {candidates[number].name: change for number, change in enumerate(changes) if isinstance(change, str)}
-    directions = {number: _project_change(candidates[number], change, evidence) for number, change in columns.items()}
+    directions = {number: _make_effect_direction(candidates[number], change, evidence) for number,
+                  change in columns.items()}
     # If nearly all of a change lies in the fitted space, the rest may be a nonlinearity. With c(s) = a s + b s^2 the
     # combination 4 c(1/2) - c(1) = a removes the second-order part.
     bent = [number for number, direction in directions.items() if direction.reach < _SECOND_ORDER * direction.length]
-    halves = context.run_all(simulate_effect_change, [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
+    halves = context.run_task_for_all(simulate_force_change_of_effect,
+                                      [(problem, evaluation, evidence.campaign, candidates[number], 0.5)
                                       for number in bent], words,
                           names=[candidates[number].title for number in bent]) if bent else []
     for number, half in zip(bent, halves, strict=True):
         if not isinstance(half, str):
             columns[number] = 4.0 * half - columns[number]
-            directions[number] = _project_change(candidates[number], columns[number], evidence)
+            directions[number] = _make_effect_direction(candidates[number], columns[number], evidence)
     for number, direction in directions.items():
-        if not direction.freedom:
+        if not direction.degrees_of_freedom:
             failures[candidates[number].name] = "the other parameters can absorb its change of the forces" \
                 if direction.length > 1e-6 else "it does not change the forces of these tests"
     proposals = _score_candidates([(candidates[number], columns[number], direction)
@@ -177,7 +180,7 @@ def score_effects(evidence: Evidence, context: RunContext, words: str = "effects
     return CatalogueScores(proposals, untestable, effects, evidence.limits)
 
 
-def rescore_all(proposals: CatalogueScores, evidence: Evidence, known: Sequence[str]) -> CatalogueScores:
+def recompute_all_scores(proposals: CatalogueScores, evidence: FitEvidence, known: Sequence[str]) -> CatalogueScores:
     """Compute the scores of all candidates in a fit that contains some effects.
 
     The changes of the forces are taken from the fit without these effects, on which they hardly depend.
@@ -188,34 +191,36 @@ def rescore_all(proposals: CatalogueScores, evidence: Evidence, known: Sequence[
         known: names of the candidates that the fit contains.
     """
     return replace(proposals, all=_score_candidates([
-        (each.candidate, each.change, _project_change(each.candidate, each.change, evidence)) for each in proposals.all
+        (each.candidate, each.change, _make_effect_direction(each.candidate, each.change, evidence))
+        for each in proposals.all
         if each.candidate.name not in known], evidence))
 
 
-def rescore(proposal: ScoredCandidate, evidence: Evidence) -> ScoredCandidate:
+def recompute_candidate_score(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
     """Return a candidate with its score in another fit; the p value is unchanged."""
-    direction = _project_change(proposal.candidate, proposal.change, evidence)
-    return replace(proposal, direction=direction, score=direction.score(evidence.residual))
+    direction = _make_effect_direction(proposal.candidate, proposal.change, evidence)
+    return replace(proposal, direction=direction, score=direction.compute_score(evidence.whitened_residual))
 
 
-def _score_candidates(asked: Sequence[tuple[Candidate, np.ndarray, Direction]],
-                      evidence: Evidence) -> tuple[ScoredCandidate, ...]:
+def _score_candidates(asked: Sequence[tuple[Candidate, np.ndarray, EffectDirection]],
+                      evidence: FitEvidence) -> tuple[ScoredCandidate, ...]:
     """Return scored candidates, without those whose changes lie in the fitted space.
 
     Args:
         asked: candidates with their changes, shape (N, q), and directions.
         evidence: fit.
     """
-    testable = [(candidate, change, direction) for candidate, change, direction in asked if direction.freedom]
+    testable = [(candidate, change, direction) for candidate, change,
+                direction in asked if direction.degrees_of_freedom]
     directions = [direction for *_, direction in testable]
-    scores = [direction.score(evidence.residual) for direction in directions]
+    scores = [direction.compute_score(evidence.whitened_residual) for direction in directions]
     return tuple(ScoredCandidate(candidate, change, direction, score, float(p), {
         path: candidate.absent_value(evidence.campaign, path) for path in candidate.sizes})
         for (candidate, change, direction), score, p in zip(
-            testable, scores, familywise_p_values(directions, scores), strict=True))
+            testable, scores, compute_familywise_p_values(directions, scores), strict=True))
 
 
-def refine_jump_position(proposal: ScoredCandidate, evidence: Evidence) -> ScoredCandidate:
+def refine_jump_position(proposal: ScoredCandidate, evidence: FitEvidence) -> ScoredCandidate:
     """Move the jump of a candidate to the position with the highest score, by steps that are halved down to a sample.
 
     Candidates without a jump are returned unchanged. The p value is unchanged.
@@ -227,35 +232,36 @@ def refine_jump_position(proposal: ScoredCandidate, evidence: Evidence) -> Score
               if candidate.tests is None or curve.test.name in candidate.tests]
     deepest = max(float(curve.displacement.max()) for curve in curves)
     step = _JUMP_SEARCH.first_step * deepest
-    while step > max(smallest_sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
+    while step > max(find_smallest_sampling_step(curves), _JUMP_SEARCH.min_step * deepest):
         step *= 0.5
         for change_of_depth in (-step, step):
             depth = float(np.clip(candidate.shape[candidate.jump] + change_of_depth, *candidate.bounds.get(
                 candidate.jump, (0.0, deepest))))
             other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-            change = simulate_effect_change(evidence.problem, evidence.evaluation, evidence.campaign, other)
+            change = simulate_force_change_of_effect(evidence.problem, evidence.evaluation, evidence.campaign, other)
             if isinstance(change, str):
                 continue
-            found = rescore(replace(proposal, candidate=other, change=change), evidence)
-            if found.direction.freedom and found.improbability < proposal.improbability:
+            found = recompute_candidate_score(replace(proposal, candidate=other, change=change), evidence)
+            if found.direction.degrees_of_freedom and found.log_likelihood_ratio < proposal.log_likelihood_ratio:
                 proposal = found
         candidate = proposal.candidate
     return proposal
 
 
-def smallest_sampling_step(curves: Sequence[MeasuredCurve]) -> float:
+def find_smallest_sampling_step(curves: Sequence[MeasuredCurve]) -> float:
     """Return the smallest median displacement between successive samples of some recordings, m."""
     return min(float(np.median(np.abs(np.diff(curve.displacement[curve.displacement > 0])))) for curve in curves)
 
 
-def _project_change(candidate: Candidate, change: np.ndarray, evidence: Evidence) -> Direction:
+def _make_effect_direction(candidate: Candidate, change: np.ndarray, evidence: FitEvidence) -> EffectDirection:
     """Return the direction of a change, shape (N, q), with zeros in the rows of nuisances and priors."""
-    rows = evidence.residual.size - evidence.problem.samples
+    rows = evidence.whitened_residual.size - evidence.problem.samples
     columns = np.vstack([change, np.zeros((rows, change.shape[1]))])
-    return Direction.project(columns, evidence.fitted, positive=_is_one_sided(candidate, evidence))
+    return EffectDirection.from_whitened_change(columns, evidence.fitted_space_basis,
+                                                positive=_has_one_sided_size(candidate, evidence))
 
 
-def _is_one_sided(candidate: Candidate, evidence: Evidence) -> bool:
+def _has_one_sided_size(candidate: Candidate, evidence: FitEvidence) -> bool:
     """Return whether the only size parameter can lie on one side of its absent value only."""
     if len(candidate.sizes) != 1:
         return False

@@ -9,21 +9,21 @@ import numpy as np
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.extended import add_effect, select_free_values
+from calibration.diagnosis.evidence import FitEvidence
+from calibration.diagnosis.extended import add_effect_to_problem, select_free_values
 from calibration.diagnosis.proposals import (
     CatalogueScores,
     ScoredCandidate,
+    find_smallest_sampling_step,
     refine_jump_position,
-    smallest_sampling_step,
 )
 from calibration.effects.effect import Candidate, NotTestableError
 from calibration.fit.estimate import Estimate
-from calibration.fit.problem import Problem
+from calibration.fit.problem import GeneralisedProblem
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import Descent, descend
+from calibration.fit.trust_region import DescentResult, minimise_from_start
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
 
@@ -76,8 +76,8 @@ _SETTINGS = RefitSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Refit:
-    """Nonlinear fit with an effect.
+class EffectRefit:
+    """Nonlinear fit of a campaign with one candidate effect added to the model.
 
     Attributes:
         proposal: candidate that was added.
@@ -90,7 +90,7 @@ class Refit:
     """
 
     proposal: ScoredCandidate
-    problem: Problem
+    problem: GeneralisedProblem
     campaign: Campaign
     theta: np.ndarray
     error: float
@@ -98,7 +98,7 @@ class Refit:
     failure: str = ""
 
     @property
-    def name(self) -> str:
+    def candidate_name(self) -> str:
         """Name of the candidate."""
         return self.proposal.candidate.name
 
@@ -111,34 +111,34 @@ class Refit:
         return {each.name: values[each.name] for each in space.unknowns if each.path in mine}
 
     @property
-    def reached_bounds(self) -> dict[str, float]:
+    def reached_parameter_bounds(self) -> dict[str, float]:
         """Name -> bound, SI, for parameters of the effect on a bound other than their absent value."""
         absent = {name: self.proposal.absent.get(self.problem.space.unknown(name).path) for name in self.effect_values}
-        met = {name: find_bound(self.problem.space, self.theta, name, value) for name, value in absent.items()}
+        met = {name: find_reached_bound(self.problem.space, self.theta, name, value) for name, value in absent.items()}
         return {name: bound for name, bound in met.items() if bound is not None}
 
     @property
-    def is_at_bound(self) -> bool:
+    def is_size_at_bound(self) -> bool:
         """Whether a size of the effect ended on a bound, so that its value is not plausible."""
         sizes = self.proposal.candidate.sizes
-        return any(self.problem.space.unknown(name).path in sizes for name in self.reached_bounds)
+        return any(self.problem.space.unknown(name).path in sizes for name in self.reached_parameter_bounds)
 
     @property
-    def is_absent(self) -> bool:
+    def is_effect_absent(self) -> bool:
         """Whether all sizes of the effect ended at their absent values."""
         values = self.effect_values
         return all(abs(values[name] - self.proposal.absent[path]) <= 1e-6 * abs(size - self.proposal.absent[path])
                    for path, size in self.proposal.candidate.sizes.items()
                    for name in values if self.problem.space.unknown(name).path == path)
 
-    def evidence(self, before: Evidence) -> Evidence:
+    def make_evidence(self, before: FitEvidence) -> FitEvidence:
         """Return the evidence with the effect; jitter and mesh corrections are those of `before`."""
         estimate = Estimate(1, self.theta, self.error, True, "", (), {}, 0.0, problem=self.problem,
                             differences=before.estimate.differences, refreshes=before.estimate.refreshes)
-        return Evidence(self.campaign, before.measured, estimate, before.limits)
+        return FitEvidence(self.campaign, before.measured, estimate, before.limits)
 
 
-def find_bound(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
+def find_reached_bound(space: ParameterSpace, theta: np.ndarray, name: str, absent: float | None) -> float | None:
     """Return the bound on which a parameter ended, SI; None if it is on no bound, at its absent value, or fixed.
 
     Args:
@@ -158,8 +158,9 @@ def find_bound(space: ParameterSpace, theta: np.ndarray, name: str, absent: floa
     return None
 
 
-def fit_effects(evidence: Evidence, proposals: CatalogueScores, context: RunContext, words: str = "fits with an effect",
-                names: Sequence[str] | None = None) -> list[Refit]:
+def fit_best_scored_effects(evidence: FitEvidence, proposals: CatalogueScores, context: RunContext,
+                            words: str = "fits with an effect",
+                            names: Sequence[str] | None = None) -> list[EffectRefit]:
     """Fit the effects with the highest scores, and sort them by their decrease of BIC.
 
     Args:
@@ -169,10 +170,11 @@ def fit_effects(evidence: Evidence, proposals: CatalogueScores, context: RunCont
         words: description for progress messages.
         names: names of the candidates; None: those with the highest scores.
     """
-    ranked = [(name, -2.0 * each.improbability) for name, each in proposals.best.items()]
+    ranked = [(name, -2.0 * each.log_likelihood_ratio) for name, each in proposals.best_candidates.items()]
     # Rivals of the best effect are fitted even if all scores are small.
-    promising = min(_SETTINGS.promising * (evidence.limits.min_gain + float(np.log(evidence.samples))), max(
-        (squares for _, squares in ranked), default=0.0) - _SETTINGS.rival_margin)
+    penalty = evidence.limits.min_bic_decrease + float(np.log(evidence.effective_sample_count))
+    promising = min(_SETTINGS.promising * penalty,
+                    max((squares for _, squares in ranked), default=0.0) - _SETTINGS.rival_margin)
     chosen = [name for number, (name, squares) in enumerate(ranked[:_SETTINGS.max_similar]) if squares > promising
               and (number < _SETTINGS.max_effects or squares > _SETTINGS.similar**2 * ranked[0][1])] \
         if names is None else list(names)
@@ -181,20 +183,21 @@ def fit_effects(evidence: Evidence, proposals: CatalogueScores, context: RunCont
     tasks = []
     for name in chosen:
         variants = sorted((each for each in proposals.all if each.candidate.name == name),
-                          key=lambda each: each.improbability)
+                          key=lambda each: each.log_likelihood_ratio)
         if variants[0].candidate.jump:
             variants = [refine_jump_position(variants[0], evidence)]
-        tasks += [(evidence.problem, evidence.campaign, variant, evidence.values, error, evidence.samples)
+        tasks += [(evidence.problem, evidence.campaign, variant, evidence.parameter_values, error,
+                   evidence.effective_sample_count)
                   for variant in variants[:2]
-                  if variant.improbability < variants[0].improbability + 0.5 * _SETTINGS.shape_margin]
+                  if variant.log_likelihood_ratio < variants[0].log_likelihood_ratio + 0.5 * _SETTINGS.shape_margin]
     titles = [variant.candidate.title for *_, variant, _, _, _ in tasks]
-    found = context.run_all(fit_effect, tasks, words, names=titles) if tasks else []
+    found = context.run_task_for_all(fit_effect, tasks, words, names=titles) if tasks else []
     fits = [each for each in found if each is not None]
-    best: dict[str, Refit] = {}
+    best: dict[str, EffectRefit] = {}
     for each in sorted(fits, key=lambda one: -one.gain):
         # Results of worker processes contain copies of the cache.
         each.problem.solves = evidence.problem.solves
-        best.setdefault(each.name, each)
+        best.setdefault(each.candidate_name, each)
     if not best:
         return []
     limit = next(iter(best.values())).gain
@@ -202,21 +205,23 @@ def fit_effects(evidence: Evidence, proposals: CatalogueScores, context: RunCont
     near = [each for each in best.values() if each.gain >= limit]
     if len(near) > 1:
         # The mesh correction depends on the effect and may decide between similar effects.
-        again = context.run_all(
-            refit_with_mesh_correction, [(each, evidence.problem, error, evidence.samples) for each in near],
+        again = context.run_task_for_all(
+            refit_with_mesh_correction,
+            [(each, evidence.problem, error, evidence.effective_sample_count) for each in near],
             "their mesh corrections", names=[each.proposal.candidate.title for each in near])
         for each in again:
             each.problem.solves = evidence.problem.solves
-            best[each.name] = each
+            best[each.candidate_name] = each
     return sorted(best.values(), key=lambda one: -one.gain)
 
 
-def odds(best: Refit, other: Refit) -> float:
+def compute_odds_against(best: EffectRefit, other: EffectRefit) -> float:
     """Return the odds exp(-delta BIC / 2) of one fit against another."""
     return float(np.exp(min(0.5 * (best.gain - other.gain), 700.0)))
 
 
-def refit_with_mesh_correction(fitted: Refit, plain: Problem, error: float, samples: float) -> Refit:
+def refit_with_mesh_correction(fitted: EffectRefit, plain: GeneralisedProblem, error: float,
+                               samples: float) -> EffectRefit:
     """Repeat a fit with the mesh correction of its effect; return it unchanged if the accurate mesh fails.
 
     Args:
@@ -228,28 +233,29 @@ def refit_with_mesh_correction(fitted: Refit, plain: Problem, error: float, samp
     problem = copy_problem(fitted.problem)
     try:
         for test in problem.tests:
-            test.update_correction(problem.space, fitted.theta, problem.solves)
+            test.update_mesh_correction(problem.space, fitted.theta, problem.solves)
     except InfeasibleError:
         return fitted
-    problem.mesh_error = tuple(mesh_uncertainty(test, ACCURATE_MESH_ERRORS) for test in problem.tests)
-    problem.reset_nuisances()
-    descent = descend(problem, fitted.theta, corrected=True, enough=_SETTINGS.gain, tolerance=_SETTINGS.tolerance)
+    problem.mesh_error = tuple(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS) for test in problem.tests)
+    problem.rebuild_nuisance_columns()
+    descent = minimise_from_start(problem, fitted.theta, corrected=True, enough=_SETTINGS.gain,
+                                  tolerance=_SETTINGS.tolerance)
     if not np.isfinite(descent.error):
         return fitted
-    penalty = _bic_penalty(problem, plain, fitted.proposal.candidate, samples)
+    penalty = _compute_bic_penalty(problem, plain, fitted.proposal.candidate, samples)
     gain = error - _error_with_log_determinant(problem, descent) - penalty
     return replace(fitted, problem=problem, theta=descent.theta, error=descent.error, gain=gain)
 
 
-def copy_problem(problem: Problem) -> Problem:
+def copy_problem(problem: GeneralisedProblem) -> GeneralisedProblem:
     """Return a copy of a problem whose corrections and jitter can be changed independently."""
     tests = tuple(replace(test, correction=list(getattr(test, "correction", ()))) if hasattr(test, "correction")
                   else test for test in problem.tests)
-    return Problem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
+    return GeneralisedProblem(problem.space, tests, problem.solves, problem.jitter, problem.mesh_error)
 
 
-def fit_effect(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, values: Mapping[str, float],
-               error: float, samples: float) -> Refit | None:
+def fit_effect(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate, values: Mapping[str, float],
+               error: float, samples: float) -> EffectRefit | None:
     """Fit a problem with one effect, starting from the size that its score gives.
 
     Args:
@@ -266,10 +272,10 @@ def fit_effect(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, 
     candidate = proposal.candidate
     prepared = candidate.with_prepared_tests(campaign)
     start = {}
-    for path, size in proposal.sizes().items():
+    for path, size in proposal.get_parameter_sizes().items():
         low, high = candidate.bounds.get(path, candidate.declaration(prepared, path).bounds)
         absent, trial = proposal.absent[path], candidate.sizes[path]
-        if proposal.direction.freedom > 1 or not np.isfinite(size):
+        if proposal.direction.degrees_of_freedom > 1 or not np.isfinite(size):
             size = trial
         # The linear estimate is limited to ten times the trial size.
         change = np.clip(size - absent, -10 * abs(trial - absent), 10 * abs(trial - absent))
@@ -278,32 +284,36 @@ def fit_effect(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, 
         start[path] = float(np.clip(inside, low + margin if np.isfinite(low) else low,
                                     high - margin if np.isfinite(high) else high))
     try:
-        extended, changed = add_effect(problem, campaign, candidate, start, free=True)
+        extended, changed = add_effect_to_problem(problem, campaign, candidate, start, free=True)
     except (NotTestableError, InputError):
         return None
-    theta = _choose_start(extended, [select_free_values(extended.space, values, {**candidate.shape, **{
+    theta = _choose_start_below_error(extended, [select_free_values(extended.space, values, {**candidate.shape, **{
         path: proposal.absent[path] + fraction * (size - proposal.absent[path]) for path, size in start.items()}})
         for fraction in _SETTINGS.starts], error)
     gain, tolerance, stalled = _SETTINGS.gain, _SETTINGS.tolerance, (_SETTINGS.patience, _SETTINGS.gain)
-    descent = descend(extended, theta, corrected=True, enough=gain, tolerance=tolerance, stalled=stalled)
+    descent = minimise_from_start(extended, theta, corrected=True, enough=gain, tolerance=tolerance, stalled=stalled)
     if not np.isfinite(descent.error):
-        return Refit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
-    shortfall = -2.0 * proposal.improbability - (error - _error_with_log_determinant(extended, descent))
-    if proposal.direction.freedom == 1 and shortfall > _SETTINGS.shortfall:
+        return EffectRefit(proposal, extended, changed, descent.theta, descent.error, -np.inf, descent.failure)
+    shortfall = -2.0 * proposal.log_likelihood_ratio - (error - _error_with_log_determinant(extended, descent))
+    if proposal.direction.degrees_of_freedom == 1 and shortfall > _SETTINGS.shortfall:
         # With nearly dependent parameters a step with a small decrease may precede one with a larger decrease.
-        again = descend(extended, descent.theta, corrected=True, enough=0.0, tolerance=tolerance, stalled=stalled)
+        again = minimise_from_start(extended, descent.theta, corrected=True, enough=0.0, tolerance=tolerance,
+                                    stalled=stalled)
         descent = again if again.error < descent.error else descent
     for _ in range(_SETTINGS.max_jump_moves if candidate.jump else 0):
         moved = _refit_with_better_jump(problem, campaign, proposal, extended, descent)
         if moved is None:
             break
         proposal, extended, changed, descent = moved
-    gain = error - _error_with_log_determinant(extended, descent) - _bic_penalty(extended, problem, candidate, samples)
-    return Refit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
+    gain = error - _error_with_log_determinant(extended, descent) - _compute_bic_penalty(extended, problem, candidate,
+                                                                                         samples)
+    return EffectRefit(proposal, extended, changed, descent.theta, descent.error, gain, descent.failure)
 
 
-def _refit_with_better_jump(problem: Problem, campaign: Campaign, proposal: ScoredCandidate, extended: Problem,
-                            descent: Descent) -> tuple[ScoredCandidate, Problem, Campaign, Descent] | None:
+def _refit_with_better_jump(problem: GeneralisedProblem, campaign: Campaign, proposal: ScoredCandidate,
+                            extended: GeneralisedProblem,
+                            descent: DescentResult) -> tuple[ScoredCandidate, GeneralisedProblem, Campaign,
+                                                             DescentResult] | None:
     """Search a better position of the jump at the contacts of the fit, and repeat the fit there.
 
     Args:
@@ -322,33 +332,35 @@ def _refit_with_better_jump(problem: Problem, campaign: Campaign, proposal: Scor
     low, high = candidate.bounds.get(candidate.jump, (0.0, max(float(c.displacement.max()) for c in curves)))
     found = None
     for steps in (sign * steps for steps in _SETTINGS.jump_steps for sign in (-1, 1)):
-        depth = float(np.clip(position + steps * smallest_sampling_step(curves), low, high))
+        depth = float(np.clip(position + steps * find_smallest_sampling_step(curves), low, high))
         other = replace(candidate, shape={**candidate.shape, candidate.jump: depth})
-        moved, changed = add_effect(problem, campaign, other, free=True)
+        moved, changed = add_effect_to_problem(problem, campaign, other, free=True)
         try:
             evaluation = moved.evaluate(descent.theta)
         except InfeasibleError:
             continue
-        if evaluation.error + evaluation.log_determinant < best - _SETTINGS.gain:
-            best, found = evaluation.error + evaluation.log_determinant, (replace(
+        if evaluation.sum_of_squares + evaluation.log_determinant < best - _SETTINGS.gain:
+            best, found = evaluation.sum_of_squares + evaluation.log_determinant, (replace(
                 proposal, candidate=other), moved, changed)
     if found is None:
         return None
-    again = descend(found[1], descent.theta, corrected=True, enough=_SETTINGS.gain, tolerance=_SETTINGS.tolerance)
+    again = minimise_from_start(found[1], descent.theta, corrected=True, enough=_SETTINGS.gain,
+                                tolerance=_SETTINGS.tolerance)
     return (*found, again) if np.isfinite(again.error) else None
 
 
-def _error_with_log_determinant(problem: Problem, descent: Descent) -> float:
+def _error_with_log_determinant(problem: GeneralisedProblem, descent: DescentResult) -> float:
     """Return the sum of squares at the end of a descent plus the log determinant of the covariance there."""
     return descent.error + problem.evaluate(descent.theta).log_determinant
 
 
-def _bic_penalty(problem: Problem, plain: Problem, candidate: Candidate, samples: float) -> float:
+def _compute_bic_penalty(problem: GeneralisedProblem, plain: GeneralisedProblem, candidate: Candidate,
+                         samples: float) -> float:
     """Return the BIC penalty of the additional parameters: their number, including a jump position, times ln n."""
     return (problem.space.low.size - plain.space.low.size + bool(candidate.jump)) * float(np.log(samples))
 
 
-def _choose_start(problem: Problem, starts: Sequence[np.ndarray], error: float) -> np.ndarray:
+def _choose_start_below_error(problem: GeneralisedProblem, starts: Sequence[np.ndarray], error: float) -> np.ndarray:
     """Return the first start with an error of at most `error`; if there is none, the start with the smallest error.
 
     Args:
@@ -360,7 +372,7 @@ def _choose_start(problem: Problem, starts: Sequence[np.ndarray], error: float) 
     for theta in starts:
         try:
             evaluation = problem.evaluate(theta)
-            errors.append(evaluation.error + evaluation.log_determinant)
+            errors.append(evaluation.sum_of_squares + evaluation.log_determinant)
         except InfeasibleError:
             errors.append(np.inf)
         if errors[-1] <= error:

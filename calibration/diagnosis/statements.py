@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, FoundEffect
-from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.pairs import find_most_changed_regions
 from calibration.diagnosis.proposals import CatalogueScores, ScoredCandidate
-from calibration.diagnosis.refits import Refit, find_bound, odds
-from calibration.diagnosis.verdict import Judgement, explained_misfit_fraction
+from calibration.diagnosis.refits import EffectRefit, compute_odds_against, find_reached_bound
+from calibration.diagnosis.verdict import VerdictWithFits, compute_explained_misfit_fraction
 from calibration.effects.effect import Candidate
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 
 
-def list_found_effects(judgement: Judgement, before: Evidence, after: Evidence) -> list[FoundEffect]:
+def list_found_effects(judgement: VerdictWithFits, before: FitEvidence, after: FitEvidence) -> list[FoundEffect]:
     """Return the added effects with the parameters of the final fit.
 
     Args:
@@ -24,7 +24,7 @@ def list_found_effects(judgement: Judgement, before: Evidence, after: Evidence) 
     """
     found: dict[str, FoundEffect] = {}
     for each in judgement.added:
-        candidate, numbers = each.proposal.candidate, effect_numbers(each.proposal.candidate, after)
+        candidate, numbers = each.proposal.candidate, list_effect_parameters(each.proposal.candidate, after)
         effect = candidate.effect
         if candidate.name in found:
             # A further instance of the effect, such as a second Prony term.
@@ -36,10 +36,10 @@ def list_found_effects(judgement: Judgement, before: Evidence, after: Evidence) 
     return list(found.values())
 
 
-def effect_numbers(candidate: Candidate, evidence: Evidence) -> list[EffectParameter]:
+def list_effect_parameters(candidate: Candidate, evidence: FitEvidence) -> list[EffectParameter]:
     """Return the fitted parameters of a candidate with their standard errors."""
     space = evidence.problem.space
-    spread = assess_uncertainty(evidence.problem, evidence.evaluation)
+    spread = compute_marginal_uncertainty(evidence.problem, evidence.evaluation)
     errors = dict(zip(space.free, spread.standard_errors, strict=True))
     mine = {**candidate.sizes, **candidate.shape}
     numbers = []
@@ -49,19 +49,19 @@ def effect_numbers(candidate: Candidate, evidence: Evidence) -> list[EffectParam
         error = float(errors.get(each.name, 0.0))
         absent = candidate.absent_value(evidence.campaign, each.path) if each.path in candidate.sizes else None
         numbers.append(EffectParameter(path=each.name, symbol=space.symbols[each.name], unit=each.declaration.unit,
-                                       value=evidence.values[each.name], absent=absent,
-                                       bound=find_bound(space, evidence.estimate.theta, each.name, absent),
+                                       value=evidence.parameter_values[each.name], absent=absent,
+                                       bound=find_reached_bound(space, evidence.estimate.theta, each.name, absent),
                                        standard_error=error if np.isfinite(error) else None))
     return numbers
 
 
-def list_candidate_statements(proposals: CatalogueScores, judgement: Judgement,
-                              before: Evidence) -> list[CandidateStatement]:
+def list_candidate_statements(proposals: CatalogueScores, judgement: VerdictWithFits,
+                              before: FitEvidence) -> list[CandidateStatement]:
     """Return the records of all effects: fitted ones by BIC, other testable ones by score, then the rest."""
-    refits = {each.name: each for each in judgement.refits}
+    refits = {each.candidate_name: each for each in judgement.refits}
     best = judgement.refits[0] if judgement.refits else None
     rows = [_make_testable_statement(name, proposal, proposals, refits.get(name), best, before)
-            for name, proposal in proposals.best.items()]
+            for name, proposal in proposals.best_candidates.items()]
     rows.sort(key=lambda row: (row.delta_BIC is None, -(row.delta_BIC or 0.0)))
     for name, reason in proposals.untestable.items():
         effect = proposals.effects[name.partition("@")[0]]
@@ -70,26 +70,30 @@ def list_candidate_statements(proposals: CatalogueScores, judgement: Judgement,
     return rows
 
 
-def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: CatalogueScores, fitted: Refit | None,
-                             best: Refit | None, before: Evidence) -> CandidateStatement:
+def _make_testable_statement(name: str, proposal: ScoredCandidate, proposals: CatalogueScores,
+                             fitted: EffectRefit | None,
+                             best: EffectRefit | None, before: FitEvidence) -> CandidateStatement:
     """Return the record of a testable candidate."""
     effect, finite = proposal.candidate.effect, fitted is not None and np.isfinite(fitted.gain)
     # The detectable size refers to the shape parameters with the highest expected score.
     mine = [each for each in proposals.all if each.candidate.name == name]
     clearest = max(mine, key=lambda each: each.direction.reach)
-    smallest = clearest.sizes(before.limits.detectable_score / clearest.direction.reach)
-    after = fitted.evidence(before) if fitted is not None and finite else None
+    smallest = clearest.get_parameter_sizes(before.limits.detectable_score / clearest.direction.reach)
+    after = fitted.make_evidence(before) if fitted is not None and finite else None
     prepared = clearest.candidate.with_prepared_tests(before.campaign)
     symbols = clearest.candidate.symbols(before.campaign)
     return CandidateStatement(
         name=name, effect=effect.name, category=effect.category, title=effect.title, testable=True, seen_from=smallest,
         symbols={path: symbols[path] for path in smallest}, absent=clearest.absent,
         units={path: clearest.candidate.declaration(prepared, path).unit for path in smallest},
-        twins=proposals.twins(name), separated_by=effect.separated_by,
-        score=proposal.strength, p=proposal.p, estimate=proposal.sizes(),
+        twins=proposals.find_indistinguishable_candidates(name), separated_by=effect.separated_by,
+        score=proposal.signed_score, p=proposal.p, estimate=proposal.get_parameter_sizes(),
         refitted=fitted is not None, delta_BIC=float(fitted.gain) if fitted is not None and finite else None,
-        explained_percent=None if after is None else 100.0 * explained_misfit_fraction(before.regions, after.regions),
-        evidence_ratio=odds(best, fitted) if fitted is not None and best is not None and finite else None,
-        parameters=[] if after is None else effect_numbers(proposal.candidate, after),
-        on_bound=[] if fitted is None else [fitted.problem.space.symbols[held] for held in fitted.reached_bounds],
+        explained_percent=None if after is None
+        else 100.0 * compute_explained_misfit_fraction(before.region_tests, after.region_tests),
+        evidence_ratio=compute_odds_against(best, fitted)
+        if fitted is not None and best is not None and finite else None,
+        parameters=[] if after is None else list_effect_parameters(proposal.candidate, after),
+        on_bound=[] if fitted is None
+        else [fitted.problem.space.symbols[held] for held in fitted.reached_parameter_bounds],
         note="" if fitted is None else fitted.failure)

@@ -20,12 +20,12 @@ from calibration.diagnosis.diagnosis import (
 _UNITS = {"m": ("mm", 1e3), "m/N": ("mm/N", 1e3), "m2/s": ("mm2/s", 1e6), "N s/m": ("N s/mm", 1e-3), "1": ("", 1.0)}
 
 
-def join_words(words: Sequence[str], last: str = "and") -> str:
+def join_as_enumeration(words: Sequence[str], last: str = "and") -> str:
     """Join words to an enumeration, such as ``a, b and c``."""
     return f" {last} ".join(filter(None, (", ".join(words[:-1]), words[-1]))) if words else ""
 
 
-def number_in_words(number: EffectParameter) -> str:
+def describe_parameter(number: EffectParameter) -> str:
     """Describe a parameter, such as ``tau1 = 19.7 ± 0.3 s``."""
     unit, factor = _UNITS.get(number.unit, (number.unit, 1.0))
     error = "" if number.standard_error is None else f" ± {factor * number.standard_error:.2g}"
@@ -34,15 +34,15 @@ def number_in_words(number: EffectParameter) -> str:
 
 def describe_effect(effect: FoundEffect) -> str:
     """Describe an effect, such as ``viscoelasticity (g1 = 0.0301 ± 0.0002, tau1 = 19.7 ± 0.3 s)``."""
-    where = f" in {join_words(effect.tests)}" if effect.tests else ""
-    return f"{effect.title}{where} ({', '.join(map(number_in_words, effect.parameters))})"
+    where = f" in {join_as_enumeration(effect.tests)}" if effect.tests else ""
+    return f"{effect.title}{where} ({', '.join(map(describe_parameter, effect.parameters))})"
 
 
 def describe_bound(number: EffectParameter) -> str:
     """Describe a parameter on its bound, such as ``c = 2 mm/N, the largest that a fit may take``."""
     assert number.bound is not None
     end = "smallest" if number.bound < (number.absent or 0.0) else "largest"
-    return f"{number_in_words(replace(number, standard_error=None))}, the {end} that a fit may take"
+    return f"{describe_parameter(replace(number, standard_error=None))}, the {end} that a fit may take"
 
 
 def _describe_nearest_effect(nearest: CandidateStatement) -> str:
@@ -53,16 +53,16 @@ def _describe_nearest_effect(nearest: CandidateStatement) -> str:
         return f"{title} comes nearest and explains {share} of it."
     remedy = f" (here: {nearest.separated_by})" if nearest.separated_by else ""
     return (f"{title} comes nearest and explains {share} of it, but its fit ended on a bound, "
-            f"{join_words([describe_bound(each) for each in beyond])}. A value on a bound is not reliable, so the "
-            "effect was not named. Either its size exceeds the bound, which a separate measurement would show"
+            f"{join_as_enumeration([describe_bound(each) for each in beyond])}. A value on a bound is not reliable, so "
+            "the effect was not named. Either its size exceeds the bound, which a separate measurement would show"
             f"{remedy}, or another effect changes the forces in the same way.")
 
 
-def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
-                             regions: Sequence[SegmentMisfit], gaps: tuple[float, float | None, float], untestable: int,
-                             unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
-                             repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
-                             stressed: bool = False, limits: DecisionLimits = LIMITS) -> str:
+def summarise_diagnosis(verdict: Verdict, effects: Sequence[FoundEffect], titles: Sequence[str],
+                        regions: Sequence[SegmentMisfit], gaps: tuple[float, float | None, float], untestable: int,
+                        unseen: Sequence[HeldOutPrediction] = (), nearest: CandidateStatement | None = None,
+                        repeated: Sequence[str] = (), offsets: Sequence[str] = (), scored: Sequence[str] = (), *,
+                        stressed: bool = False, limits: DecisionLimits = LIMITS) -> str:
     """Summarise a diagnosis in a few sentences.
 
     Args:
@@ -82,7 +82,8 @@ def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], t
     """
     before, after, noise = gaps
     where = [region.sentence for region in regions if not region.adequate_before]
-    where += [f"all recordings of {join_words(repeated)} have a common signal in their residuals"] if repeated else []
+    if repeated:
+        where.append(f"all recordings of {join_as_enumeration(repeated)} have a common signal in their residuals")
     unit, factor = ("kPa", 1e-3) if stressed else ("N", 1.0)
     closed = "" if after is None else (f" The misfit falls from {factor * before:.2g} to {factor * after:.2g} {unit} "
                                        f"({before / noise:.2g} to {after / noise:.2g} of the noise).")
@@ -101,19 +102,19 @@ def format_diagnosis_message(verdict: Verdict, effects: Sequence[FoundEffect], t
             worth = nearest is not None and (nearest.explained_percent or 0.0) >= limits.min_mentioned_percent
             near = f" {_describe_nearest_effect(nearest)}" if nearest is not None and worth else ""
             if not where:
-                several = f" ({join_words(scored[:3])})" if scored else ""
+                several = f" ({join_as_enumeration(scored[:3])})" if scored else ""
                 return ("The residuals of every region are within the noise. The residuals of all regions together "
                         f"have a shape that neither chance nor a single effect explains{several}.{near} Nothing was "
                         f"added.{silent}")
             return ("Something is missing that no known effect explains: " + "; ".join(where[:3])
                     + f".{near} Nothing was added.{silent}")
         case "SET":
-            names = join_words(titles, "or")
+            names = join_as_enumeration(titles, "or")
             return (f"{names[:1].upper()}{names[1:]} is missing, and these tests cannot distinguish them. The most "
                     f"likely effect was added: {describe_effect(effects[0])}.{closed}")
         case "LOOKS_LIKE":
-            return (f"It looks like {join_words([describe_effect(each) for each in effects])}, but its form is not "
-                    f"confirmed: a smooth misfit remains.{closed}")
+            return (f"It looks like {join_as_enumeration([describe_effect(each) for each in effects])}, but its form "
+                    f"is not confirmed: a smooth misfit remains.{closed}")
         case _:
-            named = join_words([describe_effect(each) for each in effects])
+            named = join_as_enumeration([describe_effect(each) for each in effects])
             return f"{named[:1].upper()}{named[1:]} {'were' if len(effects) > 1 else 'was'} missing.{closed}"

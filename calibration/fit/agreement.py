@@ -12,7 +12,7 @@ from calibration.fit.fit import Fit
 Fits = tuple[Campaign, Sequence[Fit]]
 
 
-def compare_methods(results: Sequence[Fits]) -> list[str]:
+def describe_method_differences(results: Sequence[Fits]) -> list[str]:
     """Compare campaigns of different methods that were fitted to the same recordings.
 
     Args:
@@ -23,16 +23,17 @@ def compare_methods(results: Sequence[Fits]) -> list[str]:
         statement that all intervals overlap.
     """
     return [sentence for one, other in combinations(results, 2)
-            if one[0].fit.method != other[0].fit.method and _collect_recordings(one) == _collect_recordings(other)
-            for sentence in _compare_fits(one, other)]
+            if one[0].fit.method != other[0].fit.method
+            and _collect_recording_paths(one) == _collect_recording_paths(other)
+            for sentence in _iterate_law_comparisons(one, other)]
 
 
-def _collect_recordings(fits: Fits) -> frozenset:
+def _collect_recording_paths(fits: Fits) -> frozenset:
     """Return the paths of all fitted recordings."""
     return frozenset(path.resolve() for test in fits[0].tests if not test.hold_out for path in test.recordings)
 
 
-def _compare_fits(one: Fits, other: Fits) -> Iterator[str]:
+def _iterate_law_comparisons(one: Fits, other: Fits) -> Iterator[str]:
     """Yield a sentence for each law that both campaigns fit."""
     by_law = {fit.law: fit for fit in other[1]}
     for mine in one[1]:
@@ -46,7 +47,7 @@ def _compare_fits(one: Fits, other: Fits) -> Iterator[str]:
             compared += 1
             if left[1] < right[0] or right[1] < left[0]:
                 apart.append(f"{mine.symbols[name]} {_format_interval(mine, name)} and {_format_interval(fit, name)}")
-        names = f"{mine.law}: {_describe_campaign(one[0])} and {_describe_campaign(other[0])}"
+        names = f"{mine.law}: {_format_campaign_and_method(one[0])} and {_format_campaign_and_method(other[0])}"
         if apart:
             why = _describe_assumptions(mine, fit, one[0], other[0])
             yield f"{names} have 95 % intervals that do not overlap: {'; '.join(apart)}. {why}"
@@ -54,7 +55,7 @@ def _compare_fits(one: Fits, other: Fits) -> Iterator[str]:
             yield f"{names} agree within their 95 % intervals."
 
 
-def _describe_campaign(campaign: Campaign) -> str:
+def _format_campaign_and_method(campaign: Campaign) -> str:
     """Return name and method of a campaign, such as ``study (inverse FEM)``."""
     return f"{campaign.name} ({campaign.fit.method.replace('_fem', ' FEM')})"
 
@@ -62,7 +63,7 @@ def _describe_campaign(campaign: Campaign) -> str:
 def _format_interval(fit: Fit, name: str) -> str:
     """Return the 95 % interval of a parameter with its unit, such as ``1390 to 1420 Pa``."""
     low, high = fit.intervals95[name] or (float("nan"), float("nan"))
-    return f"{low:.4g} to {high:.4g} {fit.unit(name)}".rstrip()
+    return f"{low:.4g} to {high:.4g} {fit.display_unit(name)}".rstrip()
 
 
 def _describe_assumptions(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -> str:
@@ -71,7 +72,7 @@ def _describe_assumptions(mine: Fit, fit: Fit, one: Campaign, other: Campaign) -
     inverse, plain = (mine, fit) if one.fit.method == "inverse_fem" else (fit, mine)
     closed = one if plain is mine else other
     if inverse.jitter is not None and closed.fit.offset == "none":
-        contact, zero = inverse.jitter.sizes
+        contact, zero = inverse.jitter.jitter_with_units
         reasons.append(f"the inverse method assumes a contact offset ({contact}) and a zero ({zero}) of each "
                        'recording, and the analytical one uses the recorded values unless offset = "fit"')
     if max(mine.noise_ratio, fit.noise_ratio) > 1.5:

@@ -14,16 +14,16 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calibration.fit.fit import Minimum
-from calibration.fit.usability_records import Alternative
+from calibration.fit.usability_records import AlternativeMinimum
 from tissue_sim.laws import Law
 
 if TYPE_CHECKING:
     from calibration.campaign.parameter_space import ParameterSpace
-    from calibration.statistics.uncertainty import Uncertainty
+    from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True)
-class AlternativeSettings:
+class AlternativeMinimaSettings:
     """Limits of the search for several optima.
 
     Attributes:
@@ -47,10 +47,10 @@ class AlternativeSettings:
     equal_rise: float = 1e-3
 
 
-SETTINGS = AlternativeSettings()
+SETTINGS = AlternativeMinimaSettings()
 
 
-def list_mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray]:
+def list_sign_flipped_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.ndarray]:
     """Return starts in the other basins of a law with exponents: every other combination of their signs.
 
     Args:
@@ -76,7 +76,7 @@ def list_mirrored_starts(space: ParameterSpace, theta: np.ndarray) -> list[np.nd
     return found
 
 
-def prefer_positive_exponents(space: ParameterSpace, minima: Sequence[tuple[float, np.ndarray]]) -> int:
+def select_minimum_to_report(space: ParameterSpace, minima: Sequence[tuple[float, np.ndarray]]) -> int:
     """Return the index of the minimum to report first: of equally good ones, that with most positive exponents.
 
     The choice is a convention, so that the same data always give the same first parameters.
@@ -90,8 +90,9 @@ def prefer_positive_exponents(space: ParameterSpace, minima: Sequence[tuple[floa
     return max(equal, key=lambda i: (int(np.sum(minima[i][1][exponents] > 0)), -i))
 
 
-def find_alternatives(law: Law, parameters: Mapping[str, float], minima: Sequence[tuple[Minimum, Mapping[str, float]]],
-                      stretches: tuple[float, float]) -> list[Alternative]:
+def find_alternative_minima(law: Law, parameters: Mapping[str, float],
+                            minima: Sequence[tuple[Minimum, Mapping[str, float]]],
+                            stretches: tuple[float, float]) -> list[AlternativeMinimum]:
     """Return the minima that fit as well as the estimate and describe another material.
 
     Args:
@@ -100,21 +101,21 @@ def find_alternatives(law: Law, parameters: Mapping[str, float], minima: Sequenc
         minima: distinct minima, each with the parameters of the law, SI.
         stretches: smallest and largest principal stretch of the data.
     """
-    found: list[Alternative] = []
+    found: list[AlternativeMinimum] = []
     for minimum, other in minima:
         if minimum.rise >= SETTINGS.rise or not law.mu0(other) > 0:
             continue
         known = [parameters, *(one.parameters_of_law for one in found)]
         if all(_find_largest_stress_difference(law, one, other, stretches)[0] > SETTINGS.difference for one in known):
             _, test, stretch, (own, theirs) = _find_largest_stress_difference(law, parameters, other, stretches)
-            found.append(Alternative(
+            found.append(AlternativeMinimum(
                 parameters=minimum.parameters, parameters_of_law=dict(other), R2=minimum.R2, rise=minimum.rise,
                 separated_by=test, at=stretch, stress_Pa=own, alternative_stress_Pa=theirs))
     return found
 
 
-def describe_alternatives(alternatives: Sequence[Alternative], symbols: Mapping[str, str],
-                          units: Mapping[str, str]) -> str:
+def describe_alternative_minima(alternatives: Sequence[AlternativeMinimum], symbols: Mapping[str, str],
+                                units: Mapping[str, str]) -> str:
     """Describe the alternatives of a fit; empty if there are none."""
     parts = []
     for each in alternatives:
@@ -122,12 +123,12 @@ def describe_alternatives(alternatives: Sequence[Alternative], symbols: Mapping[
                            for name, value in each.parameters.items())
         parts.append(f"{values} fits the data equally well (R2 {each.R2:.5f}); in {each.separated_by} the two differ: "
                      f"nominal stress {each.stress_Pa:.4g} Pa here, {each.alternative_stress_Pa:.4g} Pa there"
-                     f"{each.times}")
+                     f"{each.stress_ratio_text}")
     return "; ".join(parts)
 
 
-def replace_misleading_errors(space: ParameterSpace, spread: Uncertainty, theta: np.ndarray,
-                              alternatives: Sequence[Alternative]) -> Uncertainty:
+def set_misleading_errors_to_infinity(space: ParameterSpace, spread: ParameterUncertainty, theta: np.ndarray,
+                                      alternatives: Sequence[AlternativeMinimum]) -> ParameterUncertainty:
     """Replace misleading standard errors by infinity.
 
     These are the standard errors of parameters that differ between equally good optima, and of parameters with two

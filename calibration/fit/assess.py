@@ -8,28 +8,34 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.alternatives import find_alternatives, replace_misleading_errors
-from calibration.fit.determination import Determination, determine_modulus
+from calibration.fit.alternatives import find_alternative_minima, set_misleading_errors_to_infinity
+from calibration.fit.determination import ShearModulusPrecision, assess_modulus_precision
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.fit import Fit, Profile
+from calibration.fit.estimator import EstimateFindings, Estimator
+from calibration.fit.fit import Fit, ProfileLikelihood
 from calibration.fit.identifiability import find_undetermined_parameters
-from calibration.fit.population import describe_differing_specimens, find_specimens
-from calibration.fit.population_records import Covariance
+from calibration.fit.population import describe_differing_specimens, estimate_specimen_population
+from calibration.fit.population_records import ParameterCovariance
 from calibration.fit.profiles import ProfileSide
-from calibration.fit.self_weight import compute_sags
-from calibration.fit.trust_region import Descent
-from calibration.fit.usability import Evidence, compute_misfits, describe_instability, judge_usability
+from calibration.fit.self_weight import compute_specimen_sags
+from calibration.fit.trust_region import DescentResult
+from calibration.fit.usability import (
+    UsabilityEvidence,
+    compute_test_misfits,
+    describe_instability,
+    evaluate_usability_clauses,
+)
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from calibration.statistics.statistics import correlation_matrix, information_criteria
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.statistics import compute_correlation_matrix, compute_information_criteria
+from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.laws import Stability, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
 
 
-def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, descents: Sequence[Descent],
-               sides: Sequence[ProfileSide], campaign: Campaign, limits: UsabilitySettings = USABILITY) -> Fit:
+def build_fit_record(estimator: Estimator, estimate: Estimate, spread: ParameterUncertainty,
+                     descents: Sequence[DescentResult],
+                     sides: Sequence[ProfileSide], campaign: Campaign, limits: UsabilitySettings = USABILITY) -> Fit:
     """Return the `Fit` of an estimate, without computing effort and rank.
 
     Args:
@@ -46,26 +52,29 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
     theta = estimate.theta[: len(space.free)]
     values = space.values(theta)
     free = slice(0, len(space.free))
-    specimens = find_specimens(space, theta, spread.covariance[free, free], spread.standard_errors[free])
-    moduli = space.of_law(specimens.representative_values(space, values))
-    reached = {test.name: test.stretch_range(space, theta) for test in problem.tests}
+    specimens = estimate_specimen_population(space, theta, spread.covariance[free, free], spread.standard_errors[free])
+    moduli = space.of_law(specimens.make_representative_values(space, values))
+    reached = {test.name: test.compute_stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
     units = {each.name: each.declaration.unit for each in space.unknowns}
-    alternatives = find_alternatives(law, space.of_law(values), [(minimum, space.of_law(minimum.parameters))
+    alternatives = find_alternative_minima(law, space.of_law(values), [(minimum, space.of_law(minimum.parameters))
                                                    for minimum in estimate.minima], stretches)
-    determination = _determine_shear_modulus(estimate, spread, mu0, campaign)
-    clauses, status, unusable = judge_usability(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
-                                                         determination, space.symbols, units, limits))
+    determination = _assess_shear_modulus_precision(estimate, spread, mu0, campaign)
+    clauses, status, unusable = evaluate_usability_clauses(UsabilityEvidence(estimate, stability, reached, mu0,
+                                                                             specimens,
+                                                                    alternatives,
+                                                                             determination, space.symbols, units,
+                                                                             limits))
     loose = find_undetermined_parameters(space, spread)
-    spread = replace_misleading_errors(space, spread, theta, alternatives)
+    spread = set_misleading_errors_to_infinity(space, spread, theta, alternatives)
     errors: dict[str, float | None] = dict.fromkeys(space.fixed, 0.0)
     errors |= {name: float(e) if np.isfinite(e) else None
                for name, e in zip(space.free, spread.standard_errors, strict=False)}
-    profiles, intervals, notes = _collect_profiles(estimate, spread, sides)
-    aic, bic = information_criteria(*spread.criteria, problem.bounds[0].size)
+    profiles, intervals, notes = _collect_profiles_and_intervals(estimate, spread, sides)
+    aic, bic = compute_information_criteria(*spread.criteria, problem.bounds[0].size)
     order = list(space.names)
     covariance = np.zeros((len(order), len(order)))
     indices = [order.index(name) for name in space.free]
@@ -74,29 +83,29 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
         "law": law.name, "formula": law.formula(), "parameters": values, "symbols": space.symbols,
         "units": units, "alternatives": alternatives, "clauses": clauses,
         "standard_errors": {name: errors[name] for name in order},
-        "derivatives": _describe_derivatives(estimate, theta),
-        "covariance": Covariance(order=order, matrix=covariance.tolist()),
-        "correlation": correlation_matrix(covariance).tolist(), "covariance_from": spread.basis,
+        "derivatives": _classify_derivative_methods(estimate, theta),
+        "covariance": ParameterCovariance(order=order, matrix=covariance.tolist()),
+        "correlation": compute_correlation_matrix(covariance).tolist(), "covariance_from": spread.basis,
         "intervals95": intervals, "not_identifiable": loose,
         "noise_ratio": spread.ratio, "AIC": aic, "BIC": bic, "E0": law.E0(moduli),
         "mu0": mu0, "stable_from": stability.stable_from, "stable_to": stability.stable_to,
         "stability": stability.describe(), "stretch_range": (float(stretches[0]), float(stretches[1])),
         "minima": list(estimate.minima), "starts": len(descents),
-        "misfits": compute_misfits(estimate)[0], "status": status, "unusable": unusable, "cpu_s": 0.0,
+        "misfits": compute_test_misfits(estimate)[0], "status": status, "unusable": unusable, "cpu_s": 0.0,
         "interval_notes": notes, "profiles": profiles,
         "iterations": sum(len(descent.history) for descent in descents) + len(estimate.history),
         "population": specimens.population, "material_of": list(specimens.material_of),
         "left_out_specimens": dict(specimens.left_out),
-        "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population else None}
+        "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population_reason else None}
     lost = [*law.at_limit(moduli), *_describe_unmeasured_instability(stability, reached, stretches),
-            *describe_differing_specimens(estimate), *specimens.warnings(unusable)]
-    found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
-    fit = Fit(**shared | estimator.describe(found))
-    return replace(fit, sag_mm=compute_sags(fit, campaign))
+            *describe_differing_specimens(estimate), *specimens.list_specimen_warnings(unusable)]
+    found = EstimateFindings(estimate, spread, descents, values, loose, status, unusable, lost)
+    fit = Fit(**shared | estimator.derive_fit_fields(found))
+    return replace(fit, sag_mm=compute_specimen_sags(fit, campaign))
 
 
-def _determine_shear_modulus(estimate: Estimate, spread: Uncertainty, mu0: float,
-                             campaign: Campaign) -> Determination | None:
+def _assess_shear_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, mu0: float,
+                                    campaign: Campaign) -> ShearModulusPrecision | None:
     """Return how well the tests determine the shear modulus.
 
     None if the modulus is not positive, or if each specimen has its own moduli, which the clause `population` judges.
@@ -106,14 +115,14 @@ def _determine_shear_modulus(estimate: Estimate, spread: Uncertainty, mu0: float
         return None
     law = find_law(space.law)
     stated = {each.name for each in space.varied if each.path in campaign.fit.bounds}
-    return determine_modulus(estimate, spread, lambda theta: law.mu0(space.of_law(space.values(theta))), stated)
+    return assess_modulus_precision(estimate, spread, lambda theta: law.mu0(space.of_law(space.values(theta))), stated)
 
 
-def _describe_derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
+def _classify_derivative_methods(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:
     """Return free parameter -> ``"difference"`` if any test uses finite differences for it, otherwise ``"exact"``."""
     problem, names = estimate.problem, set()
     for test in problem.tests:
-        names |= test.differenced_parameters(test.solve(problem.space, theta, problem.solves))
+        names |= test.list_differenced_parameters(test.solve(problem.space, theta, problem.solves))
     return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
@@ -126,11 +135,11 @@ def _describe_unmeasured_instability(stability: Stability, reached: Mapping[str,
     return [f"not stable {' and '.join(found)}, which was not measured"] if found else []
 
 
-def _collect_profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[ProfileSide]):
+def _collect_profiles_and_intervals(estimate: Estimate, spread: ParameterUncertainty, sides: Sequence[ProfileSide]):
     """Return profiles, 95 % intervals and notes on the intervals, each by name of the parameter."""
     space, theta = estimate.problem.space, estimate.theta
     values = space.values(theta[: len(space.free)])
-    profiles: dict[str, Profile] = {}
+    profiles: dict[str, ProfileLikelihood] = {}
     intervals: dict[str, tuple[float, float] | None] = {name: (values[name], values[name]) for name in space.fixed}
     notes: dict[str, str] = {}
     for i, name in enumerate(space.free):
@@ -140,8 +149,8 @@ def _collect_profiles(estimate: Estimate, spread: Uncertainty, sides: Sequence[P
             points = sorted({*zip(down.values.tolist(), down.rises.tolist(), strict=True),
                              *zip(up.values.tolist(), up.rises.tolist(), strict=True)})
             cuts = [f"{end}: {side.note}" for end, side in (("low", down), ("high", up)) if side.note]
-            profiles[name] = Profile(values=[v for v, _ in points], rises=[r for _, r in points],
-                                     level=float(spread.quantile[i]**2), notes=cuts)
+            profiles[name] = ProfileLikelihood(values=[v for v, _ in points], rises=[r for _, r in points],
+                                               level=float(spread.quantile[i]**2), notes=cuts)
             # A parameter that differs between equally good optima has no interval.
             intervals[name] = (down.end, up.end) if np.isfinite(spread.standard_errors[i]) else None
             if cuts:

@@ -10,15 +10,15 @@ from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve, default_contact_deviation
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.problem import Problem
-from calibration.forward.forms import build_test, mesh_uncertainty
+from calibration.fit.problem import GeneralisedProblem
+from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
 from calibration.forward.meshes import FAST_MESH_ERRORS
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import Jitter
+from calibration.statistics.jitter import ReplicateJitter
 
 
-def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
-                  solves: SimulationCache) -> Problem:
+def build_generalised_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[MeasuredCurve]],
+                              solves: SimulationCache) -> GeneralisedProblem:
     """Return the least-squares problem of one law over all tests that are not held out.
 
     Args:
@@ -30,13 +30,14 @@ def build_problem(law: str, campaign: Campaign, measured: Mapping[str, Sequence[
     names = {test: [curve.name for curve in curves] for test, curves in measured.items()}
     space = ParameterSpace.of(law, campaign, names)
     fitted = [test for test in campaign.tests if not test.hold_out]
-    jitter = guess_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
-    tests = tuple(build_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
+    jitter = make_initial_jitter(campaign, [curve for test in fitted for curve in measured[test.name]])
+    tests = tuple(build_forward_test(test, measured[test.name], campaign.fit, jitter.contact) for test in fitted)
     # With the error of the fast mesh in the covariance, offsets do not compensate for this error.
-    return Problem(space, tests, solves, jitter, tuple(mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
+    return GeneralisedProblem(space, tests, solves, jitter,
+                              tuple(compute_mesh_uncertainty(test, FAST_MESH_ERRORS) for test in tests))
 
 
-def guess_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
+def make_initial_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> ReplicateJitter:
     """Return the stated jitter, and first guesses of values that are estimated later."""
     fit, noise = campaign.fit, campaign.noise
     contact, zero, freedom = noise.contact_jitter, noise.zero_jitter, None
@@ -48,4 +49,4 @@ def guess_jitter(campaign: Campaign, curves: Sequence[MeasuredCurve]) -> Jitter:
         contact, freedom = default_contact_deviation(curves), 0
     if zero is None:
         zero, freedom = OFFSET_DEFAULTS.first_zero * largest, 0
-    return Jitter(contact, zero, freedom)
+    return ReplicateJitter(contact, zero, freedom)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.problem import Problem
-from calibration.fit.starts import generate_starts
+from calibration.fit.problem import GeneralisedProblem
+from calibration.fit.starts import generate_starting_values
 from calibration.forward.contract import InfeasibleError
 from tissue_sim.errors import InputError
 from tissue_sim.laws import check_stability, find_law
@@ -16,8 +16,8 @@ from tissue_sim.laws import check_stability, find_law
 UNSEEN = 0.1
 
 
-def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
-    """Simulate the first start and check it.
+def simulate_and_check_start(problem: GeneralisedProblem, campaign: Campaign, number: int) -> None:
+    """Simulate the tests with the first starting values, and check that a fit can start from these values.
 
     Args:
         problem: problem of one law.
@@ -30,48 +30,49 @@ def check_start(problem: Problem, campaign: Campaign, number: int) -> None:
     """
     space, law = problem.space, find_law(problem.space.law)
     if problem.samples <= len(space.free):
-        raise InputError(f"{law.name} has {len(space.free)} unknown parameters and the tests only {problem.samples} "
-                         "points; widen max_strain or take a simpler law", file=campaign.path,
-                         field=f"fit.laws[{number}]")
-    theta = generate_starts(space, 1)[0]
+        raise InputError(f"the tests must have more samples than the {len(space.free)} unknown parameters of "
+                         f"{law.name}; got {problem.samples}. Increase max_strain, or choose a law with fewer "
+                         "parameters", file=campaign.path, field=f"fit.laws[{number}]")
+    theta = generate_starting_values(space, 1)[0]
     values = space.values(theta)
     stated = [name for name in space.of_law(values) if name in campaign.fit.start or name in campaign.fit.fixed]
     key = "start" if any(name in campaign.fit.start for name in stated) else "fixed"
     try:
         space.material(values)
     except InputError as error:
-        raise InputError(f"{law.name} is no valid material with this start: {error.problem}", file=campaign.path,
-                         field=f"fit.{key}") from None
+        raise InputError(f"the values must give a valid material of {law.name}; got: {error.problem}. Change them",
+                         file=campaign.path, field=f"fit.{key}") from None
     if stated:
-        _check_stable(problem, theta, campaign, key)
+        _require_stable_law(problem, theta, campaign, key)
     try:
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
         if stated:
-            raise InputError(f"the simulation fails within the data with this start ({error}); state another start, or "
-                             "a smaller max_strain", file=campaign.path, field=f"fit.{key}") from None
+            raise InputError(f"the simulation of the tests with these parameter values fails ({error}). State other "
+                             "values, or reduce max_strain", file=campaign.path, field=f"fit.{key}") from None
         return
     seen = np.linalg.norm(evaluation.rates, axis=0) * space.sizes(values)
     for name, size in zip(space.free, seen, strict=True):
         if size < UNSEEN and not np.isfinite(space.prior_deviation[space.free.index(name)]):
             field = f"fit.start.{name}" if name in campaign.fit.start else f"fit.laws[{number}]"
-            raise InputError(f"no test depends on {name}: a change by its own size changes all forces together by "
-                             f"{size:.2g} of their noise; fix it in [fit.fixed], or add a test that depends on it",
+            raise InputError(f"the force of at least one test must depend on {name}; a change of {name} by its "
+                             f"typical size changes the forces of all tests by only {size:.2g} times their noise. Fix "
+                             f"{name} in [fit.fixed], or add a test that depends on {name}",
                              file=campaign.path, field=field)
 
 
-def _check_stable(problem: Problem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
+def _require_stable_law(problem: GeneralisedProblem, theta: np.ndarray, campaign: Campaign, key: str) -> None:
     """Raise an `InputError` if stated values make the law unstable within the data of a homogeneous test."""
     law, space = find_law(problem.space.law), problem.space
     own = law.as_array(space.of_law(space.values(theta)))
     for test in problem.tests:
-        if not test.homogeneous or not test.closed_form.rest:
+        if not test.is_homogeneous or not test.closed_form.rest:
             continue
-        reached = test.stretch_range(space, theta)
+        reached = test.compute_stretch_range(space, theta)
         low, high = reached.low, reached.high
         lower, upper = check_stability(law, own, (min(low, 0.99), max(high, 1.01))).limits[test.closed_form.mode]
         if lower > low or upper < high:
             limit, end = (lower, low) if lower > low else (upper, high)
-            raise InputError(f"{law.name} loses stability at stretch {limit:.3g} with this start, inside the data of "
-                             f"{test.name} (to {end:.3g}); choose values that are stable there", file=campaign.path,
-                             field=f"fit.{key}")
+            raise InputError(f"the values must make {law.name} stable up to stretch {end:.3g}, which {test.name} "
+                             f"reaches; the law loses stability at stretch {limit:.3g}. Change the values",
+                             file=campaign.path, field=f"fit.{key}")

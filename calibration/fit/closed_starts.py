@@ -10,7 +10,7 @@ import numpy as np
 from scipy.optimize import nnls
 
 from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_if_feasible
-from calibration.fit.variables import LongTerm
+from calibration.fit.variables import LongTermVariables
 from tissue_sim.laws import find_law
 
 #: Grid of exponents and other dimensionless parameters. The grid includes 0, the limit of a power law: in simple shear
@@ -19,7 +19,7 @@ EXPONENTS = (-20.0, -10.0, -5.0, -2.0, -0.5, 0.0, 1.0, 2.0, 4.0, 8.0, 15.0, 25.0
 
 
 @dataclass(frozen=True)
-class ClosedStartSettings:
+class AnalyticalStartSettings:
     """Numbers of starting values of fits with closed forms.
 
     Attributes:
@@ -33,7 +33,7 @@ class ClosedStartSettings:
     relaxing_starts: int = 3
 
 
-_SETTINGS = ClosedStartSettings()
+_SETTINGS = AnalyticalStartSettings()
 #: Contact offsets of additional starts, as fractions of the bound.
 _TRIAL_OFFSETS = (-0.5, -0.1, -0.01, 0.01, 0.1, 0.5)
 
@@ -48,8 +48,8 @@ def compute_analytical_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
         Unknowns inside their bounds, SI, each of shape (k,); empty if no start gives a finite stress.
     """
     space = problem.space
-    relaxing = problem.relaxing
-    found = _compute_elastic_starts(problem) if relaxing is None else _compute_relaxing_starts(problem, relaxing)
+    relaxing = problem.long_term_variables
+    found = _compute_elastic_starts(problem) if relaxing is None else _compute_viscoelastic_starts(problem, relaxing)
     if found and problem.shifted:
         # A contact offset moves samples across first contact, so the sum of squares may have several minima.
         for fraction in _TRIAL_OFFSETS:
@@ -64,7 +64,7 @@ def compute_analytical_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     return found
 
 
-def _iterate_exponents(count: int) -> Iterator[tuple[float, ...]]:
+def _iterate_exponent_combinations(count: int) -> Iterator[tuple[float, ...]]:
     """Yield combinations of exponents that are not all equal."""
     for grid in combinations_with_replacement(EXPONENTS, count):
         if len(set(grid)) >= min(count, 2):
@@ -85,15 +85,17 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
     kinds = list(dict.fromkeys(paths))
     # The stress is linear in the moduli without self-weight and slightly nonlinear with it: further linear solves
     # follow.
-    weightless = problem.weightless
-    solves = [weightless] if all(test.proportional for test in problem.tests) else [weightless, problem, problem]
-    strain = max(float(np.ptp(np.concatenate([test.strain(curve.displacement) for curve in test.measured])))
+    weightless = problem.without_self_weight
+    solves = [weightless] if all(test.is_force_proportional_to_moduli
+                                 for test in problem.tests) else [weightless, problem, problem]
+    strain = max(float(np.ptp(np.concatenate([test.convert_displacement_to_strain(curve.displacement)
+                                              for curve in test.measured])))
                  for test in problem.tests)
     largest = float(np.abs(problem.data / problem.area).max())
     guess = max(largest / max(strain, 1e-3), 1e-9) / 6.0 / max(len(moduli), 1)
     low, high = problem.bounds
     candidates = []
-    for grid in _iterate_exponents(len(kinds)):
+    for grid in _iterate_exponent_combinations(len(kinds)):
         unknowns = np.zeros(low.size)
         for index, name in enumerate(space.free):
             unknowns[index] = guess if of_law[index] else space.start.get(name, 0.0)
@@ -110,7 +112,8 @@ def _compute_elastic_starts(problem: OrdinaryProblem) -> list[np.ndarray]:
         # With unsuitable exponents all moduli are zero, and such a start is omitted.
         evaluations = [(evaluate_if_feasible(problem, trial), trial) for trial in tried
                        if not moduli or trial[moduli].any()]
-        candidates += sorted(((e.error, i, trial) for i, (e, trial) in enumerate(evaluations) if e is not None),
+        candidates += sorted(((e.sum_of_squares, i, trial) for i,
+                              (e, trial) in enumerate(evaluations) if e is not None),
                              key=lambda item: item[:2])[:1]
     candidates.sort(key=lambda item: item[0])
     return [trial for *_, trial in candidates[:_SETTINGS.max_starts]]
@@ -132,9 +135,10 @@ class _RelaxationModel:
         self.law = find_law(problem.space.law)
         self.moduli = np.array([self.law.units[name] != "1" for name in self.law.parameters])
         self.data = problem.data / problem.area
-        self.histories = [(problem.tests[t].kind.sign, problem.tests[t].history(r)) for t, r in problem.places]
+        self.histories = [(problem.tests[t].kind.sign, problem.tests[t].build_deformation_history(r)) for t,
+                          r in problem.places]
 
-    def compute_stresses(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    def compute_stress_components(self, values: np.ndarray, tau: np.ndarray) -> np.ndarray:
         """Return elastic and relaxing stresses, positive under load, Pa, shape (n, 1 + terms).
 
         Args:
@@ -145,7 +149,8 @@ class _RelaxationModel:
             parts = [(sign, *history.parts(self.law, values, tau)) for sign, history in self.histories]
         return np.concatenate([sign * np.column_stack([elastic, relaxing]) for sign, elastic, relaxing in parts])
 
-    def solve(self, exponents: np.ndarray, grid: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:
+    def solve_moduli_and_ratios(self, exponents: np.ndarray, grid: np.ndarray) -> tuple[float, np.ndarray,
+                                                                                        np.ndarray] | None:
         """Solve for moduli and ratios by alternating linear least squares with given exponents.
 
         Args:
@@ -161,13 +166,13 @@ class _RelaxationModel:
             for index in np.flatnonzero(self.moduli):
                 alone = np.where(self.moduli, 0.0, values)
                 alone[index] = 1.0
-                columns.append(self.compute_stresses(alone, grid) @ np.append(1.0, ratios))
+                columns.append(self.compute_stress_components(alone, grid) @ np.append(1.0, ratios))
             matrix = np.column_stack(columns)
             if not np.isfinite(matrix).all():
                 return None
             values = np.array(values)
             values[self.moduli] = np.linalg.lstsq(matrix, self.data, rcond=1e-9)[0]
-            matrix = self.compute_stresses(values, grid)
+            matrix = self.compute_stress_components(values, grid)
             if not np.isfinite(matrix).all():
                 return None
             weights, misfit = nnls(matrix, self.data)
@@ -178,23 +183,24 @@ class _RelaxationModel:
         return misfit, values, ratios
 
 
-def _compute_relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> list[np.ndarray]:
+def _compute_viscoelastic_starts(problem: OrdinaryProblem, variables: LongTermVariables) -> list[np.ndarray]:
     """Return starts of a law with Prony terms, by the misfit of a fit with a grid of relaxation times."""
     model = _RelaxationModel(problem)
     terms = variables.g.size
-    shortest, longest = problem.time_range
+    shortest, longest = problem.sampling_interval_and_duration
     count = int(np.clip(_SETTINGS.times_per_decade * np.log10(longest / shortest), terms + 1, 16))
     grid = np.geomspace(shortest, longest, count)
     candidates = []
-    for exponents in _iterate_exponents(int((~model.moduli).sum())):
+    for exponents in _iterate_exponent_combinations(int((~model.moduli).sum())):
         values = np.ones(model.moduli.size)
         values[~model.moduli] = exponents
-        if (solved := model.solve(values, grid)) is not None:
+        if (solved := model.solve_moduli_and_ratios(values, grid)) is not None:
             candidates.append(solved)
     candidates.sort(key=lambda item: item[0])
     found = []
     for _, values, ratios in candidates[:_SETTINGS.relaxing_starts]:
-        for r, log_tau in (_merge_relaxation_times(grid, ratios, terms), _bin_relaxation_times(grid, ratios, terms)):
+        for r, log_tau in (_merge_neighbouring_relaxation_times(grid, ratios, terms),
+                           _sum_ratios_in_time_bins(grid, ratios, terms)):
             order, factor = np.argsort(log_tau), 1.0 + r.sum()
             unknowns = np.empty(len(problem.space.free))
             unknowns[[problem.space.free.index(name) for name in model.law.parameters]] = np.where(
@@ -204,7 +210,8 @@ def _compute_relaxing_starts(problem: OrdinaryProblem, variables: LongTerm) -> l
     return found
 
 
-def _merge_relaxation_times(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+def _merge_neighbouring_relaxation_times(grid: np.ndarray, ratios: np.ndarray,
+                                         terms: int) -> tuple[np.ndarray, np.ndarray]:
     """Merge neighbouring relaxation times with positive ratios, and return the largest `terms` groups.
 
     Args:
@@ -228,10 +235,10 @@ def _merge_relaxation_times(grid: np.ndarray, ratios: np.ndarray, terms: int) ->
     return r, log_tau
 
 
-def _bin_relaxation_times(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
+def _sum_ratios_in_time_bins(grid: np.ndarray, ratios: np.ndarray, terms: int) -> tuple[np.ndarray, np.ndarray]:
     """Divide the grid of relaxation times into equal bins, and sum the ratios in each bin.
 
-    Arguments and results are those of `_merge_relaxation_times`.
+    Arguments and results are those of `_merge_neighbouring_relaxation_times`.
     """
     nearest = np.arange(grid.size) * terms // grid.size
     log_tau = np.array([np.log(grid[nearest == i]).mean() for i in range(terms)])

@@ -11,15 +11,15 @@ from tissue_sim.recording.contact_error import relative_modulus_error_from_conta
 from tissue_sim.recording.formats.assumption import MODULUS_TOLERANCE
 
 
-def describe_unknown_contacts(estimate: Estimate) -> str:
+def describe_uncertain_contacts(estimate: Estimate) -> str:
     """Describe the recordings whose contact is not known well enough; empty if there are none.
 
     The standard errors of the parameters include the uncertainty of a fitted contact offset.
     """
-    if _fits_contact(estimate.problem):
+    if _has_fitted_contact_offsets(estimate.problem):
         return ""
     errors = [(curve, error) for curve in estimate.problem.measured
-              if (error := _estimate_relative_modulus_error(curve)) > MODULUS_TOLERANCE]
+              if (error := _compute_modulus_change_in_contact_interval(curve)) > MODULUS_TOLERANCE]
     if not errors:
         return ""
     curve, error = max(errors, key=lambda each: each[1])
@@ -31,14 +31,14 @@ def describe_unknown_contacts(estimate: Estimate) -> str:
             f"{100 * error:.2g} % within that interval; the limit is {100 * MODULUS_TOLERANCE:g} %")
 
 
-def _fits_contact(problem: Any) -> bool:
+def _has_fitted_contact_offsets(problem: Any) -> bool:
     """Return whether contact offsets are unknowns of the fit."""
     if isinstance(problem, OrdinaryProblem):
         return bool(problem.shifted)
     return "contact" in problem.kinds
 
 
-def _estimate_relative_modulus_error(curve: MeasuredCurve) -> float:
+def _compute_modulus_change_in_contact_interval(curve: MeasuredCurve) -> float:
     """Return the relative change of the shear modulus within the interval of contact; 0 if contact is recorded."""
     contact = None if curve.whole is None else curve.whole.segmentation.contact
     if contact is None or curve.test.contact != "find":

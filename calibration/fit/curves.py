@@ -9,18 +9,18 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.deviations import Deviations, assess_deviations
+from calibration.fit.deviations import ModelDeviations, compute_model_deviations
 from calibration.fit.estimate import Estimate
-from calibration.fit.predictor import Predictor
+from calibration.fit.predictor import ForcePredictor
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.bands import KNOWN_VARIANCE, Scatter, prediction_bands
-from calibration.statistics.jitter import Jitter
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.bands import KNOWN_VARIANCE, ScatterComponent, compute_prediction_bands
+from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True)
-class CurveSettings:
+class FittedCurveSettings:
     """Settings of the curves of an estimate.
 
     Attributes:
@@ -32,7 +32,7 @@ class CurveSettings:
     min_recordings: int = 3
 
 
-_SETTINGS = CurveSettings()
+_SETTINGS = FittedCurveSettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +66,9 @@ class TestCurves:
     area: float | None = None
 
 
-def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[ForwardTest, float]],
-                scatter: Jitter | None, predictors: Mapping[str, Predictor] | None = None) -> list[TestCurves]:
+def compute_test_curves(estimate: Estimate, spread: ParameterUncertainty, tests: Sequence[tuple[ForwardTest, float]],
+                        scatter: ReplicateJitter | None,
+                        predictors: Mapping[str, ForcePredictor] | None = None) -> list[TestCurves]:
     """Compute the curves of tests; NaN if the simulation fails.
 
     The bands of a fitted test include the deviations of its recordings from the model. The bands of a held-out test
@@ -81,16 +82,16 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
         predictors: test -> predictor, for tests that are not predicted by the estimate itself.
     """
     problem, found = estimate.problem, []
-    own, others = Predictor.of(problem.space, estimate.theta, spread), predictors or {}
+    own, others = ForcePredictor.from_estimate(problem.space, estimate.theta, spread), predictors or {}
     along = estimate.evaluation.force
     fitted = {curve.name: along[rows] for curve, rows in zip(problem.measured, problem.rows, strict=True)}
     for test, mesh_error in tests:
-        path = _build_path(test)
+        path = _build_model_path(test)
         time = path.time if test.is_path_dependent else None
         try:
             predictor = others.get(test.name, own)
             answer = test.solve(predictor.space, predictor.theta, problem.solves)
-            seen = [test.evaluate(answer, number, 0.0) for number in range(len(test.measured))]
+            seen = [test.evaluate_force(answer, number, 0.0) for number in range(len(test.measured))]
             models = tuple(fitted.get(curve.name, force)
                            for curve, (force, *_) in zip(test.measured, seen, strict=True))
             gaps = [curve.force - force for curve, (force, *_) in zip(test.measured, seen, strict=True)]
@@ -98,10 +99,10 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
             # With enough recordings their observed scatter is used, which includes more than contact and zero.
             is_observed = known and count >= _SETTINGS.min_recordings and not (scatter and scatter.freedom is None)
             used = None if is_observed else scatter
-            deviations = assess_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
+            deviations = compute_model_deviations(test.measured, gaps, [contact for *_, contact in seen], path, used) \
                 if known else None
-            force, error, bands = _predict_along_path(problem.solves, predictor, test, path, mesh_error, used,
-                                                      deviations)
+            force, error, bands = _predict_force_along_path(problem.solves, predictor, test, path, mesh_error, used,
+                                                            deviations)
         except InfeasibleError:
             force = error = np.full(path.displacement.size, np.nan)
             bands = force, force
@@ -111,23 +112,24 @@ def draw_curves(estimate: Estimate, spread: Uncertainty, tests: Sequence[tuple[F
     return found
 
 
-def _predict_along_path(solves: SimulationCache, predictor: Predictor, test: ForwardTest, path: MeasuredCurve,
-                        mesh_error: float, scatter: Jitter | None, deviations: Deviations | None):
+def _predict_force_along_path(solves: SimulationCache, predictor: ForcePredictor, test: ForwardTest,
+                              path: MeasuredCurve,
+                              mesh_error: float, scatter: ReplicateJitter | None, deviations: ModelDeviations | None):
     """Return the force along a path, its standard error, and the half widths of both prediction bands."""
     # The test is evaluated for one recording that follows the path.
     seen: ForwardTest = replace(test, measured=(path,))
     answer = seen.solve(predictor.space, predictor.theta, solves)
-    force, rates, contact = seen.evaluate(answer, 0, 0.0)
-    first, *sampled = predictor.predict_scatter(rates)
-    unsure = [Scatter(np.column_stack([first.columns, mesh_error * force])), *sampled]
-    found = deviations or Deviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
+    force, rates, contact = seen.evaluate_force(answer, 0, 0.0)
+    first, *sampled = predictor.predict_force_scatter(rates)
+    unsure = [ScatterComponent(np.column_stack([first.columns, mesh_error * force])), *sampled]
+    found = deviations or ModelDeviations(np.zeros(force.size), [], np.full(force.size, path.noise.deviation))
     scatters, count = list(found.scatters), len(test.measured)
     # Variance of a new recording about the mean of the recordings: 1 + 1 / count.
     mean_errs = np.sqrt(1.0 + 1.0 / count) if scatters else 1.0
     if scatter is not None:
         freedom = float(scatter.freedom or KNOWN_VARIANCE)
-        scatters += [Scatter(mean_errs * scatter.contact * contact[:, None], freedom),
-                     Scatter(np.full((force.size, 1), mean_errs * scatter.zero), freedom)]
+        scatters += [ScatterComponent(mean_errs * scatter.contact * contact[:, None], freedom),
+                     ScatterComponent(np.full((force.size, 1), mean_errs * scatter.zero), freedom)]
     bias = found.bias
     if found.scatters:
         # The squared bias is reduced by the variance of the mean (positive-part James-Stein estimator).
@@ -137,10 +139,10 @@ def _predict_along_path(solves: SimulationCache, predictor: Predictor, test: For
         scatters += unsure
     samples = np.mean([curve.force.size for curve in test.measured]) / force.size
     error = np.sqrt(sum(each.variance for each in unsure))
-    return force, error, prediction_bands(bias, scatters, found.noise, float(samples))
+    return force, error, compute_prediction_bands(bias, scatters, found.noise, float(samples))
 
 
-def _build_path(test: ForwardTest) -> MeasuredCurve:
+def _build_model_path(test: ForwardTest) -> MeasuredCurve:
     """Return the path of the model as a recording without force: the motion of the first recording, or one loading."""
     first, segment = test.measured[0], None
     time: np.ndarray | None = None

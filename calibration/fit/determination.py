@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.fit.estimate import Estimate
-from calibration.statistics.uncertainty import COVARIANCE, Uncertainty
+from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty
 
 
 @dataclass(frozen=True)
-class DeterminationSettings:
+class ModulusPrecisionSettings:
     """Limits of the clauses `determined` and `bounds`.
 
     Attributes:
@@ -37,11 +37,11 @@ class DeterminationSettings:
     rounding: float = 1e-6
 
 
-SETTINGS = DeterminationSettings()
+SETTINGS = ModulusPrecisionSettings()
 
 
 @dataclass(frozen=True)
-class Determination:
+class ShearModulusPrecision:
     """Precision of the shear modulus mu0 (the instantaneous one, if the material has a memory).
 
     Attributes:
@@ -56,13 +56,13 @@ class Determination:
     change: float = 0.0
 
     @property
-    def is_determined(self) -> bool:
+    def is_precise_enough(self) -> bool:
         """Whether the standard error of mu0 is within the limit."""
         return self.relative_error <= SETTINGS.relative_error
 
 
-def determine_modulus(estimate: Estimate, spread: Uncertainty, modulus: Callable[[np.ndarray], float],
-                      stated: Collection[str]) -> Determination:
+def assess_modulus_precision(estimate: Estimate, spread: ParameterUncertainty, modulus: Callable[[np.ndarray], float],
+                             stated: Collection[str]) -> ShearModulusPrecision:
     """Compute the standard error of the shear modulus, and its dependence on bounds.
 
     Args:
@@ -76,33 +76,35 @@ def determine_modulus(estimate: Estimate, spread: Uncertainty, modulus: Callable
     theta = estimate.theta[:count]
     sizes = space.sizes(space.values(theta))
     slope = np.zeros(estimate.theta.size)
-    slope[:count] = _differentiate_modulus(modulus, theta, sizes) / abs(modulus(theta))
-    residual, jacobian = estimate.evaluation.projected
+    slope[:count] = _differentiate_shear_modulus(modulus, theta, sizes) / abs(modulus(theta))
+    residual, jacobian = estimate.evaluation.projected_residual_and_jacobian
     slope = slope[: jacobian.shape[1]]
     held = spread.on_bound[: jacobian.shape[1]]
-    _, flat = _solve_linearised(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
+    _, flat = _solve_linearised_least_squares(jacobian[:, ~held], np.zeros(residual.size), slope[~held])
     variance = float(slope[:count] @ spread.covariance[:count, :count] @ slope[:count])
     error = np.inf if flat > SETTINGS.rounding else float(np.sqrt(max(variance, 0.0)))
     suspects = [i for i in range(count) if held[i] and space.free[i] not in stated]
     if not suspects:
-        return Determination(error)
+        return ShearModulusPrecision(error)
     released = ~held
     released[suspects] = True
     columns = jacobian[:, released]
-    step, flat = _solve_linearised(columns, residual, slope[released])
+    step, flat = _solve_linearised_least_squares(columns, residual, slope[released])
     change = float("inf") if flat > SETTINGS.rounding else float(slope[released] @ step)
     decrease = float(residual @ residual - np.sum((residual + columns @ step)**2))
     depends = abs(change) > SETTINGS.change and decrease > SETTINGS.significance * max(spread.ratio, 1.0)**2
-    return Determination(error, tuple(space.free[i] for i in suspects) if depends else (), change)
+    return ShearModulusPrecision(error, tuple(space.free[i] for i in suspects) if depends else (), change)
 
 
-def _differentiate_modulus(modulus: Callable[[np.ndarray], float], theta: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+def _differentiate_shear_modulus(modulus: Callable[[np.ndarray], float], theta: np.ndarray,
+                                 sizes: np.ndarray) -> np.ndarray:
     """Return central differences of the modulus with the parameters, shape (p,)."""
     steps = np.diag(SETTINGS.relative_step * sizes)
     return np.array([(modulus(theta + step) - modulus(theta - step)) / (2.0 * step.max()) for step in steps])
 
 
-def _solve_linearised(jacobian: np.ndarray, residual: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, float]:
+def _solve_linearised_least_squares(jacobian: np.ndarray, residual: np.ndarray,
+                                    slope: np.ndarray) -> tuple[np.ndarray, float]:
     """Solve the linearised least-squares problem.
 
     Args:

@@ -9,13 +9,13 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.statistics.bands import Scatter
-from calibration.statistics.jitter import Jitter
+from calibration.statistics.bands import ScatterComponent
+from calibration.statistics.jitter import ReplicateJitter
 
 
 @dataclass(frozen=True)
-class DeviationSettings:
-    """Settings of `assess_deviations`.
+class ModelDeviationSettings:
+    """Settings of `compute_model_deviations`.
 
     Attributes:
         max_modes: largest number of modes per segment. More modes resolve shorter features of the bias.
@@ -33,11 +33,11 @@ class DeviationSettings:
     max_scatter: float = 2.0
 
 
-SETTINGS = DeviationSettings()
+SETTINGS = ModelDeviationSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Deviations:
+class ModelDeviations:
     """Deviations of the recordings of one test from its model at the points of a path.
 
     Attributes:
@@ -47,12 +47,13 @@ class Deviations:
     """
 
     bias: np.ndarray
-    scatters: list[Scatter]
+    scatters: list[ScatterComponent]
     noise: np.ndarray
 
 
-def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarray], contacts: Sequence[np.ndarray],
-                      path: MeasuredCurve, scatter: Jitter | None) -> Deviations:
+def compute_model_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarray],
+                             contacts: Sequence[np.ndarray],
+                             path: MeasuredCurve, scatter: ReplicateJitter | None) -> ModelDeviations:
     """Compute mean, scatter and noise of data minus model along a path.
 
     The deviation of each recording is fitted by smooth modes along each segment. The mean amplitudes over the
@@ -67,14 +68,15 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
         scatter: known scatter of contact and zero; None: unknown.
     """
     if scatter is not None:
-        own = np.array([_fit_offsets(*each, scatter) for each in zip(gaps, contacts, measured, strict=True)])
+        own = np.array([_fit_contact_offset_and_zero(*each, scatter)
+                        for each in zip(gaps, contacts, measured, strict=True)])
         # A common offset, and offsets far beyond the scatter, are errors of the model and stay in the deviations.
         own = np.clip(own - own.mean(axis=0) if len(own) > 1 else own,
                       -SETTINGS.max_scatter, SETTINGS.max_scatter)
-        gaps = [gap - _compute_offset_columns(contact, scatter) @ weights
+        gaps = [gap - _compute_offset_force_columns(contact, scatter) @ weights
                 for gap, contact, weights in zip(gaps, contacts, own, strict=True)]
-    segments = [_label_segments(curve) for curve in measured]
-    path_segments, count = _label_segments(path, measured[0]), len(measured)
+    segments = [_find_segment_of_each_sample(curve) for curve in measured]
+    path_segments, count = _find_segment_of_each_sample(path, measured[0]), len(measured)
     bias, noise = np.zeros(path_segments.size), np.empty(path_segments.size)
     spread = np.zeros((path_segments.size, count))
     for name in dict.fromkeys(path_segments.tolist()):
@@ -87,13 +89,13 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
             if not part.any():
                 amplitudes.append(np.zeros(modes))
                 continue
-            columns = _chebyshev_polynomials(curve, part, name, modes)
+            columns = _evaluate_chebyshev_polynomials(curve, part, name, modes)
             found = np.linalg.lstsq(columns, gap[part], rcond=1e-9)[0]
             amplitudes.append(found)
             covariance += np.linalg.pinv(columns.T @ columns, hermitian=True) / count
             squares += float(np.sum((gap[part] - columns @ found)**2))
             freedom += int(part.sum()) - modes
-        columns = _chebyshev_polynomials(path, here, name, modes)
+        columns = _evaluate_chebyshev_polynomials(path, here, name, modes)
         mean = np.mean(amplitudes, axis=0)
         bias[here] = columns @ mean
         rest = squares / max(freedom, 1)
@@ -109,24 +111,25 @@ def assess_deviations(measured: Sequence[MeasuredCurve], gaps: Sequence[np.ndarr
             factor = np.sqrt(np.divide(smooth, variance, out=np.zeros_like(variance), where=variance > 0))
             spread[here] = difference * factor[:, None]
     if count == 1:
-        return Deviations(bias, [], noise)
+        return ModelDeviations(bias, [], noise)
     # The factor 1 + 1 / count includes the variance of the mean.
     spread *= np.sqrt((1.0 + 1.0 / count) / (count - 1))
-    return Deviations(bias, [Scatter(spread, count - 1.0)], noise)
+    return ModelDeviations(bias, [ScatterComponent(spread, count - 1.0)], noise)
 
 
-def _compute_offset_columns(contact: np.ndarray, scatter: Jitter) -> np.ndarray:
+def _compute_offset_force_columns(contact: np.ndarray, scatter: ReplicateJitter) -> np.ndarray:
     """Return the change of the force per standard deviation of contact offset and zero, N, shape (n, 2)."""
     return np.column_stack([scatter.contact * contact, np.full(contact.size, scatter.zero)])
 
 
-def _fit_offsets(gap: np.ndarray, contact: np.ndarray, curve: MeasuredCurve, scatter: Jitter) -> np.ndarray:
+def _fit_contact_offset_and_zero(gap: np.ndarray, contact: np.ndarray, curve: MeasuredCurve,
+                                 scatter: ReplicateJitter) -> np.ndarray:
     """Return the most probable contact offset and zero of a recording in units of their scatter, shape (2,)."""
-    columns = _compute_offset_columns(contact, scatter) / curve.noise.deviation
+    columns = _compute_offset_force_columns(contact, scatter) / curve.noise.deviation
     return np.linalg.solve(np.eye(2) + columns.T @ columns, columns.T @ gap / curve.noise.deviation)
 
 
-def _label_segments(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.ndarray:
+def _find_segment_of_each_sample(curve: MeasuredCurve, first: MeasuredCurve | None = None) -> np.ndarray:
     """Return the segment of each sample of a curve, shape (n,); taken from `first` at the same time if given."""
     labelled = curve if first is None else first
     if labelled.segment is None:
@@ -136,7 +139,7 @@ def _label_segments(curve: MeasuredCurve, first: MeasuredCurve | None = None) ->
     return labelled.segment[np.clip(np.searchsorted(first.clock, curve.clock), 0, first.clock.size - 1)]
 
 
-def _chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
+def _evaluate_chebyshev_polynomials(curve: MeasuredCurve, part: np.ndarray, name: str, count: int) -> np.ndarray:
     """Return Chebyshev polynomials along a part of a curve, shape (n, count).
 
     Unlike cosines, they have large slopes at the ends of a segment, where models often deviate most.

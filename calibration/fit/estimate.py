@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 
 from calibration.campaign.campaign import Noise
-from calibration.fit.fit import Iteration, Minimum
-from calibration.fit.problem import Evaluation, Problem
-from calibration.fit.trust_region import Descent, Listener, descend
+from calibration.fit.fit import DescentIteration, Minimum
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
+from calibration.fit.trust_region import DescentResult, Listener, minimise_from_start
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
-from calibration.statistics.jitter import Jitter, estimate_jitter
+from calibration.statistics.jitter import ReplicateJitter, estimate_jitter
 
 
 @dataclass(frozen=True)
@@ -39,11 +39,11 @@ _SETTINGS = MeshIterationSettings()
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Estimate(Descent):
-    """Minimum of a problem with mesh correction and jitter.
+class Estimate(DescentResult):
+    """Estimate of the parameters: minimum of a least-squares problem with mesh correction and jitter.
 
     Attributes:
-        problem: `Problem` with its corrections and jitter, or `OrdinaryProblem`.
+        problem: `GeneralisedProblem` with its corrections and jitter, or `OrdinaryProblem`.
         differences: for each test the difference of the accurate and the fast mesh relative to the largest force; NaN
             if the accurate mesh did not converge.
         refreshes: number of computations of these differences.
@@ -58,30 +58,30 @@ class Estimate(Descent):
     minima: tuple[Minimum, ...] = ()
 
     @property
-    def evaluation(self) -> Evaluation:
+    def evaluation(self) -> ProblemEvaluation:
         """Residuals and derivatives at the minimum."""
         return self.problem.evaluate(self.theta)
 
 
-def iterate_mesh_and_jitter(problem: Problem, theta: np.ndarray, stated: Noise, start: int = 1, past: int = 0,
-                            listen: Listener | None = None) -> Estimate:
+def iterate_mesh_correction_and_jitter(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise, start: int = 1,
+                                       past: int = 0, listen: Listener | None = None) -> Estimate:
     """Repeat mesh correction, jitter estimate and descent until the parameters no longer change.
 
     Args:
         problem: problem without mesh correction.
         theta: minimum of the problem, SI, shape (p,).
         stated: stated jitter; None values are estimated.
-        start: see `calibration.fit.trust_region.descend`.
-        past: see `calibration.fit.trust_region.descend`.
-        listen: see `calibration.fit.trust_region.descend`.
+        start: see `calibration.fit.trust_region.minimise_from_start`.
+        past: see `calibration.fit.trust_region.minimise_from_start`.
+        listen: see `calibration.fit.trust_region.minimise_from_start`.
     """
-    spent = problem.solves.start_meter()
-    history: list[Iteration] = []
+    spent = problem.solves.start_effort_meter()
+    history: list[DescentIteration] = []
     differences: tuple[float, ...] = ()
     warnings: list[str] = []
     if None in (stated.contact_jitter, stated.zero_jitter):
         _estimate_jitter(problem, theta, stated)
-        descent = descend(problem, theta, start=start, listen=listen, past=past)
+        descent = minimise_from_start(problem, theta, start=start, listen=listen, past=past)
         history += descent.history
         theta = descent.theta
     refreshes = 0
@@ -91,9 +91,9 @@ def iterate_mesh_and_jitter(problem: Problem, theta: np.ndarray, stated: Noise, 
         jitter = problem.jitter
         if None in (stated.contact_jitter, stated.zero_jitter):
             _estimate_jitter(problem, theta, stated)
-        problem.reset_nuisances()
-        descent = descend(problem, theta, start=start, corrected=True, listen=listen,
-                          past=past + len(history))
+        problem.rebuild_nuisance_columns()
+        descent = minimise_from_start(problem, theta, start=start, corrected=True, listen=listen,
+                                      past=past + len(history))
         history += descent.history
         if not np.isfinite(descent.error):
             break
@@ -112,7 +112,7 @@ def iterate_mesh_and_jitter(problem: Problem, theta: np.ndarray, stated: Noise, 
                     problem=problem, differences=differences, refreshes=refreshes, warnings=tuple(warnings))
 
 
-def _update_mesh_corrections(problem: Problem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
+def _update_mesh_corrections(problem: GeneralisedProblem, theta: np.ndarray, warnings: list[str]) -> tuple[float, ...]:
     """Update the mesh correction of each test, and return the relative differences of the meshes.
 
     A test whose accurate mesh fails has no correction and the larger error of the fast mesh.
@@ -120,12 +120,12 @@ def _update_mesh_corrections(problem: Problem, theta: np.ndarray, warnings: list
     found, errors = [], []
     for test in problem.tests:
         try:
-            found.append(test.update_correction(problem.space, theta, problem.solves))
-            errors.append(mesh_uncertainty(test, ACCURATE_MESH_ERRORS))
+            found.append(test.update_mesh_correction(problem.space, theta, problem.solves))
+            errors.append(compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS))
         except InfeasibleError:
-            test.drop_correction()
+            test.remove_mesh_correction()
             found.append(float("nan"))
-            errors.append(mesh_uncertainty(test, FAST_MESH_ERRORS))
+            errors.append(compute_mesh_uncertainty(test, FAST_MESH_ERRORS))
             warning = f"{test.name}: the accurate mesh does not converge, so the error of the fast mesh is used"
             if warning not in warnings:
                 warnings.append(warning)
@@ -133,17 +133,17 @@ def _update_mesh_corrections(problem: Problem, theta: np.ndarray, warnings: list
     return tuple(found)
 
 
-def _estimate_jitter(problem: Problem, theta: np.ndarray, stated: Noise) -> None:
+def _estimate_jitter(problem: GeneralisedProblem, theta: np.ndarray, stated: Noise) -> None:
     """Estimate the jitter of a problem; without repeated recordings the first guess stays (0 degrees of freedom)."""
     if all(len(test.measured) < 2 for test in problem.tests):
         return
-    problem.reset_nuisances()
+    problem.rebuild_nuisance_columns()
     replicates = problem.linearise_replicates(theta)
     problem.jitter = estimate_jitter(replicates, contact=stated.contact_jitter, zero=stated.zero_jitter)
-    problem.reset_nuisances()
+    problem.rebuild_nuisance_columns()
 
 
-def _are_jitters_equal(one: Jitter, other: Jitter) -> bool:
+def _are_jitters_equal(one: ReplicateJitter, other: ReplicateJitter) -> bool:
     """Return whether two jitters agree within `MeshIterationSettings.jitter_tolerance`."""
     return all(abs(a - b) <= _SETTINGS.jitter_tolerance * max(a, b) for a, b in ((one.contact, other.contact),
                                                                      (one.zero, other.zero)))

@@ -10,19 +10,19 @@ from typing import Any
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.estimate import Estimate
-from calibration.fit.predictor import Predictor
-from calibration.fit.problem import Evaluation
+from calibration.fit.predictor import ForcePredictor
+from calibration.fit.problem import ProblemEvaluation
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import Descent
+from calibration.fit.trust_region import DescentResult
 from calibration.forward.contract import ForwardTest
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import Jitter
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True, eq=False)
-class Findings:
-    """Results of an estimate from which `Estimator.describe` derives text and further fields.
+class EstimateFindings:
+    """Results of an estimate from which `Estimator.derive_fit_fields` derives text and further fields.
 
     Attributes:
         estimate: minimum of the fit.
@@ -36,8 +36,8 @@ class Findings:
     """
 
     estimate: Estimate
-    spread: Uncertainty
-    descents: Sequence[Descent]
+    spread: ParameterUncertainty
+    descents: Sequence[DescentResult]
     values: Mapping[str, float]
     loose: Sequence[str]
     status: str
@@ -63,12 +63,12 @@ class Estimator(ABC):
         self.campaign, self.measured, self.solves = campaign, measured, solves
 
     @property
-    def pooled_noise(self) -> float | None:
+    def pooled_stress_noise(self) -> float | None:
         """Pooled noise of the nominal stress, Pa; None if each test has its own noise."""
         return None
 
     @abstractmethod
-    def check(self, law: str, number: int) -> None:
+    def check_law(self, law: str, number: int) -> None:
         """Check that a law can be fitted.
 
         Args:
@@ -80,8 +80,9 @@ class Estimator(ABC):
         """
 
     @abstractmethod
-    def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
-        """Fit laws.
+    def fit_laws(self, laws: Sequence[str],
+                 context: RunContext) -> dict[str, tuple[list[DescentResult], Estimate | str]]:
+        """Estimate the parameters of several laws.
 
         Args:
             laws: names of the laws.
@@ -93,15 +94,16 @@ class Estimator(ABC):
 
     @property
     @abstractmethod
-    def uncertainty(self) -> Callable[[Any, Evaluation], Uncertainty]:
+    def uncertainty_function(self) -> Callable[[Any, ProblemEvaluation], ParameterUncertainty]:
         """Function that returns the uncertainty of a problem at its minimum; it can be pickled for worker processes."""
 
     @abstractmethod
-    def describe(self, found: Findings) -> dict[str, Any]:
-        """Return the fields of `Fit` with messages, and those that only this method computes."""
+    def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
+        """Return name -> value of the fields of `Fit` with messages, and of those that only this estimator computes."""
 
     @abstractmethod
-    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: ForcePredictor) -> tuple[ForwardTest,
+                                                                                                      float]:
         """Return the forward model of a held-out test, and the relative error of its mesh.
 
         Args:
@@ -110,6 +112,6 @@ class Estimator(ABC):
             predictor: parameters for the prediction.
         """
 
-    def find_jitter(self, estimate: Estimate) -> Jitter | None:
+    def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:
         """Return the scatter of contact and zero between recordings; None: unknown."""
         return None

@@ -15,8 +15,8 @@ LAW_ERRORS = (ConvergenceError, InfeasibleError, ArithmeticError, ValueError)
 
 
 @dataclass(frozen=True)
-class Failure:
-    """Failed part of a calibration.
+class CalibrationFailure:
+    """Failure of the calibration of one law, which does not end the calibration of the other laws.
 
     Attributes:
         reason: description of the failure.
@@ -25,17 +25,17 @@ class Failure:
     reason: str
 
 
-def catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
-    """Call a function and convert exceptions of `LAW_ERRORS` to a `Failure`.
+def call_and_catch_law_errors(function: Callable[..., Any], *arguments: Any) -> Any:
+    """Call a function and convert exceptions of `LAW_ERRORS` to a `CalibrationFailure`.
 
     Args:
         function: function to call.
         arguments: arguments of the function.
 
     Returns:
-        Result of the function, or a `Failure`.
+        Result of the function, or a `CalibrationFailure`.
     """
     try:
         return function(*arguments)
     except LAW_ERRORS as error:
-        return Failure(str(error) or type(error).__name__)
+        return CalibrationFailure(str(error) or type(error).__name__)

@@ -6,8 +6,9 @@ from collections.abc import Iterable
 
 import msgspec
 
-from calibration.fit.population_records import Covariance, PopulationStatement
-from calibration.fit.usability_records import Alternative, Clause
+from calibration.fit.population_records import ParameterCovariance, PopulationStatement
+from calibration.fit.usability_records import AlternativeMinimum, UsabilityClause
+from tissue_sim.public_names import OldName
 
 
 class Minimum(msgspec.Struct, frozen=True, kw_only=True):
@@ -77,7 +78,7 @@ class Prediction(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float] = {}
 
 
-class Iteration(msgspec.Struct, frozen=True, kw_only=True):
+class DescentIteration(msgspec.Struct, frozen=True, kw_only=True):
     """Evaluation of an inverse fit: simulation of all tests at one set of parameters.
 
     Attributes:
@@ -97,7 +98,7 @@ class Iteration(msgspec.Struct, frozen=True, kw_only=True):
     corrected: bool
 
 
-class Profile(msgspec.Struct, frozen=True, kw_only=True):
+class ProfileLikelihood(msgspec.Struct, frozen=True, kw_only=True):
     """Profile likelihood of one parameter: smallest sum of squares for each value of the parameter.
 
     Attributes:
@@ -113,7 +114,7 @@ class Profile(msgspec.Struct, frozen=True, kw_only=True):
     notes: list[str] = []
 
 
-class Region(msgspec.Struct, frozen=True, kw_only=True):
+class RegionMisfitTest(msgspec.Struct, frozen=True, kw_only=True):
     """Test for a smooth misfit in one part of one test.
 
     Attributes:
@@ -143,8 +144,8 @@ class Region(msgspec.Struct, frozen=True, kw_only=True):
     adequate: bool
 
 
-class Direction(msgspec.Struct, frozen=True, kw_only=True):
-    """Weakly determined combination of parameters.
+class WeakDirection(msgspec.Struct, frozen=True, kw_only=True):
+    """Combination of parameters that the tests determine weakly.
 
     Attributes:
         shares: parameter -> component of the unit vector of relative changes.
@@ -155,8 +156,8 @@ class Direction(msgspec.Struct, frozen=True, kw_only=True):
     relative_error: float
 
 
-class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
-    """Suggested further test.
+class SuggestedTest(msgspec.Struct, frozen=True, kw_only=True):
+    """Further test that would determine the weakest combination of parameters better.
 
     Attributes:
         test: description of the test.
@@ -167,7 +168,7 @@ class Suggestion(msgspec.Struct, frozen=True, kw_only=True):
     standard_errors: dict[str, float]
 
 
-class Window(msgspec.Struct, frozen=True, kw_only=True):
+class WindowFit(msgspec.Struct, frozen=True, kw_only=True):
     """Parameters from the samples up to a fraction of the largest displacement of each test.
 
     Attributes:
@@ -179,7 +180,7 @@ class Window(msgspec.Struct, frozen=True, kw_only=True):
     parameters: dict[str, float]
 
 
-class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
+class SensorNoiseStatement(msgspec.Struct, frozen=True, kw_only=True):
     """Noise of the recordings of one test.
 
     Attributes:
@@ -195,7 +196,7 @@ class SensorStatement(msgspec.Struct, frozen=True, kw_only=True):
     source: str
 
 
-class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
+class ReplicateJitterStatement(msgspec.Struct, frozen=True, kw_only=True):
     """Scatter between recordings.
 
     Attributes:
@@ -211,14 +212,16 @@ class JitterStatement(msgspec.Struct, frozen=True, kw_only=True):
     stressed: bool = False
 
     @property
-    def sizes(self) -> tuple[str, str]:
+    def jitter_with_units(self) -> tuple[str, str]:
         """Contact and zero with their units, such as ``30 µm`` and ``5 mN``."""
         if self.stressed:
             return f"{self.contact_mm * 1e-3:.2g} of strain", f"{self.zero_N:.2g} Pa"
-        return _format_value(self.contact_mm, "mm", "µm", "nm"), _format_value(self.zero_N, "N", "mN", "µN", "nN", "pN")
+        return _format_in_readable_unit(self.contact_mm, "mm", "µm", "nm"), _format_in_readable_unit(self.zero_N, "N",
+                                                                                                     "mN", "µN", "nN",
+                                                                                                     "pN")
 
 
-def _format_value(value: float, *units: str) -> str:
+def _format_in_readable_unit(value: float, *units: str) -> str:
     """Format a value with two digits in the first unit in which it is at least 0.001.
 
     Args:
@@ -229,7 +232,7 @@ def _format_value(value: float, *units: str) -> str:
     return f"{value * 1e3**index:.2g} {units[index]}"
 
 
-class MeshCorrection(msgspec.Struct, frozen=True, kw_only=True):
+class MeshCorrectionSummary(msgspec.Struct, frozen=True, kw_only=True):
     """Difference of the accurate and the fast mesh in one test.
 
     Attributes:
@@ -323,7 +326,7 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     units: dict[str, str]
     standard_errors: dict[str, float | None]
     derivatives: dict[str, str] = {}
-    covariance: Covariance
+    covariance: ParameterCovariance
     correlation: list[list[float]]
     covariance_from: str
     intervals95: dict[str, tuple[float, float] | None]
@@ -345,11 +348,11 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     nuisances: list[Nuisance] = []
     minima: list[Minimum] = []
     starts: int
-    alternatives: list[Alternative] = []
+    alternatives: list[AlternativeMinimum] = []
     misfits: dict[str, float] = {}
     status: str
     unusable: str | None = None
-    clauses: list[Clause] = []
+    clauses: list[UsabilityClause] = []
     warnings: list[str] = []
     message: str
     iterations: int
@@ -357,32 +360,36 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
     cpu_s: float
     influence: dict[str, dict[str, float]] = {}
     odd_recordings: list[str] = []
-    windows: list[Window] = []
+    windows: list[WindowFit] = []
     material_file: str | None = None
     population: PopulationStatement | None = None
     material_of: list[str] = []
     left_out_specimens: dict[str, str] = {}
     interval_notes: dict[str, str] = {}
-    profiles: dict[str, Profile] = {}
-    regions: list[Region] = []
-    history: list[Iteration] = []
+    profiles: dict[str, ProfileLikelihood] = {}
+    regions: list[RegionMisfitTest] = []
+    history: list[DescentIteration] = []
     condition: float | None = None
-    directions: list[Direction] = []
-    suggestions: list[Suggestion] = []
-    jitter: JitterStatement | None = None
-    mesh: list[MeshCorrection] = []
+    directions: list[WeakDirection] = []
+    suggestions: list[SuggestedTest] = []
+    jitter: ReplicateJitterStatement | None = None
+    mesh: list[MeshCorrectionSummary] = []
     left_out: float | None = None
     estimate_cpu_s: float = 0.0
 
-    def unit(self, name: str) -> str:
+    unit = OldName("display_unit")
+    held = OldName("parameters_on_bounds")
+    in_symbols = OldName("format_symbols")
+
+    def display_unit(self, name: str) -> str:
         """Return the unit of a parameter for display; empty for a dimensionless parameter."""
         return "" if self.units[name] == "1" else self.units[name]
 
     @property
-    def held(self) -> list[str]:
+    def parameters_on_bounds(self) -> list[str]:
         """Names of parameters on a bound."""
         return [name for name in self.on_bound if name in self.parameters]
 
-    def in_symbols(self, names: Iterable[str]) -> str:
+    def format_symbols(self, names: Iterable[str]) -> str:
         """Return the symbols of parameters as a list, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)

@@ -10,26 +10,26 @@ import numpy as np
 
 from calibration.campaign.campaign import Noise, Test
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import list_mirrored_starts, prefer_positive_exponents
-from calibration.fit.campaign_problem import build_problem
-from calibration.fit.checks import check_start
-from calibration.fit.estimate import Estimate, iterate_mesh_and_jitter
-from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.fit import JitterStatement, MeshCorrection, Minimum, Nuisance
-from calibration.fit.identifiability import condition_number, find_weak_directions, suggest_tests
-from calibration.fit.predictor import Predictor
-from calibration.fit.problem import Evaluation, Problem
-from calibration.fit.regions import judge_regions, name_misfits
+from calibration.fit.alternatives import list_sign_flipped_starts, select_minimum_to_report
+from calibration.fit.campaign_problem import build_generalised_problem
+from calibration.fit.checks import simulate_and_check_start
+from calibration.fit.estimate import Estimate, iterate_mesh_correction_and_jitter
+from calibration.fit.estimator import EstimateFindings, Estimator
+from calibration.fit.fit import MeshCorrectionSummary, Minimum, Nuisance, ReplicateJitterStatement
+from calibration.fit.identifiability import find_weak_directions, information_condition_number, suggest_further_tests
+from calibration.fit.predictor import ForcePredictor
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
+from calibration.fit.regions import compute_region_misfit_tests, name_regions_with_misfit
 from calibration.fit.run_context import RunContext
-from calibration.fit.starts import generate_starts
-from calibration.fit.trust_region import DESCENT, Descent, Listener, descend, find_distinct_minima
-from calibration.fit.uncertainty import assess_uncertainty
+from calibration.fit.starts import generate_starting_values
+from calibration.fit.trust_region import DESCENT, DescentResult, Listener, find_distinct_minima, minimise_from_start
+from calibration.fit.uncertainty import compute_marginal_uncertainty
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.forward.forms import build_test, mesh_uncertainty
+from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FAST_MESH_ERRORS
-from calibration.statistics.jitter import Jitter
-from calibration.statistics.statistics import NOISE_RATIOS, r_squared
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
+from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True)
@@ -49,47 +49,50 @@ class InverseWarningSettings:
 INVERSE_WARNINGS = InverseWarningSettings()
 
 
-class Generalised(Estimator):
+class GeneralisedLeastSquaresEstimator(Estimator):
     """Inverse fit of any tests: residuals of the force, weighted by noise, jitter and mesh error; see `Estimator`."""
 
     explores = True
     words = "inverse FEM: generalised least squares on force"
 
-    def problem(self, law: str) -> Problem:
+    def build_law_problem(self, law: str) -> GeneralisedProblem:
         """Return the least-squares problem of one law over all tests that are not held out."""
-        return build_problem(law, self.campaign, self.measured, self.solves)
+        return build_generalised_problem(law, self.campaign, self.measured, self.solves)
 
-    def check(self, law: str, number: int) -> None:
-        """Check the first start of a law; see `calibration.fit.checks.check_start`."""
-        check_start(self.problem(law), self.campaign, number)
+    def check_law(self, law: str, number: int) -> None:
+        """Check the first start of a law; see `calibration.fit.checks.simulate_and_check_start`."""
+        simulate_and_check_start(self.build_law_problem(law), self.campaign, number)
 
-    def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
+    def fit_laws(self, laws: Sequence[str],
+                 context: RunContext) -> dict[str, tuple[list[DescentResult], Estimate | str]]:
         """Fit laws: descents from all starts of all laws in parallel, then all mesh corrections in parallel."""
-        problems = {law: self.problem(law) for law in laws}
+        problems = {law: self.build_law_problem(law) for law in laws}
         keys = [(law, number, theta) for law in laws
-                for number, theta in enumerate(generate_starts(problems[law].space, self.campaign.fit.starts), 1)]
+                for number, theta in enumerate(generate_starting_values(problems[law].space, self.campaign.fit.starts),
+                                               1)]
         ends = context.run_descents(descend_from_start, [law for law, *_ in keys],
                               [(problems[law], number, theta) for law, number, theta in keys],
                               f"{len(keys)} start{'s' if len(keys) > 1 else ''}")
-        descents: dict[str, list[Descent]] = {law: [] for law in laws}
+        descents: dict[str, list[DescentResult]] = {law: [] for law in laws}
         for (law, *_), end in zip(keys, ends, strict=True):
             descents[law].append(end)
-        self._add_mirrored(laws, problems, descents, context)
+        self._add_sign_flipped_descents(laws, problems, descents, context)
         best = {law: _select_best_descent(descents[law], problems[law]) for law in laws}
         usable = [law for law in laws if np.isfinite(best[law].error)]
         settled = context.run_descents(
-            run_estimate, usable, [(problems[law], best[law], self.stated_jitter(problems[law])) for law in usable],
+            compute_estimate_from_minimum, usable,
+            [(problems[law], best[law], self.get_stated_or_prior_jitter(problems[law])) for law in usable],
             "the difference of the accurate mesh")
-        found: dict[str, tuple[list[Descent], Estimate | str]] = {
+        found: dict[str, tuple[list[DescentResult], Estimate | str]] = {
             law: (descents[law], best[law].failure) for law in laws}
         for law, estimate in zip(usable, settled, strict=True):
             estimate.problem.solves = self.solves
-            estimate = replace(estimate, minima=tuple(_collect_minima(descents[law], problems[law])))
+            estimate = replace(estimate, minima=tuple(_collect_distinct_minima(descents[law], problems[law])))
             found[law] = descents[law], estimate if np.isfinite(estimate.error) else estimate.failure
         return found
 
-    def _add_mirrored(self, laws: Sequence[str], problems: Mapping[str, Problem], descents: dict[str, list[Descent]],
-                      context: RunContext) -> None:
+    def _add_sign_flipped_descents(self, laws: Sequence[str], problems: Mapping[str, GeneralisedProblem],
+                                   descents: dict[str, list[DescentResult]], context: RunContext) -> None:
         """Add descents from the best minimum of each law with other signs of the exponents."""
         keys = []
         for law in laws:
@@ -97,34 +100,34 @@ class Generalised(Estimator):
             if np.isfinite(best.error):
                 limit = ALTERNATIVES.promising_ratio * max(best.error, problems[law].samples)
                 keys += [(law, len(descents[law]) + number, theta, limit)
-                         for number, theta in enumerate(list_mirrored_starts(problems[law].space, best.theta), 1)]
+                         for number, theta in enumerate(list_sign_flipped_starts(problems[law].space, best.theta), 1)]
         if keys:
-            ends = context.run_descents(descend_from_mirrored_start, [law for law, *_ in keys],
+            ends = context.run_descents(descend_from_sign_flipped_start, [law for law, *_ in keys],
                                         [(problems[law], *rest) for law, *rest in keys],
                                         "other signs of the exponents")
             for (law, *_), end in zip(keys, ends, strict=True):
                 descents[law].append(end)
 
-    def stated_jitter(self, problem: Problem) -> Noise:
+    def get_stated_or_prior_jitter(self, problem: GeneralisedProblem) -> Noise:
         """Return the stated jitter, or the priors of fitted offsets; None values are estimated."""
         if self.campaign.fit.offset == "fit":
             return Noise(contact_jitter=problem.jitter.contact, zero_jitter=problem.jitter.zero)
         return self.campaign.noise
 
     @property
-    def uncertainty(self) -> Callable[[Problem, Evaluation], Uncertainty]:
+    def uncertainty_function(self) -> Callable[[GeneralisedProblem, ProblemEvaluation], ParameterUncertainty]:
         """Function that returns the uncertainty of the parameters with the nuisances marginalised."""
-        return assess_uncertainty
+        return compute_marginal_uncertainty
 
-    def describe(self, found: Findings) -> dict[str, Any]:
-        """Return messages and fields of an inverse fit; see `Estimator.describe`."""
+    def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
+        """Return messages and fields of an inverse fit; see `Estimator.derive_fit_fields`."""
         estimate, spread, evaluation = found.estimate, found.spread, found.estimate.evaluation
         problem, space = estimate.problem, estimate.problem.space
         on_bound = [name for name, hit in zip(space.free, spread.on_bound, strict=True) if hit]
-        regions = judge_regions(problem, evaluation)
+        regions = compute_region_misfit_tests(problem, evaluation)
         directions = find_weak_directions(space, spread)
         held = [f"{space.symbols[name]} ended on its bound {found.values[name]:.6g}" for name in on_bound]
-        warnings = [*estimate.warnings, *held, *found.lost, *_collect_warnings(problem, evaluation, spread)]
+        warnings = [*estimate.warnings, *held, *found.lost, *_collect_fit_warnings(problem, evaluation, spread)]
         stressed = [curve for curve in problem.measured if curve.test.specimen is None]
         residual = evaluation.force - problem.data
         root = float(np.sqrt(np.mean(residual**2)))
@@ -135,88 +138,96 @@ class Generalised(Estimator):
         count = len(found.descents)
         parts = [f"converged; {same} of {count} start{'s' if count != 1 else ''} ended there"
                  if found.unusable is None else found.unusable]
-        if bad := name_misfits(regions):
+        if bad := name_regions_with_misfit(regions):
             parts.append(f"a smooth misfit remains in {bad}")
         elif regions:
             parts.append("no smooth misfit remains in any test")
         if found.loose:
             parts.append(f"the tests do not determine {space.in_symbols(found.loose)}")
         return {
-            "R2": r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
+            "R2": compute_r_squared(problem.data, residual), "RMSE_N": None if stressed else root,
             "RMSE_Pa": root if len(stressed) == len(problem.measured) else None, "on_bound": on_bound,
             "nuisances": _build_nuisance_records(problem, evaluation), "warnings": warnings,
             "message": "; ".join([*parts, *warnings]), "history": history, "regions": regions,
-            "condition": condition_number(spread), "directions": directions,
-            "suggestions": suggest_tests(problem, estimate.theta, spread)
+            "condition": information_condition_number(spread), "directions": directions,
+            "suggestions": suggest_further_tests(problem, estimate.theta, spread)
             if (found.loose or directions) and not on_bound else [],
             "jitter": _build_jitter_record(problem),
-            "mesh": [MeshCorrection(test=test.name, remainder_percent=100.0 * error, refreshes=estimate.refreshes,
-                                    largest_percent=100.0 * difference if np.isfinite(difference) else None)
+            "mesh": [MeshCorrectionSummary(test=test.name, remainder_percent=100.0 * error,
+                                           refreshes=estimate.refreshes,
+                                           largest_percent=100.0 * difference if np.isfinite(difference) else None)
                      for test, difference, error in zip(problem.tests, estimate.differences, problem.mesh_error,
                                                         strict=True)]}
 
-    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: ForcePredictor) -> tuple[ForwardTest,
+                                                                                                      float]:
         """Return a held-out test with its mesh correction, and its relative mesh error."""
         problem = estimate.problem
-        found = build_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
+        found = build_forward_test(test, self.measured[test.name], self.campaign.fit, problem.jitter.contact)
         try:
-            found.update_correction(predictor.space, predictor.theta, self.solves)
+            found.update_mesh_correction(predictor.space, predictor.theta, self.solves)
             error = ACCURATE_MESH_ERRORS
         except InfeasibleError:
-            found.drop_correction()
+            found.remove_mesh_correction()
             error = FAST_MESH_ERRORS
-        return found, mesh_uncertainty(found, error)
+        return found, compute_mesh_uncertainty(found, error)
 
-    def find_jitter(self, estimate: Estimate) -> Jitter | None:
-        """Return the marginalised jitter."""
+    def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:
+        """Return the jitter over which the fit marginalises."""
         return estimate.problem.jitter
 
 
-def descend_from_start(problem: Problem, number: int, theta: np.ndarray, listen: Listener | None = None) -> Descent:
+def descend_from_start(problem: GeneralisedProblem, number: int, theta: np.ndarray,
+                       listen: Listener | None = None) -> DescentResult:
     """Run a descent from one start on the fast mesh."""
-    return descend(problem, theta, start=number, enough=DESCENT.min_gain_of_start, listen=listen)
+    return minimise_from_start(problem, theta, start=number, enough=DESCENT.min_gain_of_start, listen=listen)
 
 
-def descend_from_mirrored_start(problem: Problem, number: int, theta: np.ndarray, limit: float,
-                                listen: Listener | None = None) -> Descent:
+def descend_from_sign_flipped_start(problem: GeneralisedProblem, number: int, theta: np.ndarray, limit: float,
+                                    listen: Listener | None = None) -> DescentResult:
     """Run a descent from one start, unless the sum of squares at the start exceeds `limit`."""
-    spent = problem.solves.start_meter()
+    spent = problem.solves.start_effort_meter()
     try:
-        error = problem.evaluate(theta).error
+        error = problem.evaluate(theta).sum_of_squares
     except InfeasibleError as failure:
-        return Descent(number, theta, np.inf, False, str(failure), (), *spent())
+        return DescentResult(number, theta, np.inf, False, str(failure), (), *spent())
     if error > limit:
-        return Descent(number, theta, np.inf, False, "the data exclude these signs of the exponents", (), *spent())
+        return DescentResult(number, theta, np.inf, False, "the data exclude these signs of the exponents", (),
+                             *spent())
     return descend_from_start(problem, number, theta, listen)
 
 
-def _select_best_descent(descents: Sequence[Descent], problem: Problem) -> Descent:
+def _select_best_descent(descents: Sequence[DescentResult], problem: GeneralisedProblem) -> DescentResult:
     """Return the best descent; among equally good ones that with most positive exponents."""
     ordered = sorted(descents, key=lambda end: end.error)
     if not np.isfinite(ordered[0].error):
         return ordered[0]
     finite = [end for end in ordered if np.isfinite(end.error)]
-    scale = _residual_variance(finite[0].error, problem)
-    return finite[prefer_positive_exponents(problem.space, [(end.error / scale, end.theta) for end in finite])]
+    scale = _compute_residual_variance_ratio(finite[0].error, problem)
+    return finite[select_minimum_to_report(problem.space, [(end.error / scale, end.theta) for end in finite])]
 
 
-def _residual_variance(error: float, problem: Problem) -> float:
+def _compute_residual_variance_ratio(error: float, problem: GeneralisedProblem) -> float:
     """Return the variance of the residuals in units of the noise, at least 1."""
     return max(1.0, error / max(problem.samples - len(problem.space.free), 1))
 
 
-def run_estimate(problem: Problem, best: Descent, stated: Noise, listen: Listener | None = None) -> Estimate:
-    """Compute the estimate from the best minimum; see `calibration.fit.estimate.iterate_mesh_and_jitter`."""
-    return iterate_mesh_and_jitter(problem, best.theta, stated, start=best.start, past=len(best.history), listen=listen)
+def compute_estimate_from_minimum(problem: GeneralisedProblem, best: DescentResult, stated: Noise,
+                 listen: Listener | None = None) -> Estimate:
+    """Compute the estimate from the best minimum; see `calibration.fit.estimate.iterate_mesh_correction_and_jitter`."""
+    return iterate_mesh_correction_and_jitter(problem, best.theta, stated, start=best.start, past=len(best.history),
+                                              listen=listen)
 
 
-def _build_jitter_record(problem: Problem) -> JitterStatement:
-    """Return the record of the jitter."""
-    return JitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
-                           freedom=problem.jitter.freedom, stressed=all(curve.stressed for curve in problem.measured))
+def _build_jitter_record(problem: GeneralisedProblem) -> ReplicateJitterStatement:
+    """Return the jitter of a problem as a record of `fit.json`."""
+    return ReplicateJitterStatement(contact_mm=problem.jitter.contact * 1e3, zero_N=problem.jitter.zero,
+                                    freedom=problem.jitter.freedom,
+                                    stressed=all(curve.stressed for curve in problem.measured))
 
 
-def _collect_warnings(problem: Problem, evaluation: Evaluation, spread: Uncertainty) -> list[str]:
+def _collect_fit_warnings(problem: GeneralisedProblem, evaluation: ProblemEvaluation,
+                      spread: ParameterUncertainty) -> list[str]:
     """Return warnings on unused samples, jitter, large residuals and large nuisances."""
     warnings, jitter = [], problem.jitter
     if later := sum(curve.later for curve in problem.measured):
@@ -233,8 +244,8 @@ def _collect_warnings(problem: Problem, evaluation: Evaluation, spread: Uncertai
         assumed = _build_jitter_record(problem)
         of_strain = " (1000 times strain, and Pa)" if assumed.stressed else ""
         warnings.append("no test has two recordings, so the scatter between recordings is not known and was assumed: "
-                        f"contact {assumed.sizes[0]}, zero {assumed.sizes[1]}; state contact_jitter_mm and "
-                        f"zero_jitter_N{of_strain}")
+                        f"contact {assumed.jitter_with_units[0]}, zero {assumed.jitter_with_units[1]}; state "
+                        f"contact_jitter_mm and zero_jitter_N{of_strain}")
     if spread.ratio > NOISE_RATIOS.model_error:
         warnings.append(f"residuals are {spread.ratio:.3g} times the noise: the model is incomplete, and the standard "
                         "errors are rough estimates")
@@ -249,7 +260,7 @@ def _collect_warnings(problem: Problem, evaluation: Evaluation, spread: Uncertai
     return warnings
 
 
-def _build_nuisance_records(problem: Problem, evaluation: Evaluation) -> list[Nuisance]:
+def _build_nuisance_records(problem: GeneralisedProblem, evaluation: ProblemEvaluation) -> list[Nuisance]:
     """Return contact offset and zero of each recording with their conditional standard errors."""
     if not problem.kinds:
         return []
@@ -269,12 +280,14 @@ def _build_nuisance_records(problem: Problem, evaluation: Evaluation) -> list[Nu
     return found
 
 
-def _collect_minima(descents: Sequence[Descent], problem: Problem) -> list[Minimum]:
+def _collect_distinct_minima(descents: Sequence[DescentResult], problem: GeneralisedProblem) -> list[Minimum]:
     """Return the distinct minima of all starts on the fast mesh."""
     total = float(np.sum((problem.data - problem.data.mean())**2))
     kept = find_distinct_minima([(d, 1) for d in descents if d.history and np.isfinite(d.error)],
-                                lambda one, other: np.abs(one - other) <= DESCENT.same_minimum * problem.sizes(one))
+                                lambda one, other: np.abs(one - other) <= DESCENT.same_minimum
+                                * problem.compute_unknown_scales(one))
     return [Minimum(parameters=problem.space.values(descent.theta),
                     R2=1.0 - descent.history[-1].RMSE_N**2 * problem.data.size / total, starts=count,
-                    rise=(descent.error - kept[0][0].error) / _residual_variance(kept[0][0].error, problem))
+                    rise=(descent.error - kept[0][0].error)
+                    / _compute_residual_variance_ratio(kept[0][0].error, problem))
             for descent, count in kept]

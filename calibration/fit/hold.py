@@ -10,9 +10,9 @@ import numpy as np
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve, attach_noise
 from calibration.campaign.parameters import SHARED, NamedParameter
-from calibration.fit.assess import assess_fit
+from calibration.fit.assess import build_fit_record
 from calibration.fit.estimate import Estimate
-from calibration.fit.ordinary import Ordinary, fit_law
+from calibration.fit.ordinary import OrdinaryLeastSquaresEstimator, fit_law_analytically
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
@@ -22,7 +22,7 @@ from tissue_sim.recording.recording import Recording
 
 
 @dataclass(frozen=True)
-class HoldSettings:
+class HoldFitSettings:
     """Settings of the fit of a hold.
 
     Attributes:
@@ -35,7 +35,7 @@ class HoldSettings:
     shear_strain: float = 1e-6
 
 
-_SETTINGS = HoldSettings()
+_SETTINGS = HoldFitSettings()
 #: Law of the equivalent solid.
 _LAW = "neo_hooke"
 
@@ -105,12 +105,12 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
     noisy = replace(curve, noise=attach_noise(curve, campaign).noise)
-    estimator = Ordinary(campaign, {test.name: (noisy,)}, SimulationCache())
-    descents, estimate = fit_law(estimator.problem(_LAW))
+    estimator = OrdinaryLeastSquaresEstimator(campaign, {test.name: (noisy,)}, SimulationCache())
+    descents, estimate = fit_law_analytically(estimator.build_law_problem(_LAW))
     if not isinstance(estimate, Estimate):
         raise ConvergenceError("no start gives a finite force over the hold; check the units of force and time")
-    spread = estimator.uncertainty(estimate.problem, estimate.evaluation)
-    fit = assess_fit(estimator, estimate, spread, descents, (), campaign)
+    spread = estimator.uncertainty_function(estimate.problem, estimate.evaluation)
+    fit = build_fit_record(estimator, estimate, spread, descents, (), campaign)
     material = estimate.problem.space.material(fit.parameters)
     size = 2.0 * _SETTINGS.shear_strain
     error = fit.standard_errors["C10"]

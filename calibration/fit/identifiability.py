@@ -9,13 +9,13 @@ import numpy as np
 
 from calibration.campaign.experiments import ROUND_SOLVER, SPACE_SOLVER
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.fit import Direction, Suggestion
-from calibration.fit.problem import Problem
+from calibration.fit.fit import SuggestedTest, WeakDirection
+from calibration.fit.problem import GeneralisedProblem
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import find_meshes
-from calibration.forward.motion import offset_derivative
+from calibration.forward.meshes import get_solver_meshes
+from calibration.forward.motion import compute_offset_derivative
 from calibration.forward.simulated import SimulatedTest
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.uncertainty import ParameterUncertainty
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.experiment import Experiment
@@ -30,7 +30,7 @@ WEAK = 0.2
 
 
 @dataclass(frozen=True)
-class SuggestionSettings:
+class SuggestedTestSettings:
     """Assumptions on further tests.
 
     Attributes:
@@ -58,12 +58,12 @@ class SuggestionSettings:
     jitter: tuple[float, float] = (0.03e-3, 0.01)
 
 
-_SETTINGS = SuggestionSettings()
+_SETTINGS = SuggestedTestSettings()
 #: Specimen of the reference study, for campaigns without specimens.
 _SPECIMEN = Cylinder(0.040, 0.070)
 
 
-def condition_number(spread: Uncertainty) -> float | None:
+def information_condition_number(spread: ParameterUncertainty) -> float | None:
     """Return the condition number of the scaled Fisher information; None if it is singular."""
     free = ~spread.on_bound
     if not free.any():
@@ -72,7 +72,7 @@ def condition_number(spread: Uncertainty) -> float | None:
     return float(values[-1] / values[0]) if values[0] > 0 else None
 
 
-def find_weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Direction]:
+def find_weak_directions(space: ParameterSpace, spread: ParameterUncertainty) -> list[WeakDirection]:
     """Return the eigenvectors of the scaled information with a relative standard error above `WEAK`, worst first."""
     free = np.flatnonzero(~spread.on_bound)
     values, vectors = np.linalg.eigh(spread.information[np.ix_(free, free)])
@@ -82,22 +82,23 @@ def find_weak_directions(space: ParameterSpace, spread: Uncertainty) -> list[Dir
         if error <= WEAK:
             break
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-        found.append(Direction(shares={space.free[i]: float(share) for i, share in zip(free, vector, strict=True)},
-                               relative_error=min(error, 1e9)))
+        found.append(WeakDirection(shares={space.free[i]: float(share) for i, share in zip(free, vector, strict=True)},
+                                   relative_error=min(error, 1e9)))
     return found
 
 
-def find_undetermined_parameters(space: ParameterSpace, spread: Uncertainty) -> list[str]:
+def find_undetermined_parameters(space: ParameterSpace, spread: ParameterUncertainty) -> list[str]:
     """Return the names of parameters whose standard error exceeds their size."""
     return [name for name, error, size in zip(space.free, spread.standard_errors, spread.sizes, strict=False)
             if not error <= size and not np.isnan(error)]
 
 
-def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> list[Suggestion]:
+def suggest_further_tests(problem: GeneralisedProblem, theta: np.ndarray,
+                          spread: ParameterUncertainty) -> list[SuggestedTest]:
     """Suggest further tests that determine the weakest direction better, best first.
 
     Each test is simulated once on the specimen of the weakest direction. Its information is that of
-    `SuggestionSettings.replicates` recordings with the noise and jitter of the campaign.
+    `SuggestedTestSettings.replicates` recordings with the noise and jitter of the campaign.
 
     Args:
         problem: problem of the fit.
@@ -115,21 +116,23 @@ def suggest_tests(problem: Problem, theta: np.ndarray, spread: Uncertainty) -> l
     acting = [test for test in problem.tests if about.acts_in(test.name, None)] or list(problem.tests)
     of = next((test for test in acting if test.specimen is not None), acting[0])
     for words, experiment in _build_candidate_tests(problem, theta, of):
-        gained = _compute_information(problem, theta, experiment, of.name, spread, noise, jitter)
+        gained = _compute_test_information(problem, theta, experiment, of.name, spread, noise, jitter)
         if gained is None:
             continue
         together = information + gained[np.ix_(free, free)]
         covariance = np.linalg.pinv(together, hermitian=True) * np.outer(spread.sizes[free], spread.sizes[free])
         errors = {problem.space.free[i]: float(np.sqrt(covariance[j, j])) for j, i in enumerate(free)}
         words += f", of {about.specimen}" if about.specimen is not None else ""
-        rated.append((float(axis @ gained[np.ix_(free, free)] @ axis), Suggestion(test=words, standard_errors=errors)))
+        rated.append((float(axis @ gained[np.ix_(free, free)] @ axis),
+                      SuggestedTest(test=words, standard_errors=errors)))
     rated.sort(key=lambda item: -item[0])
     # A test is suggested only if it gives more information on the weak direction than the existing tests.
     existing = float(axis @ information @ axis)
     return [suggestion for gain, suggestion in rated[:_SETTINGS.max_suggestions] if gain > existing]
 
 
-def _build_candidate_tests(problem: Problem, theta: np.ndarray, of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
+def _build_candidate_tests(problem: GeneralisedProblem, theta: np.ndarray,
+                           of: ForwardTest) -> Sequence[tuple[str, Experiment]]:
     """Return possible further tests on the specimen of a test: descriptions and experiments."""
     specimen = of.specimen or _SPECIMEN
     if specimen.is_prism and not (specimen.is_round or isinstance(of, SimulatedTest)):
@@ -145,12 +148,12 @@ def _build_candidate_tests(problem: Problem, theta: np.ndarray, of: ForwardTest)
                 (f"lubricated compression to {millimetres}", Plate(), "frictionless"),
                 (f"bonded compression to {millimetres}", Plate(), "bonded"),
                 (f"needle indentation (flat, radius {needle.radius * 1e3:.3g} mm) to {millimetres}", needle, "bonded")):
-            for ending, protocol in _build_protocols(depth, ageing):
+            for ending, protocol in _build_candidate_motions(depth, ageing):
                 found.append((words + ending, Experiment(specimen, protocol, tool, friction, friction)))
     return found
 
 
-def _build_protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
+def _build_candidate_motions(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
     """Return motions to a depth, m, with the end of their description; with holds for a material with memory."""
     points, hold = _SETTINGS.points, _SETTINGS.hold
     if not ageing:
@@ -162,8 +165,9 @@ def _build_protocols(depth: float, ageing: bool) -> list[tuple[str, Protocol]]:
                 text.replace(f"@{STUDY_SPEED * 1e3:.6g}", f"@{STUDY_SPEED * 1e4:.6g}"), points=points))]
 
 
-def _compute_information(problem: Problem, theta: np.ndarray, experiment: Experiment, test: str, spread: Uncertainty,
-                         noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
+def _compute_test_information(problem: GeneralisedProblem, theta: np.ndarray, experiment: Experiment, test: str,
+                              spread: ParameterUncertainty,
+                              noise: float, jitter: tuple[float, float]) -> np.ndarray | None:
     """Return the scaled information of a further test with the jitter marginalised, shape (p, p).
 
     Args:
@@ -184,7 +188,8 @@ def _compute_information(problem: Problem, theta: np.ndarray, experiment: Experi
                and each.acts_in(test, None)]
         solver = ROUND_SOLVER if experiment.specimen.is_round else SPACE_SOLVER
         answer = sensitivities(Model(experiment, space.material(space.values(theta), test=test)),
-                               [space.varied[i].path for i in own], solver=solver, resolution=find_meshes(solver).fast)
+                               [space.varied[i].path for i in own], solver=solver,
+                               resolution=get_solver_meshes(solver).fast)
     except (ConvergenceError, InputError):
         return None
     recording = answer.recording
@@ -192,6 +197,7 @@ def _compute_information(problem: Problem, theta: np.ndarray, experiment: Experi
     rates = np.zeros((recording.force.size, len(space.free)))
     rates[:, own] = weight * answer.values * spread.sizes[own]
     contact, zero = jitter
-    columns = weight * np.column_stack([contact * offset_derivative(recording), zero * np.ones_like(recording.force)])
+    columns = weight * np.column_stack([contact * compute_offset_derivative(recording),
+                                        zero * np.ones_like(recording.force)])
     inner = np.linalg.inv(np.eye(2) + columns.T @ columns)
     return _SETTINGS.replicates * (rates.T @ rates - rates.T @ columns @ inner @ columns.T @ rates)

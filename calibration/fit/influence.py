@@ -9,10 +9,10 @@ import numpy as np
 from msgspec.structs import replace
 from scipy import special
 
-from calibration.fit.fit import Fit, Window
-from calibration.fit.problem import Evaluation, LeastSquares
-from calibration.fit.trust_region import descend
-from calibration.statistics.uncertainty import inverse_root
+from calibration.fit.fit import Fit, WindowFit
+from calibration.fit.problem import LeastSquaresProblem, ProblemEvaluation
+from calibration.fit.trust_region import minimise_from_start
+from calibration.statistics.uncertainty import compute_pseudo_inverse_root
 from tissue_sim.recording.recording import MIN_POINTS
 
 
@@ -43,25 +43,28 @@ _SETTINGS = InfluenceSettings()
 WINDOWS = (0.4, 0.6, 0.8)
 
 
-def add_influence(fit: Fit, problem: LeastSquares, evaluation: Evaluation) -> Fit:
+def add_influence_to_fit(fit: Fit, problem: LeastSquaresProblem, evaluation: ProblemEvaluation) -> Fit:
     """Return the fit with the influence of recordings and windows, and with a warning for outlying recordings."""
-    influence = leave_recordings_out(problem, evaluation)
-    odd = name_outlying_recordings(influence, fit)
+    influence = estimate_without_each_recording(problem, evaluation)
+    odd = find_outlying_recordings(influence, fit)
     single = len(odd) == 1
     words = [f"{', '.join(odd)} disagree{'s' if single else ''} with the other recordings: without "
-             f"{'it' if single else 'the first of them'} {_describe_changes(fit, influence[odd[0]])}"] if odd else []
-    return replace(fit, influence=influence, odd_recordings=odd, windows=fit_windows(problem, evaluation.theta),
+             f"{'it' if single else 'the first of them'} "
+             f"{_describe_parameter_changes(fit, influence[odd[0]])}"] if odd else []
+    return replace(fit, influence=influence, odd_recordings=odd,
+                   windows=fit_displacement_windows(problem, evaluation.theta),
                    warnings=[*fit.warnings, *words], message="; ".join([fit.message, *words]))
 
 
-def _describe_changes(fit: Fit, without: Mapping[str, float]) -> str:
+def _describe_parameter_changes(fit: Fit, without: Mapping[str, float]) -> str:
     """Describe the parameters without a recording, such as ``C10 is 1400 instead of 1600 Pa``."""
-    changes = (f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} {fit.unit(name)}"
-               for name, value in without.items() if _is_changed(fit.parameters[name], value))
+    changes = (f"{fit.symbols[name]} is {value:.4g} instead of {fit.parameters[name]:.4g} {fit.display_unit(name)}"
+               for name, value in without.items() if _is_parameter_influenced(fit.parameters[name], value))
     return ", ".join(map(str.rstrip, changes))
 
 
-def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[str, dict[str, float]]:
+def estimate_without_each_recording(problem: LeastSquaresProblem,
+                                    evaluation: ProblemEvaluation) -> dict[str, dict[str, float]]:
     """Estimate the parameters without each recording by one linear step from the estimate (deletion diagnostics).
 
     Args:
@@ -73,7 +76,7 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
 
     Source: Cook and Weisberg, Residuals and Influence in Regression, 1982, section 3.4.
     """
-    residual, design = evaluation.design
+    residual, design = evaluation.full_residual_and_jacobian
     free, sizes = len(problem.space.free), np.linalg.norm(design, axis=0)
     design = design / np.where(sizes > 0, sizes, 1.0)
     found: dict[str, dict[str, float]] = {}
@@ -83,21 +86,21 @@ def leave_recordings_out(problem: LeastSquares, evaluation: Evaluation) -> dict[
         if len(problem.tests[number].measured) < _SETTINGS.min_recordings:
             continue
         rest, gap = np.delete(design, np.r_[rows], axis=0), np.delete(residual, np.r_[rows])
-        root, _ = inverse_root(rest.T @ rest)
+        root, _ = compute_pseudo_inverse_root(rest.T @ rest)
         step = -(root @ (root.T @ (rest.T @ gap)))[:free] / np.where(sizes > 0, sizes, 1.0)[:free]
         values = np.clip(evaluation.theta[:free] + step, problem.space.low, problem.space.high)
         found[curve.name] = dict(zip(problem.space.free, values.tolist(), strict=True))
     return found
 
 
-def name_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
+def find_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: Fit) -> list[str]:
     """Return the names of recordings whose parameters disagree with those of the other recordings.
 
     The value of a recording is the jackknife pseudo-value n theta - (n - 1) theta_(-i). It is compared with mean
     and scatter of the other recordings by Student's t with Bonferroni's correction.
 
     Args:
-        influence: recording -> parameters without it, from `leave_recordings_out`.
+        influence: recording -> parameters without it, from `estimate_without_each_recording`.
         fit: fit of all recordings.
 
     Source: Tukey, Annals of Mathematical Statistics 29 (1958) 614; Cook and Weisberg, Residuals and Influence in
@@ -107,7 +110,7 @@ def name_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: 
     asked: dict[tuple[str, str], list[str]] = {}
     for name, parameters in influence.items():
         for parameter, value in parameters.items():
-            if _is_changed(fit.parameters[parameter], value):
+            if _is_parameter_influenced(fit.parameters[parameter], value):
                 asked.setdefault((name.rpartition("/")[0], parameter), []).append(name)
     asked = {place: names for place, names in asked.items() if len(names) >= _SETTINGS.min_recordings}
     questions, odd = sum(map(len, asked.values())), []
@@ -128,12 +131,12 @@ def name_outlying_recordings(influence: Mapping[str, Mapping[str, float]], fit: 
     return odd
 
 
-def _is_changed(value: float, without: float) -> bool:
+def _is_parameter_influenced(value: float, without: float) -> bool:
     """Return whether a recording influences a parameter."""
     return abs(without - value) > 1e-9 * abs(value)
 
 
-def fit_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
+def fit_displacement_windows(problem: LeastSquaresProblem, theta: np.ndarray) -> list[WindowFit]:
     """Estimate the parameters from the samples up to fractions of the largest displacement, smallest fraction first.
 
     The last window contains all samples. The list is empty if a test is path-dependent.
@@ -146,16 +149,16 @@ def fit_windows(problem: LeastSquares, theta: np.ndarray) -> list[Window]:
         return []
     free = len(problem.space.free)
 
-    def window(fraction: float, values: np.ndarray) -> Window:
-        return Window(share=fraction, parameters=dict(zip(problem.space.free, values[:free].tolist(), strict=True)))
+    def fit_window(fraction: float, values: np.ndarray) -> WindowFit:
+        return WindowFit(share=fraction, parameters=dict(zip(problem.space.free, values[:free].tolist(), strict=True)))
 
     found = []
     for fraction in WINDOWS:
-        narrow = problem.restrict_to_fraction(fraction)
+        narrow = problem.restrict_to_displacement_fraction(fraction)
         if min(curve.force.size for curve in narrow.measured) < MIN_POINTS or narrow.samples <= theta.size:
             continue
-        descent = descend(narrow, theta, corrected=True, enough=_SETTINGS.window_gain,
-                          max_solves=_SETTINGS.window_solves)
+        descent = minimise_from_start(narrow, theta, corrected=True, enough=_SETTINGS.window_gain,
+                                      max_solves=_SETTINGS.window_solves)
         if descent.converged:
-            found.append(window(fraction, descent.theta))
-    return [*found, window(1.0, theta)]
+            found.append(fit_window(fraction, descent.theta))
+    return [*found, fit_window(1.0, theta)]

@@ -9,11 +9,11 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.replicates import common_displacement_range, compute_mean_forces, split_stiffnesses
+from calibration.fit.replicates import compute_mean_forces, find_common_displacement_range, split_into_stiffness_groups
 
 
 @dataclass(frozen=True)
-class TestDisagreement:
+class SameKindDisagreement:
     """Tests of one kind in two groups of different stiffness.
 
     Attributes:
@@ -40,7 +40,7 @@ class TestDisagreement:
                 "the specimens")
 
 
-def find_test_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[TestDisagreement]:
+def find_test_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[SameKindDisagreement]:
     """Find kinds of test whose tests fall into two groups of different stiffness.
 
     Args:
@@ -50,7 +50,8 @@ def find_test_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> 
     for name, curves in measured.items():
         if curves:
             groups.setdefault(_comparison_key(curves[0].test), {})[name] = curves
-    return [found for tests in groups.values() if len(tests) > 1 and (found := _find_disagreement(tests)) is not None]
+    return [found for tests in groups.values() if len(tests) > 1
+            and (found := _find_disagreement_of_kind(tests)) is not None]
 
 
 def _comparison_key(test: Test) -> tuple:
@@ -68,24 +69,25 @@ def _is_homogeneous(test: Test) -> bool:
     return test.kind.closed_form is not None and (test.specimen is None or test.specimen.is_prism)
 
 
-def _find_disagreement(tests: Mapping[str, Sequence[MeasuredCurve]]) -> TestDisagreement | None:
+def _find_disagreement_of_kind(tests: Mapping[str, Sequence[MeasuredCurve]]) -> SameKindDisagreement | None:
     """Return the disagreement of the tests of one kind; None if there is none."""
     first = next(iter(tests.values()))[0].test
-    scaled = {name: [_convert_to_stress(curve) for curve in curves] for name, curves in tests.items()}
+    scaled = {name: [_convert_to_strain_and_stress(curve) for curve in curves] for name, curves in tests.items()}
     every = [pair for pairs in scaled.values() for pair in pairs]
-    span, forces = common_displacement_range([motion for motion, _ in every]), compute_mean_forces(every)
+    span, forces = find_common_displacement_range([motion for motion, _ in every]), compute_mean_forces(every)
     if span is None or forces is None:
         return None
     index = np.repeat(np.arange(len(tests)), [len(pairs) for pairs in scaled.values()])
     means = np.array([forces[index == number].mean() for number in range(len(tests))])
-    if split_stiffnesses(first.kind.name, list(tests), means, _estimate_log_scatter(forces, index)) is None:
+    if split_into_stiffness_groups(first.kind.name, list(tests), means,
+                                   _estimate_log_force_scatter(forces, index)) is None:
         return None
     middle = 0.5 * (span[0] + span[1])
-    return TestDisagreement(first.kind.name, dict(zip(tests, (means / middle).tolist(), strict=True)),
-                            _is_homogeneous(first), *span)
+    return SameKindDisagreement(first.kind.name, dict(zip(tests, (means / middle).tolist(), strict=True)),
+                                _is_homogeneous(first), *span)
 
 
-def _convert_to_stress(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
+def _convert_to_strain_and_stress(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
     """Return nominal strain and stress of a homogeneous test, otherwise displacement, m, and force, N."""
     specimen = curve.test.specimen
     if specimen is None or not _is_homogeneous(curve.test):
@@ -93,7 +95,7 @@ def _convert_to_stress(curve: MeasuredCurve) -> tuple[np.ndarray, np.ndarray]:
     return curve.displacement / specimen.height, curve.force / specimen.area
 
 
-def _estimate_log_scatter(forces: np.ndarray, index: np.ndarray) -> float:
+def _estimate_log_force_scatter(forces: np.ndarray, index: np.ndarray) -> float:
     """Return the standard deviation of the logarithms of the forces within the tests; 0 with one recording in each.
 
     Args:

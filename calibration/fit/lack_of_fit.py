@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.problem import LeastSquares
+from calibration.fit.problem import LeastSquaresProblem
 from tissue_sim.recording.segmentation import label_motion
 
 
@@ -45,7 +45,7 @@ class LackOfFit:
     relative_error: float
 
 
-def compute_lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> LackOfFit:
+def compute_lack_of_fit(problem: LeastSquaresProblem, gap: np.ndarray, number: int) -> LackOfFit:
     """Compute the lack of fit in one test of a problem.
 
     Args:
@@ -65,7 +65,7 @@ def compute_lack_of_fit(problem: LeastSquares, gap: np.ndarray, number: int) -> 
         squares = float(np.mean(mine[moving]**2)) - curve.noise.deviation**2
         variance = float(np.var(curve.force[moving]))
     else:
-        squares, variance = _compare_mean_recording(parts, problem.tests[number].is_path_dependent)
+        squares, variance = _compute_mean_recording_misfit(parts, problem.tests[number].is_path_dependent)
     squares = max(squares, 0.0)
     R2 = 1.0 - squares / variance if variance > 0 else None
     return LackOfFit(R2, float(np.sqrt(squares)) / largest)
@@ -79,8 +79,8 @@ def find_moving_samples(curve: MeasuredCurve) -> np.ndarray:
     return moving if moving.any() else np.ones(curve.force.size, bool)
 
 
-def _compare_mean_recording(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]],
-                            timed: bool) -> tuple[float, float]:
+def _compute_mean_recording_misfit(parts: list[tuple[MeasuredCurve, np.ndarray, np.ndarray]],
+                                   timed: bool) -> tuple[float, float]:
     """Return the mean square lack of fit of the mean recording, N^2, and the variance of its force, N^2."""
     gaps, forces = [], []
     courses = [curve.clock[moving] - curve.clock[0] if timed else curve.displacement[moving]

@@ -13,24 +13,24 @@ from calibration.campaign.campaign import Campaign, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.alternatives import SETTINGS as ALTERNATIVES
-from calibration.fit.alternatives import list_mirrored_starts, prefer_positive_exponents
+from calibration.fit.alternatives import list_sign_flipped_starts, select_minimum_to_report
 from calibration.fit.closed_starts import compute_analytical_starts
 from calibration.fit.estimate import Estimate
-from calibration.fit.estimator import Estimator, Findings
-from calibration.fit.failure import Failure, catch_law_errors
+from calibration.fit.estimator import EstimateFindings, Estimator
+from calibration.fit.failure import CalibrationFailure, call_and_catch_law_errors
 from calibration.fit.fit import Minimum, Nuisance
 from calibration.fit.ordinary_problem import OrdinaryProblem, evaluate_if_feasible
-from calibration.fit.predictor import Predictor
-from calibration.fit.problem import Evaluation
+from calibration.fit.predictor import ForcePredictor
+from calibration.fit.problem import ProblemEvaluation
 from calibration.fit.run_context import RunContext
-from calibration.fit.trust_region import DESCENT, Descent, descend, find_distinct_minima
+from calibration.fit.trust_region import DESCENT, DescentResult, find_distinct_minima, minimise_from_start
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import ForwardTest
 from calibration.forward.forms import build_analytical_test
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import Jitter
-from calibration.statistics.statistics import NOISE_RATIOS, r_squared
-from calibration.statistics.uncertainty import Uncertainty, sandwich_covariance
+from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.statistics import NOISE_RATIOS, compute_r_squared
+from calibration.statistics.uncertainty import ParameterUncertainty, compute_sandwich_covariance
 from tissue_sim.errors import InputError
 
 
@@ -66,7 +66,7 @@ class AnalyticalFitSettings:
 _SETTINGS = AnalyticalFitSettings()
 
 
-class Ordinary(Estimator):
+class OrdinaryLeastSquaresEstimator(Estimator):
     """Analytical fit of closed forms: unweighted residuals of the nominal stress; see `Estimator`."""
 
     explores = False
@@ -76,50 +76,53 @@ class Ordinary(Estimator):
         super().__init__(campaign, measured, solves)
         self.fitted = [curve for test in campaign.tests if not test.hold_out for curve in measured[test.name]]
 
-    def problem(self, law: str) -> OrdinaryProblem:
+    def build_law_problem(self, law: str) -> OrdinaryProblem:
         """Return the least-squares problem of one law over all tests that are not held out."""
-        tests = [self._build_test(test) for test in self.campaign.tests if not test.hold_out]
-        return OrdinaryProblem.of(self._build_space(law), tests, self.campaign.fit, self.solves)
+        tests = [self._build_closed_form_test(test) for test in self.campaign.tests if not test.hold_out]
+        return OrdinaryProblem.with_pooled_noise(self._build_parameter_space(law), tests, self.campaign.fit,
+                                                 self.solves)
 
     @property
-    def pooled_noise(self) -> float | None:
+    def pooled_stress_noise(self) -> float | None:
         """Pooled noise of the nominal stress over all samples, Pa."""
-        return self.problem(self.campaign.fit.laws[0]).noise
+        return self.build_law_problem(self.campaign.fit.laws[0]).noise
 
-    def _build_space(self, law: str) -> ParameterSpace:
+    def _build_parameter_space(self, law: str) -> ParameterSpace:
         """Return the parameter space of a law."""
         return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
                                                       for name, curves in self.measured.items()})
 
-    def _build_test(self, test: Test) -> ClosedFormTest:
+    def _build_closed_form_test(self, test: Test) -> ClosedFormTest:
         """Return the closed form of a test."""
         return build_analytical_test(test, self.measured[test.name], self.campaign.fit)
 
-    def check(self, law: str, number: int) -> None:
+    def check_law(self, law: str, number: int) -> None:
         """Check that the tests have more samples than the law has parameters."""
         samples = sum(curve.force.size for curve in self.fitted)
-        unknowns = len(self._build_space(law).names)
+        unknowns = len(self._build_parameter_space(law).names)
         if samples <= unknowns:
-            raise InputError(f"{law} has {unknowns} parameters and the tests only {samples} points; widen max_strain "
-                             "or take a simpler law", file=self.campaign.path, field=f"fit.laws[{number}]")
+            raise InputError(f"the tests must have more samples than the {unknowns} parameters of {law}; got "
+                             f"{samples}. Increase max_strain, or choose a law with fewer parameters",
+                             file=self.campaign.path, field=f"fit.laws[{number}]")
 
-    def estimate(self, laws: Sequence[str], context: RunContext) -> dict[str, tuple[list[Descent], Estimate | str]]:
-        """Fit laws one after the other in this process; see `Estimator.estimate`."""
-        found: dict[str, tuple[list[Descent], Estimate | str]] = {}
+    def fit_laws(self, laws: Sequence[str],
+                 context: RunContext) -> dict[str, tuple[list[DescentResult], Estimate | str]]:
+        """Fit laws one after the other in this process; see `Estimator.fit_laws`."""
+        found: dict[str, tuple[list[DescentResult], Estimate | str]] = {}
         for law in laws:
             plural = "s" if len(self.fitted) != 1 else ""
             context.report_progress(f"fitting {law} to {len(self.fitted)} recording{plural}")
-            answer = catch_law_errors(fit_law, self.problem(law))
-            found[law] = ([], answer.reason) if isinstance(answer, Failure) else answer
+            answer = call_and_catch_law_errors(fit_law_analytically, self.build_law_problem(law))
+            found[law] = ([], answer.reason) if isinstance(answer, CalibrationFailure) else answer
         return found
 
     @property
-    def uncertainty(self) -> Callable[[OrdinaryProblem, Evaluation], Uncertainty]:
+    def uncertainty_function(self) -> Callable[[OrdinaryProblem, ProblemEvaluation], ParameterUncertainty]:
         """Function that returns the sandwich covariance of the unknowns."""
-        return partial(assess_sandwich, stated=self.campaign.noise)
+        return partial(compute_sandwich_uncertainty, stated=self.campaign.noise)
 
-    def describe(self, found: Findings) -> dict[str, Any]:
-        """Return messages and fields of an analytical fit; see `Estimator.describe`."""
+    def derive_fit_fields(self, found: EstimateFindings) -> dict[str, Any]:
+        """Return messages and fields of an analytical fit; see `Estimator.derive_fit_fields`."""
         problem, spread = found.estimate.problem, found.spread
         on_bound = [name for name, hit in zip(problem.space.free, spread.on_bound, strict=False) if hit]
         nuisances = _build_nuisance_records(problem, found.estimate.theta, spread)
@@ -132,14 +135,14 @@ class Ordinary(Estimator):
         recorded = [curve.test.specimen is not None for curve in problem.measured]
         measured = problem.data / problem.area
         return {
-            "R2": r_squared(measured, stress),
+            "R2": compute_r_squared(measured, stress),
             "RMSE_N": float(np.sqrt(np.mean((stress * problem.area)**2))) if all(recorded) else None,
             "RMSE_Pa": float(np.sqrt(np.mean(stress**2))), "on_bound": [*on_bound, *held],
             "nuisances": nuisances, "warnings": warnings,
-            "message": "; ".join([*self._describe_convergence(found), *_describe_relaxation(problem, found),
+            "message": "; ".join([*self._list_analytical_fit_remarks(found), *_list_relaxation_remarks(problem, found),
                                   *warnings])}
 
-    def _describe_convergence(self, found: Findings) -> list[str]:
+    def _list_analytical_fit_remarks(self, found: EstimateFindings) -> list[str]:
         """Return remarks on convergence, noise, standard errors and undetermined parameters."""
         spread, count = found.spread, len(found.descents)
         parts = [f"converged from {count} start{'s' if count != 1 else ''}" if found.unusable is None
@@ -150,24 +153,25 @@ class Ordinary(Estimator):
             parts.append(f"residuals are {spread.ratio:.2g} times the estimated noise, so that is too large")
         if spread.basis == "replicates":
             parts.append(f"standard errors follow the scatter of the {len(self.fitted)} replicates")
-        elif spread.basis == "residuals" and not found.estimate.problem.remembers:
+        elif spread.basis == "residuals" and not found.estimate.problem.is_history_dependent:
             parts.append("standard errors follow the residuals, as if these were independent")
         if found.loose:
             parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
         return parts
 
-    def find_jitter(self, estimate: Estimate) -> Jitter | None:
+    def get_replicate_jitter(self, estimate: Estimate) -> ReplicateJitter | None:
         """Return the stated jitter; None if none is stated."""
         noise = self.campaign.noise
         stated = noise.contact_jitter or noise.zero_jitter
-        return Jitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
+        return ReplicateJitter(noise.contact_jitter or 0.0, noise.zero_jitter or 0.0, None) if stated else None
 
-    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: Predictor) -> tuple[ForwardTest, float]:
+    def build_held_out_test(self, test: Test, estimate: Estimate, predictor: ForcePredictor) -> tuple[ForwardTest,
+                                                                                                      float]:
         """Return the closed form of a held-out test, whose mesh error is 0."""
-        return self._build_test(test), 0.0
+        return self._build_closed_form_test(test), 0.0
 
 
-def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
+def fit_law_analytically(problem: OrdinaryProblem) -> tuple[list[DescentResult], Estimate | str]:
     """Fit one law: descents from all starts on thinned samples, then the best minima on all samples.
 
     Args:
@@ -176,40 +180,41 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
     Returns:
         All descents, and the estimate or the reason of the failure.
     """
-    spent, law = problem.solves.start_meter(), problem.space.law
+    spent, law = problem.solves.start_effort_meter(), problem.space.law
     # The stress of a material with memory depends on the whole motion, so its samples are not thinned.
-    stride = 1 if problem.remembers else -(-problem.samples // _SETTINGS.thinned_points)
+    stride = 1 if problem.is_history_dependent else -(-problem.samples // _SETTINGS.thinned_points)
     thin = problem if stride == 1 else problem.with_fewer_samples(stride)
 
     def run_descent(target: OrdinaryProblem, start: np.ndarray, number: int, most: int,
-                    tolerance: float = _SETTINGS.tolerance) -> Descent:
-        return descend(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
-                       max_solves=most)
+                    tolerance: float = _SETTINGS.tolerance) -> DescentResult:
+        return minimise_from_start(target, start, start=number, enough=0.0, tolerance=tolerance, gradient=tolerance,
+                                   max_solves=most)
 
-    def are_equal(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    def are_minima_equal(one: np.ndarray, other: np.ndarray) -> np.ndarray:
         return (np.abs(one - other) <= DESCENT.same_minimum * np.abs(other) + 1e-9)[: len(problem.space.free)]
 
-    limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.relaxing else \
+    limits = (_SETTINGS.relaxing_solves, _SETTINGS.relaxing_tolerance) if problem.long_term_variables else \
         (_SETTINGS.thinned_solves, _SETTINGS.thinned_tolerance)
     starts = compute_analytical_starts(thin)
     descents = [run_descent(thin, start, number, *limits) for number, start in enumerate(starts, 1)]
-    ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], are_equal)
-    refined = ends if problem.relaxing else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves), count)
-                                             for end, count in ends[:_SETTINGS.max_minima]]
+    ends = find_distinct_minima([(d, 1) for d in descents if np.isfinite(d.error)], are_minima_equal)
+    refined = ends if problem.long_term_variables else [(run_descent(problem, end.theta, end.start, _SETTINGS.solves),
+                                                         count)
+                                                        for end, count in ends[:_SETTINGS.max_minima]]
     refined = sorted((item for item in refined if np.isfinite(item[0].error)), key=lambda item: item[0].error)
     if not refined:
         hint = "" if all(test.specimen is None for test in problem.tests) else \
             "; the specimen may be too heavy for it, so check density_kg_m3"
         return descents, f"no start of {law} gives a finite stress over the data; state one in fit.start{hint}"
-    for start in list_mirrored_starts(problem.space, refined[0][0].theta):
-        if problem.relaxing and not _is_promising(problem, start, refined[0][0].error):
+    for start in list_sign_flipped_starts(problem.space, refined[0][0].theta):
+        if problem.long_term_variables and not _is_promising_start(problem, start, refined[0][0].error):
             continue
         descents.append(run_descent(thin, start, len(descents) + 1, *limits))
         if np.isfinite(descents[-1].error):
             refined.append((run_descent(problem, descents[-1].theta, descents[-1].start, _SETTINGS.solves), 1))
-    refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)], are_equal)
+    refined = find_distinct_minima([item for item in refined if np.isfinite(item[0].error)], are_minima_equal)
     scale = max(1.0, refined[0][0].error / max(problem.samples - problem.bounds[0].size, 1))
-    best = refined[prefer_positive_exponents(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
+    best = refined[select_minimum_to_report(problem.space, [(d.error / scale, d.theta) for d, _ in refined])][0]
     stress = problem.data / problem.area
     total = float(np.sum((stress - stress.mean())**2))
     minima = []
@@ -223,13 +228,15 @@ def fit_law(problem: OrdinaryProblem) -> tuple[list[Descent], Estimate | str]:
                               problem=problem, minima=tuple(minima))
 
 
-def _is_promising(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:
+def _is_promising_start(problem: OrdinaryProblem, start: np.ndarray, best: float) -> bool:
     """Return whether the sum of squares at a start is close enough to the best one to follow the start."""
     evaluation = evaluate_if_feasible(problem, start)
-    return evaluation is not None and evaluation.error < ALTERNATIVES.promising_ratio * max(best, problem.samples)
+    limit = ALTERNATIVES.promising_ratio * max(best, problem.samples)
+    return evaluation is not None and evaluation.sum_of_squares < limit
 
 
-def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: Noise) -> Uncertainty:
+def compute_sandwich_uncertainty(problem: OrdinaryProblem, evaluation: ProblemEvaluation,
+                                 stated: Noise) -> ParameterUncertainty:
     """Return the sandwich covariance of the unknowns: parameters first, then offsets and zeros.
 
     Args:
@@ -238,48 +245,49 @@ def assess_sandwich(problem: OrdinaryProblem, evaluation: Evaluation, stated: No
         stated: noise and jitter of the campaign.
     """
     theta = evaluation.theta
-    on_bound = problem.on_bound(theta)
+    on_bound = problem.find_unknowns_on_bound(theta)
     noise = np.array([curve.noise.deviation / problem.tests[t].area
                       for (t, _), curve in zip(problem.places, problem.measured, strict=True)])
-    correlation = residual_autocorrelation(problem, evaluation)
+    correlation = compute_residual_autocorrelation(problem, evaluation)
     # Smooth residuals are autocorrelated, which reduces the number of independent samples by (1 - r) / (1 + r)
     # (Bayley and Hammersley 1946).
-    repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.remembers else 1.0
-    spread = sandwich_covariance(
-        evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.index, noise,
-        1.0 / problem.prior_deviation**2, problem.jitter_columns(theta, stated),
+    repeats = (1.0 + max(correlation, 0.0)) / (1.0 - min(correlation, 0.999)) if problem.is_history_dependent else 1.0
+    spread = compute_sandwich_covariance(
+        evaluation.rates * problem.noise, evaluation.residual * problem.noise, problem.recording_indices, noise,
+        1.0 / problem.prior_deviation**2, problem.compute_jitter_columns(theta, stated),
         [curve.interpolation for curve in problem.measured], on_bound, repeats)
     squares, samples = spread.criteria
     priors = float(evaluation.prior_residual @ evaluation.prior_residual)
     return replace(spread, sizes=np.abs(theta), criteria=(squares + priors, samples))
 
 
-def residual_autocorrelation(problem: OrdinaryProblem, evaluation: Evaluation) -> float:
+def compute_residual_autocorrelation(problem: OrdinaryProblem, evaluation: ProblemEvaluation) -> float:
     """Return the lag-1 autocorrelation of the residuals within recordings."""
-    residual, same = evaluation.residual, np.diff(problem.index) == 0
+    residual, same = evaluation.residual, np.diff(problem.recording_indices) == 0
     squares = float(residual @ residual)
     return float(residual[:-1][same] @ residual[1:][same]) / squares if squares else 0.0
 
 
-def _describe_relaxation(problem: OrdinaryProblem, found: Findings) -> list[str]:
+def _list_relaxation_remarks(problem: OrdinaryProblem, found: EstimateFindings) -> list[str]:
     """Return remarks on the relaxation times and the smoothness of the residuals of a material with memory."""
-    if not problem.remembers:
+    if not problem.is_history_dependent:
         return []
-    shortest, longest = problem.time_range
-    times = [] if problem.relaxing is None else found.estimate.theta[problem.relaxing.tau]
+    shortest, longest = problem.sampling_interval_and_duration
+    times = [] if problem.long_term_variables is None else found.estimate.theta[problem.long_term_variables.tau]
     notes = [f"tau {tau:.3g} s is {'shorter than the steps' if tau < shortest else 'longer than the record'} "
              f"({shortest:.3g} to {longest:.3g} s)" for tau in times if not shortest <= tau <= longest]
-    correlation = residual_autocorrelation(problem, found.estimate.evaluation)
+    correlation = compute_residual_autocorrelation(problem, found.estimate.evaluation)
     if correlation > _SETTINGS.correlated_residuals:
         notes.append(f"the residuals are smooth (neighbours correlate by {correlation:.2f}): they are a model error, "
                      "not noise, and the criteria favour too many terms")
     return notes
 
 
-def _build_nuisance_records(problem: OrdinaryProblem, theta: np.ndarray, spread: Uncertainty) -> list[Nuisance]:
+def _build_nuisance_records(problem: OrdinaryProblem, theta: np.ndarray,
+                            spread: ParameterUncertainty) -> list[Nuisance]:
     """Return contact offset and zero of each recording that has them."""
     free, names = len(problem.space.free), np.array(["contact_offset_mm", "zero_offset_N"])
-    values = problem.offsets(theta)[problem.shifted]
+    values = problem.get_contact_offsets_and_zeros(theta)[problem.shifted]
     errors, hits = spread.standard_errors[free:].reshape(-1, 2), spread.on_bound[free:].reshape(-1, 2)
     known = [[error if np.isfinite(error) else None for error in pair] for pair in (errors * [1e3, 1.0]).tolist()]
     return [Nuisance(replicate=problem.measured[i].name, contact_offset_mm=float(pair[0] * 1e3),

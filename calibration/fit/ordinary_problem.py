@@ -11,12 +11,12 @@ from calibration.campaign.campaign import FitSettings, Noise
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.offset_defaults import OFFSET_DEFAULTS
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.problem import Evaluation, LeastSquares
-from calibration.fit.variables import LongTerm, Variables
+from calibration.fit.problem import LeastSquaresProblem, ProblemEvaluation
+from calibration.fit.variables import LongTermVariables, Variables
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.contract import InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.statistics import pooled_noise
+from calibration.statistics.statistics import compute_pooled_noise
 from tissue_sim.laws import find_law
 from tissue_sim.material.viscoelasticity import MOST_TERMS
 
@@ -25,7 +25,7 @@ _BOUND_DISTANCE = 1e-6
 
 
 @dataclass(eq=False)
-class OrdinaryProblem(LeastSquares):
+class OrdinaryProblem(LeastSquaresProblem):
     """Least-squares problem with residuals of the nominal stress in units of one pooled noise.
 
     The unknowns are the free parameters, then contact offset, m, and zero, N, of each recording that has them.
@@ -61,8 +61,8 @@ class OrdinaryProblem(LeastSquares):
                                          np.tile([self.settings.offset_prior, zero_prior], count))
 
     @classmethod
-    def of(cls, space: ParameterSpace, tests: Sequence[ClosedFormTest], settings: FitSettings,
-           solves: SimulationCache) -> OrdinaryProblem:
+    def with_pooled_noise(cls, space: ParameterSpace, tests: Sequence[ClosedFormTest], settings: FitSettings,
+                          solves: SimulationCache) -> OrdinaryProblem:
         """Return the problem with the pooled noise of its recordings.
 
         Args:
@@ -73,28 +73,28 @@ class OrdinaryProblem(LeastSquares):
         """
         pairs = [(curve, test.area) for test in tests for curve in test.measured]
         index = np.repeat(np.arange(len(pairs)), [curve.force.size for curve, _ in pairs])
-        noise = pooled_noise(np.array([curve.noise.deviation / area for curve, area in pairs]), index)
+        noise = compute_pooled_noise(np.array([curve.noise.deviation / area for curve, area in pairs]), index)
         force_noise = max((curve.noise.deviation for curve, _ in pairs if curve.test.specimen is not None), default=0.0)
         return cls(space, tuple(tests), solves, settings, noise, force_noise)
 
     @property
-    def index(self) -> np.ndarray:
+    def recording_indices(self) -> np.ndarray:
         """Index of the recording of each sample, shape (N,)."""
         return np.repeat(np.arange(len(self.rows)), [rows.stop - rows.start for rows in self.rows])
 
     @property
-    def time_range(self) -> tuple[float, float]:
+    def sampling_interval_and_duration(self) -> tuple[float, float]:
         """Median sampling interval and duration of the longest recording, s."""
         steps = np.concatenate([np.diff(curve.clock) for curve in self.measured])
         return float(np.median(steps[steps > 0])), max(float(np.ptp(curve.clock)) for curve in self.measured)
 
     @property
-    def remembers(self) -> bool:
+    def is_history_dependent(self) -> bool:
         """Whether the force depends on the history of the deformation."""
         return any(curve.segment is not None for curve in self.measured)
 
     @property
-    def relaxing(self) -> LongTerm | None:
+    def long_term_variables(self) -> LongTermVariables | None:
         """Variables of a law with Prony terms if all parameters are free and without stated bounds; otherwise None."""
         law, free = find_law(self.space.law), self.space.free
         terms = [pair for i in range(MOST_TERMS) if set(pair := (
@@ -106,8 +106,8 @@ class OrdinaryProblem(LeastSquares):
         index_of = {name: index for index, name in enumerate(free)}
         moduli = [law.units[name] != "1" for name in law.parameters]
         own = np.array([index_of[name] for name in law.parameters])
-        return LongTerm(own[moduli], own[np.logical_not(moduli)], np.array([index_of[g] for g, _ in terms]),
-                        np.array([index_of[tau] for _, tau in terms]), self.time_range)
+        return LongTermVariables(own[moduli], own[np.logical_not(moduli)], np.array([index_of[g] for g, _ in terms]),
+                                 np.array([index_of[tau] for _, tau in terms]), self.sampling_interval_and_duration)
 
     def with_fewer_samples(self, stride: int) -> OrdinaryProblem:
         """Return the problem with every `stride`-th sample, for cheaper descents.
@@ -118,61 +118,64 @@ class OrdinaryProblem(LeastSquares):
             time = None if curve.time is None else curve.time[::stride]
             return replace(curve, displacement=curve.displacement[::stride], force=curve.force[::stride], time=time)
 
-        def pool_recordings(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
-            if self.shifted or self.remembers or any(each.recording is not None for each in self.space.unknowns):
+        def pool_thinned_recordings(curves: list[MeasuredCurve]) -> list[MeasuredCurve]:
+            if self.shifted or self.is_history_dependent or any(each.recording is not None
+                                                                for each in self.space.unknowns):
                 return curves
             return [replace(curves[0], time=None, displacement=np.concatenate([curve.displacement for curve in curves]),
                             force=np.concatenate([curve.force for curve in curves]))]
 
         return replace(self, tests=tuple(
-            replace(test, measured=tuple(pool_recordings(list(map(thin_recording, test.measured)))))
+            replace(test, measured=tuple(pool_thinned_recordings(list(map(thin_recording, test.measured)))))
             for test in self.tests))
 
-    def without_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquares.without_test`."""
+    def remove_test(self, number: int, theta: np.ndarray) -> tuple[OrdinaryProblem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquaresProblem.remove_test`."""
         free = len(self.space.free)
         kept = [self.places[i][0] != number for i in self.shifted]
         tests = [test for i, test in enumerate(self.tests) if i != number]
-        return (OrdinaryProblem.of(self.space, tests, self.settings, self.solves),
+        return (OrdinaryProblem.with_pooled_noise(self.space, tests, self.settings, self.solves),
                 np.append(theta[:free], theta[free:].reshape(-1, 2)[kept]))
 
     @property
-    def weightless(self) -> OrdinaryProblem:
-        """Problem without self-weight."""
-        return replace(self, tests=tuple(test.weightless for test in self.tests))
+    def without_self_weight(self) -> OrdinaryProblem:
+        """Same problem without the self-weight of the specimens."""
+        return replace(self, tests=tuple(test.without_self_weight for test in self.tests))
 
-    def sizes(self, theta: np.ndarray) -> np.ndarray:
+    def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown: size of a parameter, prior deviation of an offset or zero; shape (k,)."""
         free = len(self.space.free)
-        return np.append(super().sizes(theta[:free]), self.prior_deviation[free:])
+        return np.append(super().compute_unknown_scales(theta[:free]), self.prior_deviation[free:])
 
-    def variables(self, theta: np.ndarray) -> Variables:
-        """Return the variables of a descent: `LongTerm` for Prony terms, otherwise scaled unknowns."""
-        return self.relaxing or super().variables(theta)
+    def make_descent_variables(self, theta: np.ndarray) -> Variables:
+        """Return the variables of a descent: `LongTermVariables` for Prony terms, otherwise scaled unknowns."""
+        return self.long_term_variables or super().make_descent_variables(theta)
 
-    def on_bound(self, theta: np.ndarray) -> np.ndarray:
+    def find_unknowns_on_bound(self, theta: np.ndarray) -> np.ndarray:
         """Return which unknowns are on a bound, bool, shape (k,)."""
-        variables = self.relaxing
+        variables = self.long_term_variables
         low, high = self.bounds if variables is None else variables.bounds
         u = theta if variables is None else variables.from_unknowns(theta)
         reach = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(u), 1.0))
         return (u - low <= _BOUND_DISTANCE * reach) | (high - u <= _BOUND_DISTANCE * reach)
 
-    def offsets(self, theta: np.ndarray) -> np.ndarray:
+    def get_contact_offsets_and_zeros(self, theta: np.ndarray) -> np.ndarray:
         """Return contact offset, m, and zero, N, of each recording, shape (recordings, 2)."""
         values = np.zeros((len(self.places), 2))
         values[self.shifted] = theta[len(self.space.free):].reshape(-1, 2)
         return values
 
-    def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return unweighted residuals of the nominal stress; see `LeastSquares._weighted_residuals`."""
+    def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return unweighted residuals of the nominal stress; see `LeastSquaresProblem._compute_weighted_residuals`."""
         free = len(self.space.free)
         force, rates = np.empty(self.samples), np.zeros((self.samples, theta.size))
         answers = [test.solve(self.space, theta[:free], self.solves) for test in self.tests]
-        for i, (rows, (t, r), (offset, zero)) in enumerate(zip(self.rows, self.places, self.offsets(theta).tolist(),
-                                                               strict=True)):
+        for i, (rows, (t, r),
+                (offset, zero)) in enumerate(zip(self.rows, self.places,
+                                                 self.get_contact_offsets_and_zeros(theta).tolist(),
+                                                 strict=True)):
             shifted = i in self.shifted
-            force[rows], rates[rows, :free], contact = self.tests[t].evaluate(answers[t], r, offset, shifted)
+            force[rows], rates[rows, :free], contact = self.tests[t].evaluate_force(answers[t], r, offset, shifted)
             if shifted:
                 column = free + 2 * self.shifted.index(i)
                 force[rows] += zero
@@ -180,7 +183,7 @@ class OrdinaryProblem(LeastSquares):
         unit = self.area * self.noise
         return (force - self.data) / unit, rates / unit[:, None], np.zeros((self.samples, 0)), np.zeros(0), force
 
-    def jitter_columns(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
+    def compute_jitter_columns(self, theta: np.ndarray, noise: Noise) -> np.ndarray | None:
         """Return the change of the nominal stress per standard deviation of contact and zero jitter, Pa, shape (N, 2).
 
         None if no jitter is stated; no columns if fitted offsets have the jitter as their prior.
@@ -193,12 +196,12 @@ class OrdinaryProblem(LeastSquares):
         answers = [test.solve(self.space, theta[: len(self.space.free)], self.solves) for test in self.tests]
         for rows, (t, r) in zip(self.rows, self.places, strict=True):
             if not self.tests[t].measured[r].stressed:
-                contact = self.tests[t].evaluate(answers[t], r, 0.0)[2]
+                contact = self.tests[t].evaluate_force(answers[t], r, 0.0)[2]
                 columns[rows, 0], columns[rows, 1] = contact * noise.contact_jitter, noise.zero_jitter
         return columns / self.area[:, None]
 
 
-def evaluate_if_feasible(problem: OrdinaryProblem, theta: np.ndarray) -> Evaluation | None:
+def evaluate_if_feasible(problem: OrdinaryProblem, theta: np.ndarray) -> ProblemEvaluation | None:
     """Return the evaluation of a problem; None if the model is infeasible or its values are not finite."""
     try:
         evaluation = problem.evaluate(theta)

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from calibration.fit.lack_of_fit import compute_lack_of_fit
-from calibration.fit.problem import LeastSquares
+from calibration.fit.problem import LeastSquaresProblem
 
 #: Ratio of two stiffnesses above which the tests differ.
 _DIFFERENT = 1.05
 
 
-def describe_own_stiffnesses(problem: LeastSquares, model: np.ndarray, smallest_R2: float) -> str:
+def describe_individual_stiffness_remedy(problem: LeastSquaresProblem, model: np.ndarray, smallest_R2: float) -> str:
     """Describe the remedy of a misfit if the tests of one kind differ in stiffness only; empty otherwise.
 
     The force of the law is scaled to each test by least squares. The law has the right shape if it then explains the

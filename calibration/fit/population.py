@@ -10,8 +10,8 @@ from scipy import special
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.estimate import Estimate
-from calibration.fit.population_records import Covariance, PopulationStatement
-from calibration.statistics.adequacy import orthonormal_basis
+from calibration.fit.population_records import ParameterCovariance, PopulationStatement
+from calibration.statistics.adequacy import compute_orthonormal_basis
 from calibration.statistics.population import POPULATION, estimate_population
 
 
@@ -33,7 +33,7 @@ _SETTINGS = SpecimenDifferenceSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Specimens:
+class IndividualSpecimens:
     """Specimens with individual material parameters; empty if all specimens share the parameters.
 
     Attributes:
@@ -47,39 +47,39 @@ class Specimens:
     left_out: Mapping[str, str] = field(default_factory=dict)
 
     @property
-    def names(self) -> tuple[str, ...]:
-        """Names of all specimens."""
+    def specimen_names(self) -> tuple[str, ...]:
+        """Names of all specimens with individual parameters."""
         return tuple(dict.fromkeys([*self.material_of, *self.left_out]))
 
     @property
-    def missing_population(self) -> str | None:
+    def missing_population_reason(self) -> str | None:
         """Reason why several specimens have no population mean; None if they have one, or if there is one specimen."""
-        if self.population is not None or len(self.names) < POPULATION.min_specimens:
+        if self.population is not None or len(self.specimen_names) < POPULATION.min_specimens:
             return None
         first = self.material_of[0]
         alone = "" if first in self.left_out else f", or fit {first} in a separate campaign"
-        return (f"no population: of {len(self.names)} specimens these are not determined: "
-                f"{describe_left_out(self.left_out)}; so no material file is written, and E0 and mu0 are those of "
-                f"{first} alone: widen fit.bounds, give undetermined parameters the scope 'shared'{alone}")
+        return (f"no population: of {len(self.specimen_names)} specimens these are not determined: "
+                f"{describe_excluded_specimens(self.left_out)}; so no material file is written, and E0 and mu0 are "
+                f"those of {first} alone: widen fit.bounds, give undetermined parameters the scope 'shared'{alone}")
 
-    def warnings(self, unusable: str | None) -> list[str]:
+    def list_specimen_warnings(self, unusable: str | None) -> list[str]:
         """Return warnings on the specimens that the material represents.
 
         Args:
             unusable: reason why the fit is not usable, which is not repeated; None: it is usable.
         """
-        missing = self.missing_population
+        missing = self.missing_population_reason
         if missing is not None:
             return [] if missing == unusable else [missing]
         if self.population is not None and self.left_out:
-            return [f"no part of the population: {describe_left_out(self.left_out)}; mean, spread and material are "
-                    f"those of the other {len(self.material_of)} specimens"]
-        if self.population is None and self.names:
-            return [f"the material is that of {self.names[0]}: a single specimen says nothing about the scatter "
-                    "between specimens"]
+            return [f"no part of the population: {describe_excluded_specimens(self.left_out)}; mean, spread and "
+                    f"material are those of the other {len(self.material_of)} specimens"]
+        if self.population is None and self.specimen_names:
+            return [f"the material is that of {self.specimen_names[0]}: a single specimen says nothing about the "
+                    "scatter between specimens"]
         return []
 
-    def representative_values(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
+    def make_representative_values(self, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float]:
         """Return parameter values in which each specimen has those of the representative material.
 
         Args:
@@ -94,7 +94,8 @@ class Specimens:
                              if each.specimen is not None and each.path in known}}
 
 
-def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarray, errors: np.ndarray) -> Specimens:
+def estimate_specimen_population(space: ParameterSpace, theta: np.ndarray, covariance: np.ndarray,
+                                 errors: np.ndarray) -> IndividualSpecimens:
     """Determine the population of the specimens with individual parameters.
 
     Args:
@@ -111,7 +112,7 @@ def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndar
                 if (reasons := _list_undetermined_reasons(space, theta, errors, row))}
     determined = [specimen for specimen in rows if specimen not in left_out]
     if len(determined) < POPULATION.min_specimens:
-        return Specimens(None, tuple(determined or list(rows)[:1]), left_out)
+        return IndividualSpecimens(None, tuple(determined or list(rows)[:1]), left_out)
     table = np.array([rows[specimen] for specimen in determined])
     # The errors of shared parameters are common to all specimens. Given the shared parameters, the errors of different
     # specimens are independent.
@@ -130,8 +131,8 @@ def find_specimens(space: ParameterSpace, theta: np.ndarray, covariance: np.ndar
     together = np.block([[found.mean_covariance, cross], [cross.T, shared[np.ix_(everywhere, everywhere)]]])
     names = ("mean", "mean_errors", "mean_intervals", "mean_covariance", "between", "spread", "spread_intervals",
              "next_specimen", "estimates", "errors", "shrunken", "shrunken_errors")
-    return Specimens(PopulationStatement(
-        order=order, specimens=determined, covariance=Covariance(
+    return IndividualSpecimens(PopulationStatement(
+        order=order, specimens=determined, covariance=ParameterCovariance(
             order=[*order, *(space.free[others[k]] for k in everywhere)], matrix=together.tolist()),
         **{name: getattr(found, name).tolist() for name in names}), tuple(determined), left_out)
 
@@ -158,7 +159,7 @@ def _list_undetermined_reasons(space: ParameterSpace, theta: np.ndarray, errors:
     return [f"{', '.join(symbols)} {why}" for why, symbols in reasons.items()]
 
 
-def describe_left_out(left_out: Mapping[str, str]) -> str:
+def describe_excluded_specimens(left_out: Mapping[str, str]) -> str:
     """Describe specimens that are not included in a mean, such as ``animal_2 (C20 on its bound 0 Pa)``."""
     return ", ".join(f"{name} ({why})" for name, why in left_out.items())
 
@@ -174,15 +175,15 @@ def describe_differing_specimens(estimate: Estimate) -> list[str]:
     specimens = [None if curve.test.specimen is None else curve.test.specimen.name for curve in problem.measured]
     if not shared or None in specimens or len(set(specimens)) < POPULATION.min_specimens:
         return []
-    residual, design = evaluation.design
+    residual, design = evaluation.full_residual_and_jacobian
     modes = np.zeros((residual.size, len(set(specimens)) * len(shared)))
     for k, name in enumerate(dict.fromkeys(specimens)):
         for rows, specimen in zip(problem.rows, specimens, strict=True):
             if specimen == name:
                 modes[rows, k * len(shared):(k + 1) * len(shared)] = evaluation.rates[rows][:, shared]
-    fitted = orthonormal_basis(design)
+    fitted = compute_orthonormal_basis(design)
     modes -= fitted @ (fitted.T @ modes)
-    found = orthonormal_basis(modes)
+    found = compute_orthonormal_basis(modes)
     decrease, total = float(np.sum((found.T @ residual)**2)), float(residual @ residual)
     if decrease < _SETTINGS.min_fraction * total or special.chdtrc(found.shape[1], decrease) > _SETTINGS.max_p:
         return []

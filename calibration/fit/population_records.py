@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 
-class Covariance(msgspec.Struct, frozen=True, kw_only=True):
+class ParameterCovariance(msgspec.Struct, frozen=True, kw_only=True):
     """Covariance matrix of parameters.
 
     Attributes:
@@ -18,7 +18,9 @@ class Covariance(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class PopulationStatement(msgspec.Struct, frozen=True, kw_only=True):
-    """Population of specimens with individual parameters, SI; see `calibration.statistics.population.Population`.
+    """Population of specimens with individual parameters, SI.
+
+    See `calibration.statistics.population.PopulationEstimate`.
 
     Attributes:
         order: paths of the parameters.
@@ -44,7 +46,7 @@ class PopulationStatement(msgspec.Struct, frozen=True, kw_only=True):
     mean_errors: list[float]
     mean_intervals: list[tuple[float, float]]
     mean_covariance: list[list[float]]
-    covariance: Covariance
+    covariance: ParameterCovariance
     between: list[list[float]]
     spread: list[float]
     spread_intervals: list[tuple[float, float]]

@@ -9,14 +9,14 @@ import numpy as np
 
 from calibration.campaign.campaign import Test
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.population import find_specimens
+from calibration.fit.population import estimate_specimen_population
 from calibration.fit.population_records import PopulationStatement
-from calibration.statistics.bands import Scatter
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.bands import ScatterComponent
+from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True, eq=False)
-class Predictor:
+class ForcePredictor:
     """Parameters that predict a test, and their covariance.
 
     Attributes:
@@ -34,31 +34,31 @@ class Predictor:
     sampled: np.ndarray | None = None
 
     @classmethod
-    def of(cls, space: ParameterSpace, theta: np.ndarray, spread: Uncertainty) -> Predictor:
+    def from_estimate(cls, space: ParameterSpace, theta: np.ndarray, spread: ParameterUncertainty) -> ForcePredictor:
         """Return the predictor of an estimate, without unknowns other than the parameters, such as offsets."""
         free = len(space.free)
         return cls(space, theta[:free], spread.covariance[:free, :free])
 
-    def predict_scatter(self, rates: np.ndarray) -> list[Scatter]:
+    def predict_force_scatter(self, rates: np.ndarray) -> list[ScatterComponent]:
         """Return the scatter of a predicted force by the uncertainty of the parameters.
 
         Args:
             rates: derivatives of the force with the free parameters, shape (n, p).
         """
         if self.sampled is None:
-            return [Scatter(rates @ _covariance_root(self.covariance))]
-        return [Scatter(rates @ _covariance_root(self.covariance - self.sampled)),
-                Scatter(rates @ _covariance_root(self.sampled), max(len(self.mean_of) - 1.0, 1.0))]
+            return [ScatterComponent(rates @ _compute_covariance_root(self.covariance))]
+        return [ScatterComponent(rates @ _compute_covariance_root(self.covariance - self.sampled)),
+                ScatterComponent(rates @ _compute_covariance_root(self.sampled), max(len(self.mean_of) - 1.0, 1.0))]
 
 
-def _covariance_root(covariance: np.ndarray) -> np.ndarray:
+def _compute_covariance_root(covariance: np.ndarray) -> np.ndarray:
     """Return R with R R' = covariance."""
     values, vectors = np.linalg.eigh(covariance)
     return vectors * np.sqrt(np.clip(values, 0.0, None))
 
 
-def predict_by_mean(space: ParameterSpace, theta: np.ndarray, population: PopulationStatement,
-                    specimen: str) -> Predictor:
+def make_population_mean_predictor(space: ParameterSpace, theta: np.ndarray, population: PopulationStatement,
+                                   specimen: str) -> ForcePredictor:
     """Return a predictor with the population mean for all parameters of a further specimen.
 
     Its covariance is the between-specimen covariance plus the joint covariance of the mean and the shared parameters.
@@ -82,7 +82,7 @@ def predict_by_mean(space: ParameterSpace, theta: np.ndarray, population: Popula
     # The conditional covariance given the shared parameters is due to the choice of the specimens.
     cross, shared = together[:len(own), len(own):], together[len(own):, len(own):]
     sampled[np.ix_(own, own)] = covariance[np.ix_(own, own)] - cross @ _invert_covariance(shared) @ cross.T
-    return Predictor(space, theta, covariance, tuple(population.specimens), sampled)
+    return ForcePredictor(space, theta, covariance, tuple(population.specimens), sampled)
 
 
 def _invert_covariance(covariance: np.ndarray) -> np.ndarray:
@@ -91,8 +91,8 @@ def _invert_covariance(covariance: np.ndarray) -> np.ndarray:
     return np.linalg.pinv(covariance / np.outer(sizes, sizes), rcond=1e-12, hermitian=True) / np.outer(sizes, sizes)
 
 
-def make_held_out_predictor(test: Test, predictor: Predictor, population: PopulationStatement | None
-                            ) -> Predictor | None:
+def make_held_out_predictor(test: Test, predictor: ForcePredictor, population: PopulationStatement | None
+                            ) -> ForcePredictor | None:
     """Return the predictor of a held-out test; None if its specimen has unknown parameters and there is no population.
 
     Args:
@@ -106,14 +106,14 @@ def make_held_out_predictor(test: Test, predictor: Predictor, population: Popula
     further = space.with_specimen(test.specimen.name, [test.name])
     added = len(further.free) - len(space.free)
     if not added:
-        return Predictor(further, theta, predictor.covariance)
+        return ForcePredictor(further, theta, predictor.covariance)
     if population is None:
         return None
-    return predict_by_mean(further, np.append(theta, np.zeros(added)), population, test.specimen.name)
+    return make_population_mean_predictor(further, np.append(theta, np.zeros(added)), population, test.specimen.name)
 
 
-def replace_undetermined_by_mean(predictor: Predictor, spread: Uncertainty, undetermined: Sequence[str]
-                                 ) -> Predictor | None:
+def make_left_out_test_predictor(predictor: ForcePredictor, spread: ParameterUncertainty, undetermined: Sequence[str]
+                                 ) -> ForcePredictor | None:
     """Return the predictor of a test from a fit to the other tests.
 
     Args:
@@ -133,5 +133,5 @@ def replace_undetermined_by_mean(predictor: Predictor, spread: Uncertainty, unde
         return None
     errors = np.where([each.specimen == owner for each in space.varied], np.inf,
                       spread.standard_errors[: len(space.free)])
-    population = find_specimens(space, predictor.theta, predictor.covariance, errors).population
-    return None if population is None else predict_by_mean(space, predictor.theta, population, owner)
+    population = estimate_specimen_population(space, predictor.theta, predictor.covariance, errors).population
+    return None if population is None else make_population_mean_predictor(space, predictor.theta, population, owner)

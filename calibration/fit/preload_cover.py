@@ -38,7 +38,7 @@ def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
     """Return recording -> fitted contact offset, m; negative if contact lies before the zero of the displacement."""
     problem: Any = estimate.problem
     if isinstance(problem, OrdinaryProblem):
-        values = problem.offsets(estimate.theta)[:, 0]
+        values = problem.get_contact_offsets_and_zeros(estimate.theta)[:, 0]
     elif "contact" in problem.kinds:
         first = [columns.start + problem.kinds.index("contact") for columns in problem.offset_columns]
         values = problem.jitter.contact * estimate.evaluation.nuisances[first]
@@ -47,7 +47,7 @@ def read_contact_offsets(estimate: Estimate) -> Mapping[str, float]:
     return {curve.name: float(contact) for curve, contact in zip(problem.measured, values, strict=True)}
 
 
-def list_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
+def list_recording_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
     """Return the notes of a recording, with a note on a preload that the fitted contact offset covers.
 
     Args:
@@ -59,18 +59,18 @@ def list_notes_after_fit(curve: MeasuredCurve, fit: Fit) -> dict[str, str]:
     if preload is None or curve.stressed or curve.name not in contacts:
         return notes
     contact = contacts[curve.name]
-    if _is_covered(contact, preload.shift):
+    if _equals_preload_distance(contact, preload.shift):
         notes["preload"] = (f"the displacement was zeroed at a preload of {preload.force:.3g} N; the fitted contact "
                             f"offset of {1e3 * contact:.3g} mm covers it")
     return notes
 
 
-def covers_preload(curve: MeasuredCurve, contact: float) -> bool:
+def contact_offset_explains_preload(curve: MeasuredCurve, contact: float) -> bool:
     """Return whether a fitted contact offset, m, explains the load at the zero of the displacement."""
     preload = curve.screening.preload
-    return preload is None or preload.is_settled or _is_covered(contact, preload.shift)
+    return preload is None or preload.is_settled or _equals_preload_distance(contact, preload.shift)
 
 
-def _is_covered(contact: float, shift: float) -> bool:
+def _equals_preload_distance(contact: float, shift: float) -> bool:
     """Return whether a contact offset, m, equals the distance of a preload from contact, m, within the limits."""
     return _SETTINGS.min_fraction <= -contact / shift <= _SETTINGS.max_fraction

@@ -10,11 +10,11 @@ from scipy.linalg import cho_factor, cho_solve
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.fit.variables import Scaled, Variables
+from calibration.fit.variables import ScaledVariables, Variables
 from calibration.forward.contract import ForwardTest, InfeasibleError
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import Jitter, WhitenedReplicate
-from calibration.statistics.sensor_noise import whiten
+from calibration.statistics.jitter import ReplicateJitter, WhitenedReplicate
+from calibration.statistics.sensor_noise import whiten_columns
 from tissue_sim.errors import InputError
 
 
@@ -46,7 +46,7 @@ MESH_MODES = 2
 
 
 @dataclass(frozen=True, eq=False)
-class Evaluation:
+class ProblemEvaluation:
     """Residuals and derivatives at one set of parameters, with the best nuisances.
 
     The m nuisances are in units of their standard deviations: contact offset and zero of each recording, then the modes
@@ -73,7 +73,7 @@ class Evaluation:
     force: np.ndarray
 
     @property
-    def error(self) -> float:
+    def sum_of_squares(self) -> float:
         """Minimised sum of squares: residuals, nuisances and prior residuals."""
         return float(self.residual @ self.residual + self.nuisances @ self.nuisances
                      + self.prior_residual @ self.prior_residual)
@@ -85,18 +85,18 @@ class Evaluation:
         return float(np.linalg.slogdet(np.eye(m) + self.columns.T @ self.columns)[1])
 
     @property
-    def projected(self) -> tuple[np.ndarray, np.ndarray]:
+    def projected_residual_and_jacobian(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual, shape (M,), and Jacobian, shape (M, p), after elimination of the nuisances (variable projection).
 
         The derivative of the nuisances with the parameters is -(I + C'C)^-1 C'J with the rates J and C = `columns`.
 
         Source: Kaufman, BIT 15 (1975) 49.
         """
-        response = self._nuisance_response(self.rates)
+        response = self._compute_compensating_nuisances(self.rates)
         return (np.concatenate([self.residual, self.nuisances, self.prior_residual]),
                 np.concatenate([self.rates + self.columns @ response, response, self.prior_rates]))
 
-    def _nuisance_response(self, columns: np.ndarray) -> np.ndarray:
+    def _compute_compensating_nuisances(self, columns: np.ndarray) -> np.ndarray:
         """Return the change of the nuisances that compensates changes of the model, shape (m, ...).
 
         Args:
@@ -108,7 +108,7 @@ class Evaluation:
         return -cho_solve(factor, self.columns.T @ columns)
 
     @property
-    def design(self) -> tuple[np.ndarray, np.ndarray]:
+    def full_residual_and_jacobian(self) -> tuple[np.ndarray, np.ndarray]:
         """Residual, shape (M,), and Jacobian, shape (M, p + m), with parameters and nuisances as unknowns."""
         p, m = self.rates.shape[1], self.columns.shape[1]
         rows = [np.hstack([self.rates, self.columns]), np.hstack([np.zeros((m, p)), np.eye(m)]),
@@ -117,7 +117,7 @@ class Evaluation:
 
 
 @dataclass(eq=False)
-class LeastSquares(ABC):
+class LeastSquaresProblem(ABC):
     """Least-squares problem of one law over all fitted tests; the k unknowns begin with the free parameters.
 
     Attributes:
@@ -135,7 +135,7 @@ class LeastSquares(ABC):
     space: ParameterSpace
     tests: tuple[ForwardTest, ...]
     solves: SimulationCache
-    _last: Evaluation | None = field(default=None, init=False, repr=False)
+    _last: ProblemEvaluation | None = field(default=None, init=False, repr=False)
 
     def __post_init__(self):
         self.places = [(t, r) for t, test in enumerate(self.tests) for r in range(len(test.measured))]
@@ -148,19 +148,19 @@ class LeastSquares(ABC):
 
     @property
     def measured(self) -> list[MeasuredCurve]:
-        """Recordings in the order of the rows."""
+        """Recordings of all tests, in the order of the rows of the residual."""
         return [self.tests[t].measured[r] for t, r in self.places]
 
-    def sizes(self, theta: np.ndarray) -> np.ndarray:
+    def compute_unknown_scales(self, theta: np.ndarray) -> np.ndarray:
         """Return the scale of each unknown, SI, shape (k,)."""
         return self.space.sizes(self.space.values(theta))
 
-    def variables(self, theta: np.ndarray) -> Variables:
+    def make_descent_variables(self, theta: np.ndarray) -> Variables:
         """Return the variables of a descent from `theta`: the unknowns in units of their scales there."""
-        sizes, (low, high) = self.sizes(theta), self.bounds
-        return Scaled(sizes, (low / sizes, high / sizes))
+        sizes, (low, high) = self.compute_unknown_scales(theta), self.bounds
+        return ScaledVariables(sizes, (low / sizes, high / sizes))
 
-    def evaluate(self, theta: np.ndarray) -> Evaluation:
+    def evaluate(self, theta: np.ndarray) -> ProblemEvaluation:
         """Evaluate residuals and derivatives; the last evaluation is cached.
 
         Args:
@@ -171,20 +171,20 @@ class LeastSquares(ABC):
         """
         theta = np.array(theta, dtype=float)
         if self._last is None or not np.array_equal(self._last.theta, theta):
-            residual, rates, columns, nuisances, force = self._weighted_residuals(theta)
+            residual, rates, columns, nuisances, force = self._compute_weighted_residuals(theta)
             prior = np.flatnonzero(np.isfinite(self.prior_deviation))
             deviation = self.prior_deviation[prior]
             prior_rates = np.zeros((prior.size, theta.size))
             prior_rates[np.arange(prior.size), prior] = 1.0 / deviation
-            self._last = Evaluation(theta, residual, rates, columns, nuisances,
-                                    (theta[prior] - self.prior_mean[prior]) / deviation, prior_rates, force)
+            self._last = ProblemEvaluation(theta, residual, rates, columns, nuisances,
+                                           (theta[prior] - self.prior_mean[prior]) / deviation, prior_rates, force)
         return self._last
 
     @abstractmethod
-    def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return residual, rates, columns, nuisances and force of an `Evaluation`."""
+    def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return residual, rates, columns, nuisances and force of a `ProblemEvaluation`."""
 
-    def restrict_to_fraction(self, fraction: float) -> LeastSquares:
+    def restrict_to_displacement_fraction(self, fraction: float) -> LeastSquaresProblem:
         """Return the problem with the samples of each test up to a fraction of its largest displacement."""
         def cut_recording(curve: MeasuredCurve, reach: float) -> MeasuredCurve:
             kept = np.flatnonzero(np.abs(curve.displacement) <= reach)
@@ -200,7 +200,7 @@ class LeastSquares(ABC):
         return replace(self, tests=tuple(tests))
 
     @abstractmethod
-    def without_test(self, number: int, theta: np.ndarray) -> tuple[LeastSquares, np.ndarray]:
+    def remove_test(self, number: int, theta: np.ndarray) -> tuple[LeastSquaresProblem, np.ndarray]:
         """Return the problem without one test, and its unknowns.
 
         Args:
@@ -210,7 +210,7 @@ class LeastSquares(ABC):
 
 
 @dataclass(eq=False)
-class Problem(LeastSquares):
+class GeneralisedProblem(LeastSquaresProblem):
     """Generalised least-squares problem on forces; contact offsets, zeros and mesh errors are eliminated as nuisances.
 
     Attributes:
@@ -219,14 +219,14 @@ class Problem(LeastSquares):
             one mesh share one error.
     """
 
-    jitter: Jitter
+    jitter: ReplicateJitter
     mesh_error: tuple[float, ...]
 
     def __post_init__(self):
         super().__post_init__()
-        self.reset_nuisances()
+        self.rebuild_nuisance_columns()
 
-    def reset_nuisances(self) -> None:
+    def rebuild_nuisance_columns(self) -> None:
         """Assign the nuisance columns again and drop the cached evaluation, after a change of correction or jitter."""
         self._last, count = None, len(self.places)
         self.kinds = [name for name in ("contact", "zero") if getattr(self.jitter, name) > 0]
@@ -241,41 +241,41 @@ class Problem(LeastSquares):
             self.shared.append(columns if size > 0 else slice(end, end))
         self.nuisances = end
 
-    def without_test(self, number: int, theta: np.ndarray) -> tuple[Problem, np.ndarray]:
-        """Return the problem without one test; see `LeastSquares.without_test`."""
+    def remove_test(self, number: int, theta: np.ndarray) -> tuple[GeneralisedProblem, np.ndarray]:
+        """Return the problem without one test; see `LeastSquaresProblem.remove_test`."""
         kept = [i for i in range(len(self.tests)) if i != number]
-        return Problem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
-                       tuple(self.mesh_error[i] for i in kept)), theta
+        return GeneralisedProblem(self.space, tuple(self.tests[i] for i in kept), self.solves, self.jitter,
+                                  tuple(self.mesh_error[i] for i in kept)), theta
 
-    def _weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return residuals whitened by noise, jitter and mesh error; see `LeastSquares._weighted_residuals`."""
+    def _compute_weighted_residuals(self, theta: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return whitened residuals (noise, jitter, mesh); see `LeastSquaresProblem._compute_weighted_residuals`."""
         try:
             self.space.material(self.space.values(theta))
         except InputError as error:
             raise InfeasibleError(str(error)) from None
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
-        nuisances, (residual, rates, columns, force) = self._best_nuisances(answers)
+        nuisances, (residual, rates, columns, force) = self._solve_best_nuisances(answers)
         return residual, rates, columns, nuisances, force
 
     def linearise_without_nuisances(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return whitened residual, shape (N,), and rates, shape (N, p), with all nuisances zero.
 
         Raises:
-            InfeasibleError: see `evaluate`.
+            InfeasibleError: see `LeastSquaresProblem.evaluate`.
         """
         answers = [test.solve(self.space, theta, self.solves) for test in self.tests]
-        return self._linearise(answers, np.zeros(self.nuisances))[:2]
+        return self._linearise_at_nuisances(answers, np.zeros(self.nuisances))[:2]
 
-    def _best_nuisances(self, answers: list) -> tuple[np.ndarray, tuple]:
+    def _solve_best_nuisances(self, answers: list) -> tuple[np.ndarray, tuple]:
         """Return the nuisances that minimise the sum of squares, shape (m,), and the linearised problem.
 
         Gauss-Newton with step halving. Each call begins with a scan, so that the sum of squares is a function of the
         parameters alone and does not depend on earlier calls.
         """
-        trial, lowest, step = self._scan_offsets(answers), np.inf, 1.0
+        trial, lowest, step = self._scan_contact_offsets(answers), np.inf, 1.0
         best, found, change = trial, (), trial
         for _ in range(_SETTINGS.max_steps):
-            linearised = self._linearise(answers, trial)
+            linearised = self._linearise_at_nuisances(answers, trial)
             residual, columns = linearised[0], linearised[2]
             error = residual @ residual + trial @ trial
             if found and error > lowest:
@@ -291,7 +291,7 @@ class Problem(LeastSquares):
             trial = trial + change
         return best, found
 
-    def _scan_offsets(self, answers: list) -> np.ndarray:
+    def _scan_contact_offsets(self, answers: list) -> np.ndarray:
         """Return starting values of the nuisances, shape (m,): the best trial contact offset of each recording.
 
         The sum of squares may have a local minimum for each sample that first contact passes, so Gauss-Newton from
@@ -303,11 +303,12 @@ class Problem(LeastSquares):
         offsets = np.linspace(-_SETTINGS.scan_range, _SETTINGS.scan_range, _SETTINGS.scan_points)
         for columns, (t, r) in zip(self.offset_columns, self.places, strict=True):
             test, measured = self.tests[t], self.tests[t].measured[r]
-            if not hasattr(test, "forces_at_offsets"):
+            if not hasattr(test, "compute_forces_at_offsets"):
                 continue
-            gaps = test.forces_at_offsets(answers[t], r, offsets * self.jitter.contact) - measured.force[:, None]
-            white = whiten(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]), measured.time,
-                           measured.noise)
+            gaps = test.compute_forces_at_offsets(answers[t], r,
+                                                  offsets * self.jitter.contact) - measured.force[:, None]
+            white = whiten_columns(np.column_stack([gaps, np.full(measured.force.size, self.jitter.zero)]),
+                                   measured.time, measured.noise)
             gaps, zero = white[:, :-1], white[:, -1]
             # The zero enters linearly, so its best value for each offset has a closed form.
             zeros = -(zero @ gaps) / (1.0 + zero @ zero)
@@ -317,7 +318,7 @@ class Problem(LeastSquares):
             trial[columns] = [found[kind] for kind in self.kinds]
         return trial
 
-    def _linearise(self, answers: list, nuisances: np.ndarray):
+    def _linearise_at_nuisances(self, answers: list, nuisances: np.ndarray):
         """Return whitened residual (N,), rates (N, p) and columns (N, m) at these nuisances, and the force, N, (N,)."""
         residual = np.empty(self.samples)
         rates = np.empty((self.samples, len(self.space.free)))
@@ -329,20 +330,20 @@ class Problem(LeastSquares):
             values = dict(zip(self.kinds, nuisances[places] * sizes, strict=True))
             offset, farthest = values.get("contact", 0.0), _SETTINGS.extrapolation * self.jitter.contact
             near = float(np.clip(offset, -farthest, farthest))
-            model, model_rates, contact_rate = test.evaluate(answers[t], r, near)
+            model, model_rates, contact_rate = test.evaluate_force(answers[t], r, near)
             if offset != near:
                 # The derivatives are extrapolated too, so that they are those of the extrapolated force.
                 close = _SETTINGS.relative_step
-                other = test.evaluate(answers[t], r, (1 - close) * near)[1]
+                other = test.evaluate_force(answers[t], r, (1 - close) * near)[1]
                 model_rates = model_rates + (offset - near) * (model_rates - other) / (close * near)
                 model = model + (offset - near) * contact_rate
-            modes, weights = self._mesh_columns(t, measured, model), nuisances[self.shared[t]]
+            modes, weights = self._compute_mesh_error_columns(t, measured, model), nuisances[self.shared[t]]
             # A mesh error proportional to the force changes the derivatives by the same factor.
-            factor = 1.0 + self._mesh_columns(t, measured, np.ones_like(model)) @ weights
+            factor = 1.0 + self._compute_mesh_error_columns(t, measured, np.ones_like(model)) @ weights
             nuisance_columns = {"contact": factor * contact_rate, "zero": np.ones_like(model)}
             force[rows] = model + values.get("zero", 0.0)
             gap = force[rows] - measured.force + modes @ weights
-            white = whiten(np.column_stack([gap, factor[:, None] * model_rates, *(
+            white = whiten_columns(np.column_stack([gap, factor[:, None] * model_rates, *(
                 size * nuisance_columns[name] for name, size in zip(self.kinds, sizes, strict=True)), modes]),
                 measured.time, measured.noise)
             p = rates.shape[1]
@@ -353,7 +354,7 @@ class Problem(LeastSquares):
             raise InfeasibleError("the force of the model is not finite")
         return residual, rates, columns, force
 
-    def _mesh_columns(self, number: int, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
+    def _compute_mesh_error_columns(self, number: int, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
         """Return the modes of the mesh error for one standard deviation each, N, shape (n, modes).
 
         The modes are proportional to the force of the model. Modes proportional to the measured force would bias all
@@ -381,9 +382,10 @@ class Problem(LeastSquares):
         found: list[list[WhitenedReplicate]] = [[] for _ in self.tests]
         for t, r in self.places:
             measured = self.tests[t].measured[r]
-            model, rates, contact = self.tests[t].evaluate(answers[t], r, 0.0)
-            white = whiten(np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
-                                            self._mesh_columns(t, measured, model)]), measured.time, measured.noise)
+            model, rates, contact = self.tests[t].evaluate_force(answers[t], r, 0.0)
+            white = whiten_columns(np.column_stack([model - measured.force, contact, np.ones_like(model), rates,
+                                                    self._compute_mesh_error_columns(t, measured, model)]),
+                                   measured.time, measured.noise)
             p = rates.shape[1]
             found[t].append(WhitenedReplicate(white[:, 0], white[:, 1], white[:, 2], white[:, 3:3 + p],
                                               white[:, 3 + p:]))

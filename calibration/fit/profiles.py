@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calibration.fit.problem import Problem
+from calibration.fit.problem import GeneralisedProblem
 from calibration.forward.contract import InfeasibleError
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True)
@@ -62,8 +62,8 @@ class ProfileSide:
     cpu_s: float
 
 
-def compute_profile_side(problem: Problem, theta: np.ndarray, error: float, spread: Uncertainty, index: int,
-                         side: int) -> ProfileSide:
+def compute_profile_side(problem: GeneralisedProblem, theta: np.ndarray, error: float, spread: ParameterUncertainty,
+                         index: int, side: int) -> ProfileSide:
     """Compute one side of the profile likelihood of a parameter, up to a rise by the square of the quantile.
 
     For each value of the parameter the sum of squares is minimised over all others. Each minimisation starts from the
@@ -80,7 +80,7 @@ def compute_profile_side(problem: Problem, theta: np.ndarray, error: float, spre
 
     Source: Venzon and Moolgavkar, Appl. Statist. 37 (1988) 87.
     """
-    spent = problem.solves.start_meter()
+    spent = problem.solves.start_effort_meter()
     space, quantile = problem.space, float(spread.quantile[index])
     bound = space.high[index] if side > 0 else space.low[index]
     deviation = spread.standard_errors[index]
@@ -88,7 +88,7 @@ def compute_profile_side(problem: Problem, theta: np.ndarray, error: float, spre
     points, lower = [(0.0, 0.0)], []
     note = ""
 
-    def rise_at(distance: float) -> float:
+    def root_rise_at_distance(distance: float) -> float:
         """Return the square root of the rise at a distance of the parameter from the estimate."""
         trial = np.clip(theta + side * distance * direction, space.low, space.high)
         trial[index] = theta[index] + side * distance
@@ -103,16 +103,16 @@ def compute_profile_side(problem: Problem, theta: np.ndarray, error: float, spre
     distance, cut = quantile * deviation, False
     try:
         if _SETTINGS.first_fraction * distance < limit:
-            rise_at(_SETTINGS.first_fraction * distance)
+            root_rise_at_distance(_SETTINGS.first_fraction * distance)
         for _ in range(_SETTINGS.max_points):
             cut = distance >= limit
-            rise = rise_at(min(distance, limit))
+            rise = root_rise_at_distance(min(distance, limit))
             if cut and rise <= quantile:
                 note = f"bound {bound:.6g}"
                 break
             if abs(rise - quantile) < _SETTINGS.tolerance:
                 break
-            distance = _estimate_crossing(points, quantile)
+            distance = _estimate_crossing_distance(points, quantile)
         else:
             note = "the end was not found; the interval may be wider"
     except InfeasibleError as failure:
@@ -134,7 +134,7 @@ def compute_profile_side(problem: Problem, theta: np.ndarray, error: float, spre
     return ProfileSide(index, side, theta[index] + side * distances, rises**2, float(end), note, *spent())
 
 
-def _estimate_crossing(points: list[tuple[float, float]], quantile: float) -> float:
+def _estimate_crossing_distance(points: list[tuple[float, float]], quantile: float) -> float:
     """Return the distance at which the square root of the rise is expected to equal the quantile.
 
     The distance is interpolated linearly between points on both sides of the quantile, or extrapolated.
@@ -154,7 +154,7 @@ def _estimate_crossing(points: list[tuple[float, float]], quantile: float) -> fl
     return float(distances[-1] + min(1.05 * step, 2.0 * distances[-1]))
 
 
-def _minimise_with_fixed_parameter(problem: Problem, trial: np.ndarray, index: int) -> float:
+def _minimise_with_fixed_parameter(problem: GeneralisedProblem, trial: np.ndarray, index: int) -> float:
     """Return the smallest sum of squares with one parameter fixed, by Gauss-Newton.
 
     The decrease of the last step is predicted from the quadratic approximation without a further evaluation.
@@ -169,10 +169,10 @@ def _minimise_with_fixed_parameter(problem: Problem, trial: np.ndarray, index: i
     best = np.inf
     for _ in range(_SETTINGS.max_steps):
         evaluation = problem.evaluate(trial)
-        error = evaluation.error
+        error = evaluation.sum_of_squares
         if not others.size or error > best:
             return min(error, best)
-        residual, jacobian = evaluation.projected
+        residual, jacobian = evaluation.projected_residual_and_jacobian
         step = np.linalg.lstsq(jacobian[:, others], -residual, rcond=1e-12)[0]
         moved = trial.copy()
         moved[others] = np.clip(trial[others] + step, space.low[others], space.high[others])

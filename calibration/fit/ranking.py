@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
-from calibration.fit.regions import name_misfits
+from calibration.fit.regions import name_regions_with_misfit
 from calibration.statistics.statistics import NOISE_RATIOS
 
 
@@ -49,32 +49,32 @@ def rank_laws(fitted: Sequence[Fitted]) -> tuple[list[Fit], list[Prediction], di
         Fits, predictions, and law -> curves, best law first.
     """
     predicted = {p.test for _, predictions, _ in fitted for p in predictions if p.percent is not None}
-    fitted = [(replace(fit, left_out=_mean_prediction_error([p for p in predictions if p.test in predicted])),
+    fitted = [(replace(fit, left_out=_compute_mean_prediction_error([p for p in predictions if p.test in predicted])),
                predictions, curves) for fit, predictions, curves in fitted]
 
-    def sort_key(item: Fitted):
+    def law_sort_key(item: Fitted):
         fit = item[0]
-        return (fit.unusable is not None, bool(fit.held), fit.material_file is None, fit.left_out is None,
-                _ranking_criterion(fit))
+        return (fit.unusable is not None, bool(fit.parameters_on_bounds), fit.material_file is None,
+                fit.left_out is None, _get_ranking_criterion(fit))
 
-    fitted = sorted(fitted, key=sort_key)
+    fitted = sorted(fitted, key=law_sort_key)
     return ([fit for fit, _, _ in fitted], [p for _, predictions, _ in fitted for p in predictions],
             {fit.law: curves for fit, _, curves in fitted})
 
 
-def _ranking_criterion(fit: Fit) -> float:
+def _get_ranking_criterion(fit: Fit) -> float:
     """Return the criterion of the ranking: prediction error, %, or BIC without predictions."""
     return fit.BIC if fit.left_out is None else fit.left_out
 
 
-def _mean_prediction_error(predictions: Sequence[Prediction]) -> float | None:
+def _compute_mean_prediction_error(predictions: Sequence[Prediction]) -> float | None:
     """Return the root mean square prediction error, %; a test that only other laws can predict counts as 100 %."""
     held_out = [p for p in predictions if not p.fitted]
     errors = [100.0 if p.percent is None else p.percent for p in held_out or predictions]
     return float(np.sqrt(np.mean(np.square(errors)))) if errors else None
 
 
-def describe_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted: Sequence[MeasuredCurve]) -> str:
+def explain_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fitted: Sequence[MeasuredCurve]) -> str:
     """Explain the ranking and its limits.
 
     Args:
@@ -86,9 +86,9 @@ def describe_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fit
     if best.unusable is not None:
         return f"No law is usable over the data; the first is {best.law}: {best.message}."
     parts = []
-    if best.held:
-        parts.append(f"{best.law} is held by the bounds of {best.in_symbols(best.held)}: widen them in fit.bounds, or "
-                     "do not trust it")
+    if best.parameters_on_bounds:
+        parts.append(f"{best.law} is held by the bounds of {best.format_symbols(best.parameters_on_bounds)}: widen "
+                     "them in fit.bounds, or do not trust it")
     if best.left_out is None:
         parts.append(f"Best of the laws that are usable over the data: {best.law}{_describe_reliability(fits, fitted)}")
         tests = {curve.test.name for curve in fitted}
@@ -98,14 +98,14 @@ def describe_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fit
     else:
         parts += [*_describe_predictions(fits, predictions), *filter(None, [_describe_unreliable_noise(best, fitted)])]
     if passed := [_describe_unusable_law(fit) for fit in fits
-                  if (fit.unusable is not None or (fit.held and not best.held))
+                  if (fit.unusable is not None or (fit.parameters_on_bounds and not best.parameters_on_bounds))
                   and (fit.left_out is None) == (best.left_out is None)
-                  and _ranking_criterion(fit) < _ranking_criterion(best)]:
+                  and _get_ranking_criterion(fit) < _get_ranking_criterion(best)]:
         parts.append(f"{'lower BIC' if best.left_out is None else 'less wrong'}, but not usable: {', '.join(passed)}")
-    if bad := name_misfits(best.regions):
+    if bad := name_regions_with_misfit(best.regions):
         parts.append(f"a smooth misfit remains in {bad}, so the model is incomplete")
     if best.not_identifiable:
-        parts.append(f"the tests do not determine {best.in_symbols(best.not_identifiable)}"
+        parts.append(f"the tests do not determine {best.format_symbols(best.not_identifiable)}"
                      + (f"; {best.suggestions[0].test} would" if best.suggestions else ""))
     known = {fit.law for fit in fits}
     sentences = (part if part.split()[0].rstrip(",") in known else part[0].upper() + part[1:] for part in parts)
@@ -119,7 +119,7 @@ def is_ranked_by_held_out_tests(predictions: Sequence[Prediction]) -> bool:
 
 def _describe_unusable_law(fit: Fit) -> str:
     """Describe a law with a better criterion that is ranked lower, with the reason."""
-    return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.in_symbols(fit.held)}'})"
+    return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.format_symbols(fit.parameters_on_bounds)}'})"
 
 
 def _describe_predictions(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:
@@ -130,13 +130,14 @@ def _describe_predictions(fits: Sequence[Fit], predictions: Sequence[Prediction]
     words = ", ".join(_describe_prediction(p) for p in mine if bool(p.fitted) != held_out)
     what = "held-out tests" if held_out else "each test from the others"
     large = [p for p in mine if bool(p.fitted) != held_out and (p.percent is None or p.percent > _SETTINGS.max_error)]
-    if (best.left_out or 0.0) > _SETTINGS.max_error and not all(map(_is_specimen_scatter, large)):
+    if (best.left_out or 0.0) > _SETTINGS.max_error and not all(map(_is_error_within_specimen_scatter, large)):
         parts = [f"no law predicts {what}; the least wrong is {best.law}: {words}" if len(fits) > 1 else
                  f"{best.law} does not predict {what}: {words}"]
     else:
         parts = [f"{best.law} predicts {what} best: {words}" if len(fits) > 1 else
                  f"{best.law} predicts {what}: {words}"]
-    rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.held and fit.left_out is not None
+    rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.parameters_on_bounds
+              and fit.left_out is not None
               and fit.left_out <= (1 + _SETTINGS.equal_error) * (best.left_out or 0.0)]
     if rivals:
         parts.append(f"{', '.join(rivals)} within {_SETTINGS.equal_error:.0%} of its prediction error, so these tests "
@@ -152,7 +153,8 @@ def _describe_reliability(fits: Sequence[Fit], fitted: Sequence[MeasuredCurve]) 
                 "says which law is least wrong over this range, not which one is right")
     if doubt := _describe_unreliable_noise(best, fitted):
         return f"; {doubt}"
-    rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.held and fit.BIC - best.BIC < 10]
+    rivals = [fit.law for fit in fits[1:] if fit.unusable is None and not fit.parameters_on_bounds
+              and fit.BIC - best.BIC < 10]
     if rivals:
         return f"; {', '.join(rivals)} within 10 of its BIC, so these data do not decide between them"
     return f"; its residuals are {best.noise_ratio:.2g} times the noise"
@@ -179,7 +181,7 @@ def _describe_prediction(prediction: Prediction) -> str:
     return f"{prediction.test} within {force}{float(f'{prediction.percent:.2g}'):g} %{chance}"
 
 
-def _is_specimen_scatter(prediction: Prediction) -> bool:
+def _is_error_within_specimen_scatter(prediction: Prediction) -> bool:
     """Return whether the error of a prediction by a mean is compatible with the scatter between specimens."""
     rmse, expected = prediction.RMSE_N, prediction.expected_N
     return (bool(prediction.mean_of) and rmse is not None and expected is not None

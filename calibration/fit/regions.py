@@ -8,17 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from msgspec.structs import replace
 
-from calibration.fit.fit import Region
-from calibration.fit.problem import Evaluation, Problem
-from calibration.statistics.adequacy import adjust_holm, cosine_modes, score_test
-from calibration.statistics.sensor_noise import whiten
+from calibration.fit.fit import RegionMisfitTest
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
+from calibration.statistics.adequacy import adjust_p_values_by_holm, compute_rao_score_test, make_cosine_modes
+from calibration.statistics.sensor_noise import whiten_columns
 
 #: Names of the parts of a single loading, by displacement.
 THIRDS = ("first third", "middle third", "last third")
 
 
 @dataclass(frozen=True)
-class RegionSettings:
+class RegionMisfitSettings:
     """Settings of the tests for smooth misfit.
 
     Attributes:
@@ -35,43 +35,43 @@ class RegionSettings:
     min_samples: int = 8
 
 
-_SETTINGS = RegionSettings()
+_SETTINGS = RegionMisfitSettings()
 
 
-def judge_regions(problem: Problem, evaluation: Evaluation) -> list[Region]:
+def compute_region_misfit_tests(problem: GeneralisedProblem, evaluation: ProblemEvaluation) -> list[RegionMisfitTest]:
     """Test each segment of each test, or each third of a test with a single loading, for smooth misfit.
 
     Args:
         problem: least-squares problem.
         evaluation: evaluation at the minimum.
     """
-    residual, design = evaluation.design
+    residual, design = evaluation.full_residual_and_jacobian
     found = []
     for number, segment, modes, parts in _iterate_regions(problem):
         test, columns, shapes = problem.tests[number], np.zeros((residual.size, modes)), []
         own = [rows for rows, (t, _) in zip(problem.rows, problem.places, strict=True) if t == number]
         for rows, curve, (inside, along) in zip(own, test.measured, parts, strict=True):
             waves = np.zeros((inside.size, modes))
-            waves[inside] = cosine_modes(along[inside], modes)
+            waves[inside] = make_cosine_modes(along[inside], modes)
             shapes.append(waves[inside])
-            columns[rows] = whiten(waves, curve.time, curve.noise)
-        answer = score_test(residual, design, columns)
+            columns[rows] = whiten_columns(waves, curve.time, curve.noise)
+        answer = compute_rao_score_test(residual, design, columns)
         # Smooth part of model minus data.
         smooth = -np.concatenate(shapes) @ answer.amplitudes
         factor = 1.0 if test.measured[0].test.specimen is None else 1e3
         displacement = factor * np.concatenate([curve.displacement[inside] for curve, (inside, _) in zip(
             test.measured, parts, strict=True)])
         worst = int(np.argmax(np.abs(smooth)))
-        found.append(Region(
+        found.append(RegionMisfitTest(
             test=test.name, segment=segment, start=float(displacement.min()), end=float(displacement.max()), p=answer.p,
             statistic=answer.statistic, freedom=answer.freedom, misfit_N=float(np.sqrt(np.mean(smooth**2))),
             largest_N=float(smooth[worst]), at=float(displacement[worst]), adequate=True))
-    adjusted = adjust_holm(np.array([region.p for region in found]))
+    adjusted = adjust_p_values_by_holm(np.array([region.p for region in found]))
     return [replace(region, p=float(p), adequate=bool(p > _SETTINGS.level))
             for region, p in zip(found, adjusted, strict=True)]
 
 
-def name_misfits(regions: Sequence[Region]) -> str:
+def name_regions_with_misfit(regions: Sequence[RegionMisfitTest]) -> str:
     """Name the regions with a smooth misfit; a test with misfit in all regions by its name only. Empty if none."""
     found = []
     for test in dict.fromkeys(region.test for region in regions):
@@ -82,7 +82,8 @@ def name_misfits(regions: Sequence[Region]) -> str:
     return ", ".join(found)
 
 
-def _iterate_regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tuple[np.ndarray, np.ndarray]]]]:
+def _iterate_regions(problem: GeneralisedProblem) -> Iterator[tuple[int, str, int,
+                                                                    list[tuple[np.ndarray, np.ndarray]]]]:
     """Yield the regions of all tests.
 
     Yields:
@@ -94,7 +95,7 @@ def _iterate_regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tup
                                  for name in curve.segment.tolist())
         if len(segments) > 1:
             regions = [(segment, _SETTINGS.segment_modes,
-                        [(inside := curve.segment == segment, _relative_time(curve.time, inside))
+                        [(inside := curve.segment == segment, _compute_relative_segment_time(curve.time, inside))
                          for curve in test.measured]) for segment in segments]
         else:
             deepest = max(curve.displacement.max() for curve in test.measured)
@@ -110,7 +111,7 @@ def _iterate_regions(problem: Problem) -> Iterator[tuple[int, str, int, list[tup
                     if sum(inside.sum() for inside, _ in region[2]) >= _SETTINGS.min_samples)
 
 
-def _relative_time(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
+def _compute_relative_segment_time(time: np.ndarray | None, inside: np.ndarray) -> np.ndarray:
     """Return the relative time of all samples between first and last sample of a segment, 0 to 1, shape (n,)."""
     if time is None or inside.sum() < 2:
         return np.zeros(inside.size)

@@ -35,7 +35,7 @@ SETTINGS = ReplicateSettings()
 
 
 @dataclass(frozen=True)
-class Disagreement:
+class ReplicateDisagreement:
     """Two groups of recordings of one test with different stiffnesses.
 
     Attributes:
@@ -59,34 +59,37 @@ class Disagreement:
             times = ratio if ratio >= 1 else 1.0 / ratio
             what = f"are {times:.3g} times {'stiffer' if ratio > 1 else 'softer'} than"
         odd = ", ".join(self.odd)
-        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_list_names(self.others)}"
+        suspects = odd if len(self.odd) < len(self.others) else f"{odd} and {_join_recording_names(self.others)}"
         unit = " (a factor of 1000 is that of N to mN or of m to mm)" if \
             ratio > 0 and abs(abs(np.log10(ratio)) - 3.0) < SETTINGS.unit else ""
         verb = what if len(self.odd) > 1 else what.replace("have", "has", 1).replace("are", "is", 1)
-        return (f"recordings of {self.test} disagree: {odd} {verb} {_list_names(self.others)}; check unit{unit}, sign "
-                f"and size of the specimen of {suspects}; recordings of another material belong in another campaign")
+        return (f"recordings of {self.test} disagree: {odd} {verb} {_join_recording_names(self.others)}; check "
+                f"unit{unit}, sign and size of the specimen of {suspects}; recordings of another material belong in "
+                "another campaign")
 
 
-def find_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[Disagreement]:
+def find_replicate_disagreements(measured: Mapping[str, Sequence[MeasuredCurve]]) -> list[ReplicateDisagreement]:
     """Find tests whose recordings fall into two groups of different stiffness.
 
     Args:
         measured: test -> its recordings.
     """
-    return [found for name, curves in measured.items() if (found := _find_disagreement(name, curves)) is not None]
+    return [found for name,
+            curves in measured.items() if (found := _find_disagreement_in_test(name, curves)) is not None]
 
 
-def _find_disagreement(test: str, curves: Sequence[MeasuredCurve]) -> Disagreement | None:
+def _find_disagreement_in_test(test: str, curves: Sequence[MeasuredCurve]) -> ReplicateDisagreement | None:
     """Return the disagreement of the recordings of one test; None if there is none."""
     if len(curves) < 2:
         return None
     sizes = compute_mean_forces([(curve.displacement, curve.force) for curve in curves])
     if sizes is None:
         return None
-    return split_stiffnesses(test, [curve.name for curve in curves], sizes)
+    return split_into_stiffness_groups(test, [curve.name for curve in curves], sizes)
 
 
-def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatter: float = 0.0) -> Disagreement | None:
+def split_into_stiffness_groups(test: str, names: Sequence[str], sizes: np.ndarray,
+                                scatter: float = 0.0) -> ReplicateDisagreement | None:
     """Split stiffnesses into two groups with a gap between them; None if there is no such gap.
 
     Args:
@@ -98,7 +101,7 @@ def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatte
     negative = sizes <= 0
     if negative.any() and not negative.all():
         odd, others = (negative, ~negative) if negative.sum() <= (~negative).sum() else (~negative, negative)
-        return Disagreement(test, _select_names(names, odd), _select_names(names, others), -1.0)
+        return ReplicateDisagreement(test, _select_masked_names(names, odd), _select_masked_names(names, others), -1.0)
     if negative.all():
         return None
     logs = np.log(sizes)
@@ -113,7 +116,7 @@ def split_stiffnesses(test: str, names: Sequence[str], sizes: np.ndarray, scatte
     below = np.isin(np.arange(logs.size), order[:cut])
     odd = below if below.sum() <= (~below).sum() else ~below
     ratio = float(np.exp(logs[odd].mean() - logs[~odd].mean()))
-    return Disagreement(test, _select_names(names, odd), _select_names(names, ~odd), ratio)
+    return ReplicateDisagreement(test, _select_masked_names(names, odd), _select_masked_names(names, ~odd), ratio)
 
 
 def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray | None:
@@ -124,7 +127,7 @@ def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.n
     Args:
         curves: displacement and force of each recording, shapes (n,).
     """
-    found = common_displacement_range([displacement for displacement, _ in curves])
+    found = find_common_displacement_range([displacement for displacement, _ in curves])
     if found is None:
         return None
     grid, means = np.linspace(*found, SETTINGS.points), []
@@ -135,19 +138,19 @@ def compute_mean_forces(curves: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.n
     return np.array(means)
 
 
-def common_displacement_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
+def find_common_displacement_range(displacements: Sequence[np.ndarray]) -> tuple[float, float] | None:
     """Return lower and upper end of the displacements at which recordings are compared, m; None if there are none."""
     reach = min(float(each.max()) for each in displacements)
     low = max((1.0 - SETTINGS.compared) * reach, *(float(each.min()) for each in displacements))
     return (low, reach) if 0 < low < reach else None
 
 
-def _select_names(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
+def _select_masked_names(names: Sequence[str], mask: np.ndarray) -> tuple[str, ...]:
     """Return the names at which `mask`, bool, shape (n,), is true."""
     return tuple(name for name, inside in zip(names, mask.tolist(), strict=True) if inside)
 
 
-def _list_names(names: Iterable[str]) -> str:
+def _join_recording_names(names: Iterable[str]) -> str:
     """List up to three names and the number of the others."""
     several = list(names)
     more = f" and {len(several) - 3} more" if len(several) > 3 else ""

@@ -10,8 +10,8 @@ from typing import Any
 import msgspec
 
 from calibration.campaign.campaign import Campaign
-from calibration.fit.agreement import compare_methods
-from calibration.fit.fit import Fit, Prediction, SensorStatement
+from calibration.fit.agreement import describe_method_differences
+from calibration.fit.fit import Fit, Prediction, SensorNoiseStatement
 from calibration.fit.self_weight import describe_self_weight
 from calibration.output_folder import FIT_FILE, TABLES
 from tissue_sim.decode import read_json
@@ -45,7 +45,7 @@ class CalibrationResult:
     digest: str
     noise_Pa: float | None = None
     noise_source: str = "stated"
-    noise: tuple[SensorStatement, ...] = ()
+    noise: tuple[SensorNoiseStatement, ...] = ()
     failures: Mapping[str, str] = field(default_factory=dict)
     usability_settings: Mapping[str, float] = field(default_factory=dict)
     resumed: bool = False
@@ -56,9 +56,9 @@ class CalibrationResult:
         return self.fits[0]
 
 
-def describe_agreement(results: Sequence[CalibrationResult]) -> list[str]:
+def describe_method_agreement(results: Sequence[CalibrationResult]) -> list[str]:
     """Return a sentence for each law on the agreement of methods with the same recordings."""
-    return compare_methods([(result.campaign, result.fits) for result in results])
+    return describe_method_differences([(result.campaign, result.fits) for result in results])
 
 
 def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
@@ -68,7 +68,7 @@ def to_json(results: Sequence[CalibrationResult]) -> dict[str, Any]:
     Each ``material_file`` is relative to it, so that ``fit.json`` remains valid if the folder moves.
     """
     if len(results) != 1:
-        return {"campaigns": [to_json([result]) for result in results], "agreement": describe_agreement(results)}
+        return {"campaigns": [to_json([result]) for result in results], "agreement": describe_method_agreement(results)}
     result = results[0]
     return {
         "campaign": result.campaign.name, "method": result.campaign.fit.method,
@@ -103,7 +103,7 @@ def read_earlier_result(campaign: Campaign, folder: Path, digest: str) -> Calibr
             campaign, msgspec.convert(tuple(found["fits"]), tuple[Fit, ...]),
             msgspec.convert(tuple(found["predictions"]), tuple[Prediction, ...]), found["message"], folder, digest,
             found["noise_Pa"], found["noise_source"],
-            msgspec.convert(tuple(found["noise"]), tuple[SensorStatement, ...]),
+            msgspec.convert(tuple(found["noise"]), tuple[SensorNoiseStatement, ...]),
             msgspec.convert(found.get("failures", {}), dict[str, str]),
             msgspec.convert(found.get("usability_settings", {}), dict[str, int | float]), resumed=True)
     except (OSError, ValueError, KeyError, TypeError, msgspec.ValidationError):

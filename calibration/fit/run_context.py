@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
-from calibration.fit.fit import Iteration
-from calibration.tasks.executors import OnDone, Tasks
+from calibration.fit.fit import DescentIteration
+from calibration.tasks.executors import OnDone, TaskExecutor
 
 #: Function that receives a progress message and, optionally, the number of completed tasks and of all tasks.
 Progress = Callable[..., None]
 #: Function that receives the name of the campaign, the law and an iteration of an inverse fit.
-IterationListener = Callable[[str, str, Iteration], None]
+IterationListener = Callable[[str, str, DescentIteration], None]
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class RunContext:
     """
 
     campaign: str
-    tasks: Tasks
+    tasks: TaskExecutor
     progress: Progress | None = None
     listen: IterationListener | None = None
     announce: Callable[[str], None] | None = None
@@ -45,7 +45,7 @@ class RunContext:
             self.progress(f"{self.campaign}: {sentence}", *counts)
 
     def run_descents(self, function: Callable, laws: Sequence[str], arguments: Sequence[tuple], what: str) -> list:
-        """Run descents as `run_all` does, and send their iterations to the listener.
+        """Run descents as `run_task_for_all` does, and send their iterations to the listener.
 
         In this process the iterations are sent while a descent runs; from worker processes, when a descent has ended.
 
@@ -55,22 +55,22 @@ class RunContext:
             arguments: arguments of each task.
             what: description for progress messages.
         """
-        def send_iteration(law: str, iteration: Iteration) -> None:
+        def send_iteration(law: str, iteration: DescentIteration) -> None:
             if self.listen is not None:
                 self.listen(self.campaign, law, iteration)
 
         if not self.tasks.parallel:
             # A listener cannot be sent to another process.
             arguments = [(*given, partial(send_iteration, law)) for law, given in zip(laws, arguments, strict=True)]
-            return self.run_all(function, arguments, what)
+            return self.run_task_for_all(function, arguments, what)
 
         def send_history(index: int, answer: Any) -> None:
             for iteration in answer.history:
                 send_iteration(laws[index], iteration)
 
-        return self.run_all(function, arguments, what, send_history)
+        return self.run_task_for_all(function, arguments, what, send_history)
 
-    def run_all(self, function: Callable, arguments: Sequence[tuple], what: str,
+    def run_task_for_all(self, function: Callable, arguments: Sequence[tuple], what: str,
                on_done: OnDone | None = None, names: Sequence[str] = ()) -> list:
         """Run a task for each set of arguments, with progress messages.
 
@@ -86,7 +86,7 @@ class RunContext:
         """
         done: list[int] = []
 
-        def report_state() -> None:
+        def report_task_state() -> None:
             running = len(done) < len(names) and not self.tasks.parallel
             self.report_progress(f"{what}: {names[len(done)]}" if running else what, len(done), len(arguments))
 
@@ -94,7 +94,7 @@ class RunContext:
             if on_done is not None:
                 on_done(index, answer)
             done.append(index)
-            report_state()
+            report_task_state()
 
-        report_state()
+        report_task_state()
         return self.tasks.run(function, arguments, finish_task)

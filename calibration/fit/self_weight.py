@@ -7,7 +7,7 @@ from dataclasses import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.fit.fit import Fit
-from calibration.fit.typical_material import typical_material
+from calibration.fit.typical_material import compute_representative_material
 from tissue_sim.closed_form.column import Column
 from tissue_sim.errors import InputError
 from tissue_sim.laws import find_law
@@ -17,7 +17,7 @@ from tissue_sim.specimen import STANDARD_GRAVITY, Specimen
 WATER_DENSITY = 1000.0
 
 
-def compute_sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
+def compute_specimen_sags(fit: Fit, campaign: Campaign) -> dict[str, float]:
     """Return specimen with self-weight -> its sag with the fitted law, mm.
 
     Specimens without equilibrium under their weight are omitted.
@@ -33,7 +33,7 @@ def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
     columns = _find_compressed_columns(campaign)
     for specimen in dict.fromkeys([*columns, *(test.specimen for test in campaign.tests if test.specimen is not None
                                                and test.specimen.specific_weight)]):
-        words, sag = _format_sentence(specimen, fit, campaign, column=specimen in columns)
+        words, sag = _format_self_weight_sentence(specimen, fit, campaign, column=specimen in columns)
         alike.setdefault(words, {})[specimen.name] = sag
     several = sum(map(len, alike.values())) > 1
     sentences = [f"Self-weight{' of ' if several else ''}{', '.join(found) if several else ''}"
@@ -42,7 +42,8 @@ def describe_self_weight(campaign: Campaign, fit: Fit) -> str:
     return " ".join(sentences) or "Self-weight is not included."
 
 
-def _format_sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column: bool) -> tuple[str, float | None]:
+def _format_self_weight_sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *,
+                                 column: bool) -> tuple[str, float | None]:
     """Return the sentence after "Self-weight of NAME", with placeholders for the sag in two or three digits.
 
     Args:
@@ -69,9 +70,9 @@ def _format_sentence(specimen: Specimen, fit: Fit, campaign: Campaign, *, column
             None if sag is None else 1e3 * sag)
 
 
-def _format_sag_range(compute_sags: Collection[float | None], digits: int) -> str:
+def _format_sag_range(compute_specimen_sags: Collection[float | None], digits: int) -> str:
     """Format the sags of several specimens, such as ``2.8`` or ``2.5 to 3.1``."""
-    known = sorted(sag for sag in compute_sags if sag is not None)
+    known = sorted(sag for sag in compute_specimen_sags if sag is not None)
     return " to ".join(dict.fromkeys(f"{sag:.{digits}g}" for sag in known[:1] + known[-1:]))
 
 
@@ -84,7 +85,7 @@ def _find_compressed_columns(campaign: Campaign) -> list[Specimen]:
 
 def _compute_sag(specimen: Specimen, fit: Fit, campaign: Campaign) -> float | None:
     """Return the sag of a specimen, m; None without equilibrium or with unknown parameters."""
-    law, material = find_law(fit.law), typical_material(fit)
+    law, material = find_law(fit.law), compute_representative_material(fit)
     values = {path: _find_specimen_parameter(path, specimen, fit, campaign, material.parameters.get(path))
               for path in law.parameters}
     try:

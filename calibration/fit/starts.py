@@ -16,7 +16,7 @@ FACTORS = (3.0, 1.0 / 3.0, 10.0, 0.1)
 _MODULUS = 1000.0
 
 
-def generate_starts(space: ParameterSpace, count: int) -> list[np.ndarray]:
+def generate_starting_values(space: ParameterSpace, count: int) -> list[np.ndarray]:
     """Return starting values of a law: those that the campaign states, then others spread around them.
 
     Args:

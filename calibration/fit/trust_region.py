@@ -9,8 +9,8 @@ from typing import cast
 import numpy as np
 from scipy.optimize import least_squares
 
-from calibration.fit.fit import Iteration
-from calibration.fit.problem import Evaluation, LeastSquares, Problem
+from calibration.fit.fit import DescentIteration
+from calibration.fit.problem import GeneralisedProblem, LeastSquaresProblem, ProblemEvaluation
 from calibration.forward.contract import InfeasibleError
 
 
@@ -49,11 +49,11 @@ class DescentSettings:
 
 DESCENT = DescentSettings()
 #: Function that receives each iteration of a descent.
-Listener = Callable[[Iteration], None]
+Listener = Callable[[DescentIteration], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Descent:
+class DescentResult:
     """Result of a descent from one start.
 
     Attributes:
@@ -72,7 +72,7 @@ class Descent:
     error: float
     converged: bool
     failure: str
-    history: tuple[Iteration, ...]
+    history: tuple[DescentIteration, ...]
     simulations: dict[tuple[str, str], int]
     cpu_s: float
 
@@ -85,24 +85,24 @@ class _ReducedProblem:
         theta: start, SI, shape (k,).
         note: function that receives each evaluation.
         enough: predicted decrease of the sum of squares below which the descent ends; 0: never.
-        stalled: see `descend`.
+        stalled: see `minimise_from_start`.
     """
 
     #: Number of residuals; known after the first evaluation.
     size = 1
 
-    def __init__(self, problem: LeastSquares, theta: np.ndarray, record_iteration: Callable, enough: float,
+    def __init__(self, problem: LeastSquaresProblem, theta: np.ndarray, record_iteration: Callable, enough: float,
                  stalled: tuple[int, float] | None):
         self.problem, self.note, self.enough, self.stalled = problem, record_iteration, enough, stalled
         # Sums of squares of all evaluations, and the unknowns of the smallest one.
         self.errors: list[float] = []
         self.best = theta
-        self.variables = problem.variables(theta)
+        self.variables = problem.make_descent_variables(theta)
         self.start = np.clip(self.variables.from_unknowns(theta), *self.variables.bounds)
         self.first = theta
         self.failure = ""
 
-    def unknowns(self, u: np.ndarray) -> np.ndarray:
+    def convert_to_unknowns(self, u: np.ndarray) -> np.ndarray:
         """Return the unknowns of variables `u`, shape (k,).
 
         For the start the original values are returned, without rounding errors, so that cached simulations are found.
@@ -111,45 +111,45 @@ class _ReducedProblem:
         same = np.array_equal(u, self.start) and np.allclose(unknowns, self.first, rtol=DESCENT.rounding, atol=0.0)
         return self.first if same else unknowns
 
-    def residual(self, u: np.ndarray) -> np.ndarray:
+    def compute_residual(self, u: np.ndarray) -> np.ndarray:
         """Return the residual at variables `u`; infinite if the model has no solution, so that SciPy shortens the step.
 
         Raises:
-            _SettledError: the descent has stalled.
+            _NegligibleDecreaseError: the descent has stalled.
         """
         try:
-            evaluation = self.problem.evaluate(self.unknowns(u))
+            evaluation = self.problem.evaluate(self.convert_to_unknowns(u))
         except InfeasibleError as error:
             self.failure = str(error)
             return np.full(self.size, np.inf)
         self.note(evaluation)
-        if evaluation.error < min(self.errors, default=np.inf):
+        if evaluation.sum_of_squares < min(self.errors, default=np.inf):
             self.best = evaluation.theta
-        self.errors.append(evaluation.error)
+        self.errors.append(evaluation.sum_of_squares)
         if self.stalled is not None:
             solves, gain = self.stalled
             before, best = self.errors[:-solves], min(self.errors)
             if before and min(before) - best < gain * max(1.0, best / self.problem.samples):
-                raise _SettledError(self.best, best)
-        residual = evaluation.projected[0]
+                raise _NegligibleDecreaseError(self.best, best)
+        residual = evaluation.projected_residual_and_jacobian[0]
         self.size = residual.size
         return residual
 
-    def jacobian(self, u: np.ndarray) -> np.ndarray:
+    def compute_jacobian(self, u: np.ndarray) -> np.ndarray:
         """Return the Jacobian at variables `u`.
 
         Raises:
-            _SettledError: the predicted decrease of a Gauss-Newton step is below the limit.
+            _NegligibleDecreaseError: the predicted decrease of a Gauss-Newton step is below the limit.
         """
-        evaluation = self.problem.evaluate(self.unknowns(u))
-        residual, jacobian = evaluation.projected
+        evaluation = self.problem.evaluate(self.convert_to_unknowns(u))
+        residual, jacobian = evaluation.projected_residual_and_jacobian
         jacobian = self.variables.transform_jacobian(jacobian, u)
         if self.enough:
             bound = self._find_crossed_bounds(u, jacobian.T @ residual)
             inside = jacobian[:, ~np.isfinite(bound)]
             gain = float(np.sum((inside @ np.linalg.lstsq(inside, residual, rcond=1e-12)[0])**2))
-            if gain < self.enough * max(1.0, evaluation.error / self.problem.samples):
-                raise self._end_on_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
+            if gain < self.enough * max(1.0, evaluation.sum_of_squares / self.problem.samples):
+                raise self._finish_on_crossed_bounds(np.where(np.isfinite(bound), bound, u), evaluation)
         return jacobian
 
     def _find_crossed_bounds(self, u: np.ndarray, gradient: np.ndarray) -> np.ndarray:
@@ -159,17 +159,17 @@ class _ReducedProblem:
         return np.where((u - low <= near) & (gradient > 0), low, np.where(
             (high - u <= near) & (gradient < 0), high, np.nan))
 
-    def _end_on_bounds(self, u: np.ndarray, evaluation: Evaluation) -> _SettledError:
+    def _finish_on_crossed_bounds(self, u: np.ndarray, evaluation: ProblemEvaluation) -> _NegligibleDecreaseError:
         """Return the end of the descent: with variables moved onto the bounds `u` unless this increases the error."""
         try:
-            on_bounds = self.problem.evaluate(np.clip(self.unknowns(u), *self.problem.bounds))
+            on_bounds = self.problem.evaluate(np.clip(self.convert_to_unknowns(u), *self.problem.bounds))
         except InfeasibleError:
             on_bounds = evaluation
-        best = on_bounds if on_bounds.error <= evaluation.error else evaluation
-        return _SettledError(best.theta, best.error)
+        best = on_bounds if on_bounds.sum_of_squares <= evaluation.sum_of_squares else evaluation
+        return _NegligibleDecreaseError(best.theta, best.sum_of_squares)
 
 
-class _SettledError(Exception):
+class _NegligibleDecreaseError(Exception):
     """Raised to end a descent whose remaining decrease of the sum of squares is negligible.
 
     Args:
@@ -182,10 +182,11 @@ class _SettledError(Exception):
         self.theta, self.error = theta, error
 
 
-def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
-            enough: float = DESCENT.min_gain, tolerance: float = DESCENT.tolerance, gradient: float = DESCENT.gradient,
-            max_solves: int = DESCENT.max_solves, stalled: tuple[int, float] | None = None,
-            listen: Listener | None = None, past: int = 0) -> Descent:
+def minimise_from_start(problem: LeastSquaresProblem, theta: np.ndarray, *, start: int = 1, corrected: bool = False,
+                        enough: float = DESCENT.min_gain, tolerance: float = DESCENT.tolerance,
+                        gradient: float = DESCENT.gradient,
+                        max_solves: int = DESCENT.max_solves, stalled: tuple[int, float] | None = None,
+                        listen: Listener | None = None, past: int = 0) -> DescentResult:
     """Minimise the sum of squares from a start by the trust region reflective method.
 
     The descent ends early if the predicted decrease of a Gauss-Newton step is below `enough`. If forces are
@@ -211,57 +212,57 @@ def descend(problem: LeastSquares, theta: np.ndarray, *, start: int = 1, correct
     Source: Branch, Coleman and Li, SIAM J. Sci. Comput. 21 (1999) 1, as in scipy.optimize.least_squares.
     """
     space = problem.space
-    spent = problem.solves.start_meter()
-    history: list[Iteration] = []
+    spent = problem.solves.start_effort_meter()
+    history: list[DescentIteration] = []
 
-    def record_iteration(evaluation: Evaluation) -> None:
-        if history and history[-1].parameters == name_values(evaluation):
+    def record_iteration(evaluation: ProblemEvaluation) -> None:
+        if history and history[-1].parameters == name_unknowns(evaluation):
             return
         rmse = float(np.sqrt(np.mean((evaluation.force - problem.data)**2)))
-        history.append(Iteration(start=start, run=past + len(history) + 1, parameters=name_values(evaluation),
-                                 error=evaluation.error, RMSE_N=rmse, corrected=corrected))
+        history.append(DescentIteration(start=start, run=past + len(history) + 1, parameters=name_unknowns(evaluation),
+                                        error=evaluation.sum_of_squares, RMSE_N=rmse, corrected=corrected))
         if listen is not None:
             listen(history[-1])
 
-    def name_values(evaluation: Evaluation) -> dict[str, float]:
+    def name_unknowns(evaluation: ProblemEvaluation) -> dict[str, float]:
         return dict(zip(space.free, evaluation.theta.tolist(), strict=False))
 
-    def build_descent(theta: np.ndarray, error: float, converged: bool, failure: str) -> Descent:
-        return Descent(start, theta, error, converged, failure, tuple(history), *spent())
+    def build_descent_result(theta: np.ndarray, error: float, converged: bool, failure: str) -> DescentResult:
+        return DescentResult(start, theta, error, converged, failure, tuple(history), *spent())
 
     theta = np.clip(theta, *problem.bounds)
     try:
         record_iteration(problem.evaluate(theta))
         if not corrected and enough:
-            theta = _rescale_moduli(problem, theta)
+            theta = _scale_moduli_by_best_factor(problem, theta)
         evaluation = problem.evaluate(theta)
     except InfeasibleError as error:
-        return build_descent(theta, np.inf, False, str(error))
+        return build_descent_result(theta, np.inf, False, str(error))
     if not theta.size:
-        return build_descent(theta, evaluation.error, True, "")
+        return build_descent_result(theta, evaluation.sum_of_squares, True, "")
     reduced = _ReducedProblem(problem, theta, record_iteration, enough, stalled)
     try:
         # Scaling by the columns of the Jacobian makes the method independent of the units of the unknowns.
         result = least_squares(
-            reduced.residual, reduced.start, reduced.jacobian, x_scale="jac", bounds=reduced.variables.bounds,
-            ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=max_solves)
-    except _SettledError as settled:
-        return build_descent(settled.theta, settled.error, True, "")
-    theta = reduced.unknowns(result.x)
+            reduced.compute_residual, reduced.start, reduced.compute_jacobian, x_scale="jac",
+            bounds=reduced.variables.bounds, ftol=tolerance, xtol=tolerance, gtol=gradient, max_nfev=max_solves)
+    except _NegligibleDecreaseError as settled:
+        return build_descent_result(settled.theta, settled.error, True, "")
+    theta = reduced.convert_to_unknowns(result.x)
     failure = "" if result.status > 0 else \
         f"no minimum after {max_solves} solves{f'; {reduced.failure}' if reduced.failure else ''}"
-    return build_descent(theta, float(2 * result.cost), result.status > 0, failure)
+    return build_descent_result(theta, float(2 * result.cost), result.status > 0, failure)
 
 
-def find_distinct_minima(ends: Iterable[tuple[Descent, int]],
-                         near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[Descent, int]]:
+def find_distinct_minima(ends: Iterable[tuple[DescentResult, int]],
+                         near: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[tuple[DescentResult, int]]:
     """Return the distinct minima, best first, each with the number of starts that ended in it.
 
     Args:
         ends: descents, each with the number of starts that it represents.
         near: function that returns for two sets of unknowns which of them agree, bool, shape (k,).
     """
-    kept: list[tuple[Descent, int]] = []
+    kept: list[tuple[DescentResult, int]] = []
     for end, count in sorted(ends, key=lambda item: item[0].error):
         same = next((i for i, (other, _) in enumerate(kept) if near(end.theta, other.theta).all()), None)
         if same is None:
@@ -271,15 +272,16 @@ def find_distinct_minima(ends: Iterable[tuple[Descent, int]],
     return kept
 
 
-def _rescale_moduli(problem: LeastSquares, theta: np.ndarray) -> np.ndarray:
+def _scale_moduli_by_best_factor(problem: LeastSquaresProblem, theta: np.ndarray) -> np.ndarray:
     """Return the unknowns with all moduli multiplied by the best common factor; unchanged if this is impossible."""
     space = problem.space
     moduli = np.array([each.is_modulus for each in space.varied])
     fixed = any(space.unknown(name).is_modulus for name in space.fixed)
-    if fixed or not moduli.any() or not space.of_material_alone or not all(test.proportional for test in problem.tests):
+    if fixed or not moduli.any() or not space.of_material_alone or not all(test.is_force_proportional_to_moduli
+                                                                           for test in problem.tests):
         return theta
     # Offsets and zeros stay 0: far from the minimum they would compensate a wrong factor.
-    residual, rates = cast(Problem, problem).linearise_without_nuisances(theta)
+    residual, rates = cast(GeneralisedProblem, problem).linearise_without_nuisances(theta)
     # Euler's theorem: the derivative of the force with the common factor is sum C_i dF/dC_i.
     direction = rates[:, moduli] @ theta[moduli]
     if not direction @ direction > 0:

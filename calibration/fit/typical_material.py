@@ -10,7 +10,7 @@ from calibration.fit.fit import Fit
 
 
 @dataclass(frozen=True, eq=False)
-class TypicalMaterial:
+class RepresentativeMaterial:
     """Shared parameters, and the mean over specimens of individual parameters (or those of the only specimen).
 
     Attributes:
@@ -24,7 +24,7 @@ class TypicalMaterial:
     covariance: np.ndarray
 
 
-def typical_material(fit: Fit) -> TypicalMaterial:
+def compute_representative_material(fit: Fit) -> RepresentativeMaterial:
     """Return the representative material of a fit, without parameters of single tests or recordings."""
     name_of: dict[str, str] = {}
     for name in fit.parameters:
@@ -43,4 +43,4 @@ def typical_material(fit: Fit) -> TypicalMaterial:
         covariance[means], covariance[:, means] = 0.0, 0.0
         together = [order.index(path) for path in found.covariance.order]
         covariance[np.ix_(together, together)] = found.covariance.matrix
-    return TypicalMaterial(parameters, errors, covariance)
+    return RepresentativeMaterial(parameters, errors, covariance)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from calibration.fit.problem import Evaluation, Problem
-from calibration.statistics.uncertainty import COVARIANCE, Uncertainty, inverse_root
+from calibration.fit.problem import GeneralisedProblem, ProblemEvaluation
+from calibration.statistics.uncertainty import COVARIANCE, ParameterUncertainty, compute_pseudo_inverse_root
 
 
 @dataclass(frozen=True)
@@ -28,7 +28,7 @@ class MarginalCovarianceSettings:
 _SETTINGS = MarginalCovarianceSettings()
 
 
-def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
+def compute_marginal_uncertainty(problem: GeneralisedProblem, evaluation: ProblemEvaluation) -> ParameterUncertainty:
     """Compute the covariance of the parameters at the minimum of the sum of squares.
 
     With the Jacobian J of the problem after elimination of the nuisances, the covariance is (J'J)^-1, which equals that
@@ -42,34 +42,35 @@ def assess_uncertainty(problem: Problem, evaluation: Evaluation) -> Uncertainty:
     Source: Golub and Pereyra, Inverse Problems 19 (2003) R1, section 2; Aitken, Proc. R. Soc. Edinburgh 55 (1935) 42.
     """
     space = problem.space
-    _, jacobian = evaluation.projected
-    sizes = problem.sizes(evaluation.theta)
+    _, jacobian = evaluation.projected_residual_and_jacobian
+    sizes = problem.compute_unknown_scales(evaluation.theta)
     near = _SETTINGS.bound_distance * sizes
     on_bound = (evaluation.theta - space.low <= near) | (space.high - evaluation.theta <= near)
     scaled = jacobian * sizes
     information = scaled.T @ scaled
     freedom = max(problem.samples + evaluation.prior_residual.size - len(space.free), 1)
-    chi_square = evaluation.error
+    chi_square = evaluation.sum_of_squares
     inflation, basis, quantile = 1.0, "noise", np.full(len(space.free), special.ndtri(0.975))
     if chi_square > COVARIANCE.residual_ratio**2 * freedom:
         inflation, basis = chi_square / freedom, "residuals"
     inside = np.flatnonzero(~on_bound)
     covariance = np.zeros_like(information)
-    root, undetermined = inverse_root(information[np.ix_(inside, inside)])
+    root, undetermined = compute_pseudo_inverse_root(information[np.ix_(inside, inside)])
     covariance[np.ix_(inside, inside)] = inflation * root @ root.T * np.outer(sizes[inside], sizes[inside])
     errors = np.where(on_bound, np.nan, np.sqrt(np.diag(covariance)))
     errors[inside[undetermined]] = np.inf
     if problem.jitter.freedom and inside.size:
         basis = "residuals" if basis == "residuals" else "replicates"
-        quantile[inside] = special.stdtrit(_degrees_of_freedom(problem, evaluation, sizes, inside), 0.975)
+        quantile[inside] = special.stdtrit(_satterthwaite_degrees_of_freedom(problem, evaluation, sizes, inside), 0.975)
     ratio = float(np.sqrt(np.mean(evaluation.residual**2)))
     # The log determinant is part of the likelihood: it differs between laws with different estimates of the jitter.
-    criteria = evaluation.error + evaluation.log_determinant, float(problem.samples)
-    return Uncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, criteria, sizes,
-                       information)
+    criteria = evaluation.sum_of_squares + evaluation.log_determinant, float(problem.samples)
+    return ParameterUncertainty(covariance, errors, on_bound, basis, quantile, float(inflation), ratio, criteria, sizes,
+                                information)
 
 
-def _degrees_of_freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def _satterthwaite_degrees_of_freedom(problem: GeneralisedProblem, evaluation: ProblemEvaluation, sizes: np.ndarray,
+                                      inside: np.ndarray) -> np.ndarray:
     """Return Satterthwaite's degrees of freedom of the parameters' variances for an estimated jitter.
 
     Each variance component s_k of the jitter has the relative variance 2 / f with its degrees of freedom f. The
@@ -92,7 +93,7 @@ def _degrees_of_freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndar
     # The columns of one kind of jitter are every len(kinds)-th of the first columns.
     own = len(problem.places) * len(problem.kinds)
 
-    def scaled_variances(kind: int, factor: float) -> np.ndarray:
+    def compute_scaled_variances(kind: int, factor: float) -> np.ndarray:
         columns = evaluation.columns.copy()
         columns[:, kind:own:len(problem.kinds)] *= np.sqrt(factor)
         cross = columns.T @ rates
@@ -102,7 +103,7 @@ def _degrees_of_freedom(problem: Problem, evaluation: Evaluation, sizes: np.ndar
         return np.maximum(np.diag(np.linalg.pinv(information, hermitian=True)), 1e-300)
 
     factor = _SETTINGS.variance_factor
-    slopes = ((np.log(scaled_variances(kind, factor)) - np.log(scaled_variances(kind, 1 / factor)))
+    slopes = ((np.log(compute_scaled_variances(kind, factor)) - np.log(compute_scaled_variances(kind, 1 / factor)))
               / (2 * np.log(factor)) for kind in range(len(problem.kinds)))
     squares = sum(slope**2 for slope in slopes)
     return problem.jitter.freedom / np.maximum(squares, 1e-9)

@@ -13,18 +13,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
-from calibration.fit.alternatives import describe_alternatives
-from calibration.fit.contact_cover import describe_unknown_contacts
+from calibration.fit.alternatives import describe_alternative_minima
+from calibration.fit.contact_cover import describe_uncertain_contacts
 from calibration.fit.determination import SETTINGS as DETERMINATION
-from calibration.fit.determination import Determination
+from calibration.fit.determination import ShearModulusPrecision
 from calibration.fit.estimate import Estimate
 from calibration.fit.kindred_tests import find_test_disagreements
 from calibration.fit.lack_of_fit import compute_lack_of_fit
-from calibration.fit.own_stiffness import describe_own_stiffnesses
-from calibration.fit.population import Specimens
-from calibration.fit.preload_cover import covers_preload, read_contact_offsets
-from calibration.fit.replicates import find_disagreements
-from calibration.fit.usability_records import Alternative, Clause
+from calibration.fit.own_stiffness import describe_individual_stiffness_remedy
+from calibration.fit.population import IndividualSpecimens
+from calibration.fit.preload_cover import contact_offset_explains_preload, read_contact_offsets
+from calibration.fit.replicates import find_replicate_disagreements
+from calibration.fit.usability_records import AlternativeMinimum, UsabilityClause
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
 from tissue_sim.laws import Stability
@@ -36,8 +36,8 @@ _OTHER_LAW = "end the test before something else begins, such as failure (max_st
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
-    """Data on which the clauses are evaluated.
+class UsabilityEvidence:
+    """Estimate and recordings from which the clauses of the usability rule are evaluated.
 
     Attributes:
         estimate: minimum of the sum of squares.
@@ -56,16 +56,16 @@ class Evidence:
     stability: Stability
     reached: Mapping[str, StretchRange]
     mu0: float
-    specimens: Specimens
-    alternatives: Sequence[Alternative]
-    determination: Determination | None
+    specimens: IndividualSpecimens
+    alternatives: Sequence[AlternativeMinimum]
+    determination: ShearModulusPrecision | None
     symbols: Mapping[str, str]
     units: Mapping[str, str]
     limits: UsabilitySettings = USABILITY
 
 
-def judge_usability(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
-    """Evaluate the usability rule.
+def evaluate_usability_clauses(evidence: UsabilityEvidence) -> tuple[list[UsabilityClause], str, str | None]:
+    """Evaluate all clauses of the usability rule; a fit is usable if all clauses hold.
 
     Returns:
         All clauses in the order of their weight, the status, and the reasons why the fit is not usable (None: it is).
@@ -84,30 +84,30 @@ def judge_usability(evidence: Evidence) -> tuple[list[Clause], str, str | None]:
     return clauses, first[0].status, "; ".join([*(clause.reason for clause in first), *specific])
 
 
-def _build_clause(name: str, status: str, reason: str, remedy: str = "") -> Clause:
+def _build_clause(name: str, status: str, reason: str, remedy: str = "") -> UsabilityClause:
     """Return a clause, which holds if `reason` is empty."""
-    return Clause(name=name, holds=not reason, status=status, reason=reason, remedy=remedy if reason else "")
+    return UsabilityClause(name=name, holds=not reason, status=status, reason=reason, remedy=remedy if reason else "")
 
 
-def _check_shear_modulus(evidence: Evidence) -> Clause:
+def _evaluate_shear_modulus_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that the shear modulus is positive."""
     if evidence.mu0 > 0:
         return _build_clause("physical", "not_physical", "")
     remedy = "no material has that, so no material file is written: set bounds or use another law"
-    falling = [curve.name for curve in evidence.estimate.problem.measured if _is_falling(curve)]
+    falling = [curve.name for curve in evidence.estimate.problem.measured if _has_falling_force(curve)]
     if falling:
         remedy = (f"the force of {', '.join(falling)} falls while the displacement grows: check the sign of both "
                   "columns, and which of them is the force")
     return _build_clause("physical", "not_physical", f"its shear modulus at rest is {evidence.mu0:.4g} Pa", remedy)
 
 
-def _is_falling(curve: MeasuredCurve) -> bool:
+def _has_falling_force(curve: MeasuredCurve) -> bool:
     """Return whether force and displacement of a recording are negatively correlated."""
     centred = curve.displacement - curve.displacement.mean()
     return float(centred @ curve.force) < 0
 
 
-def _check_convergence(evidence: Evidence) -> Clause:
+def _evaluate_convergence_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that the minimisation converged."""
     estimate = evidence.estimate
     return _build_clause("converged", "not_converged",
@@ -116,7 +116,7 @@ def _check_convergence(evidence: Evidence) -> Clause:
                          "fix one, or use a law with fewer")
 
 
-def _check_stability(evidence: Evidence) -> Clause:
+def _evaluate_stability_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check Drucker stability of the law inside the measured stretches of each mode of loading."""
     ranges: dict[str, tuple[float, float]] = {}
     for one in evidence.reached.values():
@@ -138,7 +138,7 @@ def describe_instability(stability: Stability, mode: str, stretches: tuple[float
     return f"in {mode} loading {' and '.join(ends)}" if ends else ""
 
 
-def _check_recordings(evidence: Evidence) -> Clause:
+def _evaluate_screening_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that the screening of the recordings found nothing that makes the moduli of this fit wrong."""
     problem = evidence.estimate.problem
     space = problem.space
@@ -148,8 +148,9 @@ def _check_recordings(evidence: Evidence) -> Clause:
     contacts = read_contact_offsets(evidence.estimate)
     for curve in problem.measured:
         preload = curve.screening.preload
-        covered = preload.sentence if preload is not None and covers_preload(curve, contacts[curve.name]) else None
-        for sentence in find_contradictions(curve, remembers):
+        is_explained = preload is not None and contact_offset_explains_preload(curve, contacts[curve.name])
+        covered = preload.sentence if is_explained else None
+        for sentence in list_screening_contradictions(curve, remembers):
             if sentence == covered:
                 continue
             found.setdefault(sentence, []).append(curve.name)
@@ -158,13 +159,13 @@ def _check_recordings(evidence: Evidence) -> Clause:
     return _build_clause("recordings", "misfit", "; ".join(reasons))
 
 
-def _check_contact(evidence: Evidence) -> Clause:
+def _evaluate_contact_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that a contact that is found and not fitted determines the shear modulus well enough."""
-    return _build_clause("contact", "not_determined", describe_unknown_contacts(evidence.estimate),
+    return _build_clause("contact", "not_determined", describe_uncertain_contacts(evidence.estimate),
                          "set offset = \"fit\" in [fit], state the contact in mm, or record more air with less noise")
 
 
-def find_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
+def list_screening_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
     """Return the sentences of the screening that make the moduli of a fit wrong.
 
     Relaxation, creep and dissipation contradict a law without memory only.
@@ -178,20 +179,20 @@ def find_contradictions(curve: MeasuredCurve, remembers: bool) -> list[str]:
     return [sentence for sentence in screening.fit_contradictions if sentence != of_memory]
 
 
-def _check_replicates(evidence: Evidence) -> Clause:
+def _evaluate_replicate_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that recordings of one test, and tests of one kind, have similar stiffnesses."""
     problem = evidence.estimate.problem
     if any(each.recording is not None for each in problem.space.unknowns):
         return _build_clause("replicates", "misfit", "")
     measured = {test.name: test.measured for test in problem.tests}
-    found = [each.describe() for each in find_disagreements(measured)]
+    found = [each.describe() for each in find_replicate_disagreements(measured)]
     # A memory, another effect of the material, or parameters of single tests explain different stiffnesses.
     if all(each.of_law and each.tests is None for each in problem.space.unknowns if each.of_material):
         found += [each.describe() for each in find_test_disagreements(measured)]
     return _build_clause("replicates", "misfit", "; ".join(found))
 
 
-def compute_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
+def compute_test_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, float]]:
     """Return the root mean square residual of each test, % of its largest force, and as a multiple of the noise."""
     problem, gap = estimate.problem, estimate.evaluation.force - estimate.problem.data
     percents, ratios = {}, {}
@@ -206,10 +207,10 @@ def compute_misfits(estimate: Estimate) -> tuple[dict[str, float], dict[str, flo
     return percents, ratios
 
 
-def _check_residuals(evidence: Evidence) -> Clause:
+def _evaluate_residual_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check the residuals of each test; too large are those that exceed the limits of force and noise."""
     problem = evidence.estimate.problem
-    percents, ratios = compute_misfits(evidence.estimate)
+    percents, ratios = compute_test_misfits(evidence.estimate)
     missed = [f"its residuals in {test.name} are {percents[test.name]:.2g} % of the largest "
               f"{'stress' if test.measured[0].stressed else 'force'} and {ratios[test.name]:.3g} times the noise"
               for test in problem.tests if percents[test.name] > 100 * evidence.limits.largest_residual
@@ -218,9 +219,9 @@ def _check_residuals(evidence: Evidence) -> Clause:
                          _find_misfit_remedy(evidence) if missed else "")
 
 
-def _check_explained_variance(evidence: Evidence) -> Clause:
+def _evaluate_explained_variance_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check the explained fraction of the variance of the force, over the samples in which the displacement moves."""
-    problem, (_, ratios) = evidence.estimate.problem, compute_misfits(evidence.estimate)
+    problem, (_, ratios) = evidence.estimate.problem, compute_test_misfits(evidence.estimate)
     gap, missed = evidence.estimate.evaluation.force - problem.data, []
     for number, test in enumerate(problem.tests):
         R2 = compute_lack_of_fit(problem, gap, number).R2
@@ -230,7 +231,7 @@ def _check_explained_variance(evidence: Evidence) -> Clause:
     return _build_clause("explained", "misfit", " and ".join(missed), _find_misfit_remedy(evidence) if missed else "")
 
 
-def _find_misfit_remedy(evidence: Evidence) -> str:
+def _find_misfit_remedy(evidence: UsabilityEvidence) -> str:
     """Return the remedy of a misfit.
 
     The remedy is the zero of the load cell if a recording begins with a force against the load, separate materials if
@@ -240,8 +241,8 @@ def _find_misfit_remedy(evidence: Evidence) -> str:
     found = [f"{curve.name}: the force begins at {start:.3g} {'Pa' if curve.stressed else 'N'}, against the load, so "
              "the load cell was not zeroed: set offset = \"start\" for the force in columns"
              for curve in problem.measured if (start := _find_negative_start_force(curve, evidence.limits)) < 0]
-    return "; ".join(found) or describe_own_stiffnesses(problem, evidence.estimate.evaluation.force,
-                                                        evidence.limits.smallest_R2) or _OTHER_LAW
+    return "; ".join(found) or describe_individual_stiffness_remedy(problem, evidence.estimate.evaluation.force,
+                                                                    evidence.limits.smallest_R2) or _OTHER_LAW
 
 
 def _find_negative_start_force(curve: MeasuredCurve, limits: UsabilitySettings) -> float:
@@ -251,7 +252,7 @@ def _find_negative_start_force(curve: MeasuredCurve, limits: UsabilitySettings) 
     return start if start < -limit else 0.0
 
 
-def _check_displacement(evidence: Evidence) -> Clause:
+def _evaluate_displacement_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check the misfit of the displacement in recordings whose force is controlled.
 
     The residuals of the force do not show this misfit.
@@ -262,7 +263,7 @@ def _check_displacement(evidence: Evidence) -> Clause:
         control = curve.screening.control
         if control is None or control.quantity != "force":
             continue
-        R2 = displacement_R2(curve, model[rows])
+        R2 = compute_displacement_r_squared(curve, model[rows])
         if evidence.limits.smallest_R2 > R2:
             missed.append(f"{curve.name}: the force is controlled, and the law explains {max(R2, 0.0):.1%} of the "
                           f"variance of the displacement (R2 {R2:.3g}, limit {evidence.limits.smallest_R2:g})")
@@ -271,7 +272,7 @@ def _check_displacement(evidence: Evidence) -> Clause:
                          "second term: terms[1]) in fit.start, or record the test at a controlled displacement")
 
 
-def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
+def compute_displacement_r_squared(curve: MeasuredCurve, model: np.ndarray) -> float:
     """Return the fraction of the variance of the displacement that a model explains at the measured force.
 
     The misfit of the force is divided by the secant stiffness of the model.
@@ -287,7 +288,7 @@ def displacement_R2(curve: MeasuredCurve, model: np.ndarray) -> float:
     return 1.0 - float(np.mean(((model - curve.force) / stiffness)**2)) / variance
 
 
-def _check_bounds(evidence: Evidence) -> Clause:
+def _evaluate_bound_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that the shear modulus does not depend on bounds that the campaign does not state."""
     found = evidence.determination
     if found is None or not found.held:
@@ -301,10 +302,10 @@ def _check_bounds(evidence: Evidence) -> Clause:
                          "them")
 
 
-def _check_determination(evidence: Evidence) -> Clause:
+def _evaluate_determination_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check the standard error of the shear modulus; single parameters may be undetermined."""
     found = evidence.determination
-    if found is None or found.is_determined:
+    if found is None or found.is_precise_enough:
         return _build_clause("determined", "not_determined", "")
     error = f"its standard error is {found.relative_error:.0%} of its value" if np.isfinite(found.relative_error) else \
         "the samples contain no information on it"
@@ -314,20 +315,22 @@ def _check_determination(evidence: Evidence) -> Clause:
                          "add a test or a longer recording, fix a parameter in fit.fixed, or use a law with fewer")
 
 
-def _check_uniqueness(evidence: Evidence) -> Clause:
+def _evaluate_uniqueness_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that no other parameters fit equally well and describe another material."""
-    sentence = describe_alternatives(evidence.alternatives, evidence.symbols, evidence.units)
+    sentence = describe_alternative_minima(evidence.alternatives, evidence.symbols, evidence.units)
     remedy = f"add a test such as {evidence.alternatives[0].separated_by}, or bound the parameters in fit.bounds" \
         if evidence.alternatives else ""
     return _build_clause("unique", "ambiguous", f"ambiguous: {sentence}" if sentence else "", remedy)
 
 
-def _check_population(evidence: Evidence) -> Clause:
+def _evaluate_population_clause(evidence: UsabilityEvidence) -> UsabilityClause:
     """Check that several specimens have a population mean."""
-    return _build_clause("population", "no_population", evidence.specimens.missing_population or "")
+    return _build_clause("population", "no_population", evidence.specimens.missing_population_reason or "")
 
 
 #: Checks of all clauses, in the order of their weight.
-_CHECKS = (_check_shear_modulus, _check_convergence, _check_stability, _check_recordings, _check_contact,
-           _check_replicates, _check_residuals, _check_explained_variance, _check_displacement, _check_bounds,
-           _check_determination, _check_uniqueness, _check_population)
+_CHECKS = (_evaluate_shear_modulus_clause, _evaluate_convergence_clause, _evaluate_stability_clause,
+           _evaluate_screening_clause, _evaluate_contact_clause,
+           _evaluate_replicate_clause, _evaluate_residual_clause, _evaluate_explained_variance_clause,
+           _evaluate_displacement_clause, _evaluate_bound_clause,
+           _evaluate_determination_clause, _evaluate_uniqueness_clause, _evaluate_population_clause)

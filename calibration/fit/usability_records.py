@@ -5,7 +5,7 @@ from __future__ import annotations
 import msgspec
 
 
-class Clause(msgspec.Struct, frozen=True, kw_only=True):
+class UsabilityClause(msgspec.Struct, frozen=True, kw_only=True):
     """One clause of the usability rule, see `calibration.fit.usability`.
 
     Attributes:
@@ -24,7 +24,7 @@ class Clause(msgspec.Struct, frozen=True, kw_only=True):
     remedy: str = ""
 
 
-class Alternative(msgspec.Struct, frozen=True, kw_only=True):
+class AlternativeMinimum(msgspec.Struct, frozen=True, kw_only=True):
     """Parameters that fit the recordings as well as those of the fit and describe another material.
 
     Attributes:
@@ -48,7 +48,7 @@ class Alternative(msgspec.Struct, frozen=True, kw_only=True):
     alternative_stress_Pa: float
 
     @property
-    def times(self) -> str:
+    def stress_ratio_text(self) -> str:
         """``, 4.2 times``: ratio of the larger stress to the smaller; empty if their signs differ."""
         low, high = sorted((abs(self.stress_Pa), abs(self.alternative_stress_Pa)))
         same = self.stress_Pa * self.alternative_stress_Pa > 0

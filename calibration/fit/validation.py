@@ -11,16 +11,16 @@ import numpy as np
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.fit.fit import Prediction
 from calibration.fit.identifiability import find_undetermined_parameters
-from calibration.fit.predictor import Predictor, replace_undetermined_by_mean
-from calibration.fit.problem import Evaluation, LeastSquares
-from calibration.fit.trust_region import descend
+from calibration.fit.predictor import ForcePredictor, make_left_out_test_predictor
+from calibration.fit.problem import LeastSquaresProblem, ProblemEvaluation
+from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.contract import ForwardTest, InfeasibleError
-from calibration.statistics.jitter import Jitter
-from calibration.statistics.uncertainty import Uncertainty
+from calibration.statistics.jitter import ReplicateJitter
+from calibration.statistics.uncertainty import ParameterUncertainty
 
 
 @dataclass(frozen=True, eq=False)
-class LeftOut:
+class LeftOutPrediction:
     """Prediction of a test by a fit to the other tests.
 
     Attributes:
@@ -34,8 +34,9 @@ class LeftOut:
     cpu_s: float
 
 
-def predict_left_out_test(problem: LeastSquares, theta: np.ndarray, number: int,
-                          uncertainty: Callable[[Any, Evaluation], Uncertainty], scatter: Jitter | None) -> LeftOut:
+def predict_left_out_test(problem: LeastSquaresProblem, theta: np.ndarray, number: int,
+                          uncertainty: Callable[[Any, ProblemEvaluation], ParameterUncertainty],
+                          scatter: ReplicateJitter | None) -> LeftOutPrediction:
     """Fit all tests except one, starting from the joint estimate, and predict this test.
 
     Args:
@@ -45,24 +46,26 @@ def predict_left_out_test(problem: LeastSquares, theta: np.ndarray, number: int,
         uncertainty: function that returns the uncertainty of a problem at its minimum.
         scatter: scatter of contact and zero between recordings; None: unknown.
     """
-    spent = problem.solves.start_meter()
+    spent = problem.solves.start_effort_meter()
     test = problem.tests[number]
-    rest, theta = problem.without_test(number, theta)
+    rest, theta = problem.remove_test(number, theta)
     names = [other.name for other in rest.tests]
-    descent = descend(rest, theta, corrected=True)
+    descent = minimise_from_start(rest, theta, corrected=True)
     if not np.isfinite(descent.error):
-        failed = build_failed_prediction(problem, test, names, f"no fit to the others: {descent.failure}")
-        return LeftOut(failed, *spent())
+        failed = make_failed_prediction(problem, test, names, f"no fit to the others: {descent.failure}")
+        return LeftOutPrediction(failed, *spent())
     spread = uncertainty(rest, rest.evaluate(descent.theta))
-    unknown = _find_undetermined(problem.space, spread, test.name, names)
-    predictor = replace_undetermined_by_mean(Predictor.of(problem.space, descent.theta, spread), spread, unknown)
-    answer = build_failed_prediction(problem, test, names, "the other tests do not determine "
-                                     f"{problem.space.in_symbols(unknown)}") if predictor is None else \
-        predict(problem, test, predictor, names, scatter)
-    return LeftOut(answer, *spent())
+    unknown = _find_undetermined_parameters(problem.space, spread, test.name, names)
+    predictor = make_left_out_test_predictor(ForcePredictor.from_estimate(problem.space, descent.theta, spread), spread,
+                                             unknown)
+    answer = make_failed_prediction(problem, test, names, "the other tests do not determine "
+                                    f"{problem.space.in_symbols(unknown)}") if predictor is None else \
+        predict_test(problem, test, predictor, names, scatter)
+    return LeftOutPrediction(answer, *spent())
 
 
-def _find_undetermined(space: ParameterSpace, spread: Uncertainty, test: str, others: Sequence[str]) -> list[str]:
+def _find_undetermined_parameters(space: ParameterSpace, spread: ParameterUncertainty, test: str,
+                                  others: Sequence[str]) -> list[str]:
     """Return the names of parameters that act in a test and that the other tests do not determine."""
     loose = set(find_undetermined_parameters(space, spread))
     # A parameter without data may stay on its bound, where it has no standard error; it is undetermined too.
@@ -71,19 +74,19 @@ def _find_undetermined(space: ParameterSpace, spread: Uncertainty, test: str, ot
                                    or any(each.acts_in(other, None) for other in others)))]
 
 
-def predict_held_out(problem: LeastSquares, test: ForwardTest, predictor: Predictor | None,
-                     scatter: Jitter | None) -> Prediction:
+def predict_held_out_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: ForcePredictor | None,
+                          scatter: ReplicateJitter | None) -> Prediction:
     """Predict a held-out test; without a predictor the prediction contains the reason."""
     if predictor is not None:
-        return predict(problem, test, predictor, [], scatter)
+        return predict_test(problem, test, predictor, [], scatter)
     specimen = test.measured[0].test.specimen
     name = "its specimen" if specimen is None else specimen.name
-    return build_failed_prediction(problem, test, [],
-                                   f"no test of {name} is fitted, and there is no mean of other specimens")
+    return make_failed_prediction(problem, test, [],
+                                  f"no test of {name} is fitted, and there is no mean of other specimens")
 
 
-def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitted: list[str],
-            scatter: Jitter | None) -> Prediction:
+def predict_test(problem: LeastSquaresProblem, test: ForwardTest, predictor: ForcePredictor, fitted: list[str],
+                 scatter: ReplicateJitter | None) -> Prediction:
     """Predict a test without contact offsets and zeros, and compare the prediction with its recordings.
 
     Args:
@@ -95,12 +98,12 @@ def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitt
     """
     space, covariance = predictor.space, predictor.covariance
     # The scatter between specimens is much larger than an unknown scatter between recordings.
-    jitter = Jitter(0.0, 0.0, None) if scatter is None and predictor.mean_of else scatter
+    jitter = ReplicateJitter(0.0, 0.0, None) if scatter is None and predictor.mean_of else scatter
     try:
         answer = test.solve(space, predictor.theta, problem.solves)
-        seen = [test.evaluate(answer, recording, 0.0) for recording in range(len(test.measured))]
+        seen = [test.evaluate_force(answer, recording, 0.0) for recording in range(len(test.measured))]
     except InfeasibleError as failure:
-        return build_failed_prediction(problem, test, fitted, str(failure))
+        return make_failed_prediction(problem, test, fitted, str(failure))
     squares, expected, largest, samples = 0.0, 0.0, 0.0, 0
     for measured, (force, rates, contact) in zip(test.measured, seen, strict=True):
         squares += float(np.sum((force - measured.force)**2))
@@ -112,7 +115,7 @@ def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitt
     rmse = float(np.sqrt(squares / samples))
     stressed = test.measured[0].test.specimen is None
     if not np.isfinite(rmse):
-        return build_failed_prediction(problem, test, fitted, "the law gives no finite force")
+        return make_failed_prediction(problem, test, fitted, "the law gives no finite force")
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None if stressed else rmse,
                       RMSE_Pa=None if test.area is None else rmse / test.area, percent=100.0 * rmse / largest,
                       expected_N=None if stressed or jitter is None else float(np.sqrt(expected / samples)),
@@ -121,7 +124,7 @@ def predict(problem: LeastSquares, test: ForwardTest, predictor: Predictor, fitt
                                                                      strict=True)))
 
 
-def build_failed_prediction(problem: LeastSquares, test: ForwardTest, fitted: list[str], note: str) -> Prediction:
+def make_failed_prediction(problem: LeastSquaresProblem, test: ForwardTest, fitted: list[str], note: str) -> Prediction:
     """Return a prediction without errors, with the reason in its note."""
     return Prediction(test=test.name, law=problem.space.law, RMSE_N=None, RMSE_Pa=None, percent=None, fitted=fitted,
                       note=note)

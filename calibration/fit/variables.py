@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class VariableBounds:
+class LongTermVariableBounds:
     """Bounds of the variables of a law with Prony terms whose bounds the campaign does not state.
 
     Attributes:
@@ -23,11 +23,11 @@ class VariableBounds:
     time_margin: float = 10.0
 
 
-_BOUNDS = VariableBounds()
+_BOUNDS = LongTermVariableBounds()
 
 
 @dataclass(frozen=True, eq=False)
-class Scaled:
+class ScaledVariables:
     """Variables that are the unknowns divided by their sizes; all arrays have shape (k,).
 
     Attributes:
@@ -57,7 +57,7 @@ class Scaled:
 
 
 @dataclass(frozen=True, eq=False)
-class LongTerm:
+class LongTermVariables:
     """Variables of a law with Prony terms: long-term moduli, ratios r_i = g_i / (1 - sum g), and ln tau_i.
 
     Every set of ratios r_i >= 0 gives fractions g_i with sum g < 1, so simple bounds suffice.
@@ -104,7 +104,7 @@ class LongTerm:
         return unknowns
 
     def transform_jacobian(self, jacobian: np.ndarray, variables: np.ndarray) -> np.ndarray:
-        """Convert a Jacobian with the unknowns to one with the variables; see `Scaled.transform_jacobian`."""
+        """Convert a Jacobian with the unknowns to one with the variables; see `ScaledVariables.transform_jacobian`."""
         factor, changed = 1.0 + variables[self.g].sum(), jacobian.copy()
         changed[:, self.moduli] *= factor
         changed[:, self.tau] *= np.exp(variables[self.tau])
@@ -114,4 +114,4 @@ class LongTerm:
         return changed
 
 
-Variables = Scaled | LongTerm
+Variables = ScaledVariables | LongTermVariables

@@ -23,8 +23,8 @@ from tissue_sim.specimen import Specimen
 
 
 @dataclass(frozen=True, eq=False)
-class ClosedFormSolution:
-    """Parameter values for `ClosedFormTest.evaluate`.
+class ClosedFormParameters:
+    """Parameter values for `ClosedFormTest.evaluate_force`.
 
     Attributes:
         space: parameter space.
@@ -47,7 +47,7 @@ class ClosedFormSolution:
 
 @dataclass(eq=False)
 class ClosedFormTest:
-    """Lubricated compression, tension or shear of an incompressible material.
+    """Forward model in closed form: lubricated compression, tension or shear of an incompressible material.
 
     Attributes:
         name: name of the test.
@@ -68,8 +68,8 @@ class ClosedFormTest:
     specimen: Specimen | None = None
     _histories: dict[int, HomogeneousHistory] = field(default_factory=dict, repr=False, init=False)
 
-    proportional: ClassVar[bool] = True
-    homogeneous: ClassVar[bool] = True
+    is_force_proportional_to_moduli: ClassVar[bool] = True
+    is_homogeneous: ClassVar[bool] = True
     mesh: ClassVar[str] = ""
 
     @property
@@ -78,31 +78,31 @@ class ClosedFormTest:
         return any(curve.segment is not None and np.unique(curve.segment).size > 1 for curve in self.measured)
 
     @property
-    def radius(self) -> float:
-        """Radius of a round specimen with this cross-section, m."""
+    def equivalent_radius(self) -> float:
+        """Radius of the circle whose area is the cross-section of the specimen, m."""
         return float(np.sqrt(self.area / np.pi))
 
     @property
-    def weightless(self) -> ClosedFormTest:
-        """Test without self-weight."""
+    def without_self_weight(self) -> ClosedFormTest:
+        """This test itself, since it has no self-weight."""
         return self
 
     @property
     def closed_form(self) -> ClosedForm:
-        """Closed form of the kind of test."""
+        """Closed form (stress as a function of strain) of the kind of test."""
         return self.kind.require_closed_form()
 
-    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormSolution]:
-        """Return the parameter values of each recording; `evaluate` computes the forces. See `ForwardTest.solve`."""
+    def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> list[ClosedFormParameters]:
+        """Return the parameter values of each recording, which `evaluate_force` uses; see `ForwardTest.solve`."""
         values, solutions = space.values(theta), {}
         marks = [space.find_own_recording(self.name, curve.name) for curve in self.measured]
         for mark in marks:
             if mark not in solutions:
-                solutions[mark] = self._build_solution(space, values, mark)
+                solutions[mark] = self._build_parameter_values(space, values, mark)
         return [solutions[mark] for mark in marks]
 
-    def _build_solution(self, space: ParameterSpace, values: dict[str, float],
-                        recording: str | None) -> ClosedFormSolution:
+    def _build_parameter_values(self, space: ParameterSpace, values: dict[str, float],
+                                recording: str | None) -> ClosedFormParameters:
         """Return the parameter values of one recording; None: of recordings without own parameters."""
         law = find_law(space.law)
         free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.varied)
@@ -114,11 +114,11 @@ class ClosedFormTest:
             except InputError as error:
                 raise InfeasibleError(f"{self.name}: {error}") from None
         numbers = values if material is None else material.parameters
-        return ClosedFormSolution(space, law, np.array([numbers[name] for name in law.parameters]), free, values,
-                                  recording, material if material is not None and material.remembers else None)
+        return ClosedFormParameters(space, law, np.array([numbers[name] for name in law.parameters]), free, values,
+                                    recording, material if material is not None and material.remembers else None)
 
-    def evaluate(self, answers: list[ClosedFormSolution], recording: int, offset: float, contact: bool = True):
-        """Evaluate force and derivatives; see `ForwardTest.evaluate`.
+    def evaluate_force(self, answers: list[ClosedFormParameters], recording: int, offset: float, contact: bool = True):
+        """Evaluate force and derivatives; see `ForwardTest.evaluate_force`.
 
         Args:
             answers: solutions of the recordings from `solve`.
@@ -127,28 +127,30 @@ class ClosedFormTest:
             contact: whether the derivative with the contact offset is computed; otherwise it is None.
         """
         answer = answers[recording]
-        force, rates, rate = self._evaluate_elastic(answer, self.measured[recording].displacement - offset, contact) \
-            if answer.material is None else self._evaluate_history(answer, answer.material, recording, offset, contact)
+        force, rates, rate = self._evaluate_elastic_force(answer, self.measured[recording].displacement - offset,
+                                                          contact) \
+            if answer.material is None else self._evaluate_force_with_memory(answer, answer.material, recording, offset,
+                                                                             contact)
         if not (np.isfinite(force).all() and np.isfinite(rates).all()):
             raise InfeasibleError(f"{self.name}: {answer.law.name} gives no finite stress")
         return force, rates, rate
 
-    def differenced_parameters(self, answers: list[ClosedFormSolution]) -> frozenset[str]:
+    def list_differenced_parameters(self, answers: list[ClosedFormParameters]) -> frozenset[str]:
         """Return the names of parameters whose derivatives are finite differences."""
         names: set[str] = set()
         for i, answer in enumerate(answers):
             if answer.material is not None:
-                exact = self._differentiate_exactly(answer, answer.material, i, 0.0)
+                exact = self._differentiate_prony_force(answer, answer.material, i, 0.0)
                 names |= {name for name in answer.space.free if name not in exact or name.endswith(".tau")}
         return frozenset(names)
 
-    def _evaluate_elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
+    def _evaluate_elastic_force(self, answer: ClosedFormParameters, displacement: np.ndarray, contact: bool):
         """Return force (n,), derivatives with the free parameters (n, p) and with the contact offset (n,).
 
         The material is elastic; `displacement` is counted from contact, m, shape (n,).
         """
         law, values, closed_form = answer.law, answer.values, self.closed_form
-        strain = self.strain(displacement)
+        strain = self.convert_displacement_to_strain(displacement)
         # Trial values of the optimiser may overflow; the optimiser rejects forces that are not finite.
         with np.errstate(all="ignore"):
             stress = closed_form.stress(law, strain, values)
@@ -161,7 +163,7 @@ class ClosedFormTest:
                 slope[separated] = 0.0
         return self._convert_to_force(answer, stress, derivatives, slope)
 
-    def _convert_to_force(self, answer: ClosedFormSolution, stress: np.ndarray, derivatives: np.ndarray,
+    def _convert_to_force(self, answer: ClosedFormParameters, stress: np.ndarray, derivatives: np.ndarray,
                           slope: np.ndarray | None):
         """Multiply nominal stress and its derivatives by the signed cross-section.
 
@@ -178,25 +180,27 @@ class ClosedFormTest:
         factor = self.kind.sign * self.area
         return factor * stress, factor * rates, None if slope is None else factor * slope
 
-    def _evaluate_history(self, answer: ClosedFormSolution, material: Material, recording: int, offset: float,
-                          contact: bool):
+    def _evaluate_force_with_memory(self, answer: ClosedFormParameters, material: Material, recording: int,
+                                    offset: float, contact: bool):
         """Return the same quantities as `_evaluate_elastic` for a material with memory."""
         try:
-            force = self._history_force(material, recording, offset)
+            force = self._compute_force_with_memory(material, recording, offset)
         except InputError as error:
             raise InfeasibleError(f"{self.name}: {error}") from None
         rates = np.full((force.size, len(answer.space.free)), np.nan)
-        exact = self._differentiate_exactly(answer, material, recording, offset)
+        exact = self._differentiate_prony_force(answer, material, recording, offset)
         for k, name in enumerate(answer.space.free):
-            rates[:, k] = exact[name] if name in exact else self._difference_force(answer, recording, offset, k, force)
+            rates[:, k] = exact[name] if name in exact else self._compute_force_difference_quotient(answer, recording,
+                                                                                                    offset, k, force)
         if not contact:
             return force, rates, None
         step = DIFFERENCES.relative * self.height
-        above, below = (self._history_force(material, recording, offset + change) for change in (step, -step))
+        above, below = (self._compute_force_with_memory(material, recording, offset + change)
+                        for change in (step, -step))
         return force, rates, (above - below) / (2 * step)
 
-    def _differentiate_exactly(self, answer: ClosedFormSolution, material: Material, recording: int,
-                               offset: float) -> dict[str, np.ndarray]:
+    def _differentiate_prony_force(self, answer: ClosedFormParameters, material: Material, recording: int,
+                                   offset: float) -> dict[str, np.ndarray]:
         """Return derivatives of the force of a law with a Prony series; empty for other materials.
 
         The nominal stress P = (1 - sum g_i) P_elastic + sum g_i P_relaxing(tau_i) is linear in the moduli and in g_i,
@@ -207,11 +211,11 @@ class ClosedFormTest:
             Name of the parameter -> derivative, shape (n,).
         """
         prony = material.viscoelastic
-        if prony is None or not self._has_history or not answer.space.of_material_alone or material.effects or (
-                material.softening is not None or material.poroelasticity is not None) or (
+        if prony is None or not self._has_homogeneous_history or not answer.space.of_material_alone or (
+                material.effects or material.softening is not None or material.poroelasticity is not None) or (
                 material.instantaneous_factor != 1.0):
             return {}
-        law, history = answer.law, self.history(recording, offset)
+        law, history = answer.law, self.build_deformation_history(recording, offset)
         count, factor = prony.tau.size, self.kind.sign * self.area
         step = DIFFERENCES.relative * prony.tau
         rates = {}
@@ -230,8 +234,8 @@ class ClosedFormTest:
                         factor * prony.g[i] * (relaxing[:, count + i] - relaxing[:, 2 * count + i]) / (2 * step[i])
         return rates
 
-    def _difference_force(self, answer: ClosedFormSolution, recording: int, offset: float, index: int,
-                          force: np.ndarray) -> np.ndarray:
+    def _compute_force_difference_quotient(self, answer: ClosedFormParameters, recording: int, offset: float,
+                                           index: int, force: np.ndarray) -> np.ndarray:
         """Return the finite difference of the force with one free parameter, shape (n,).
 
         The difference is one-sided if the material is invalid on one side, and NaN if it is invalid on both sides.
@@ -242,54 +246,56 @@ class ClosedFormTest:
             try:
                 material = space.material(values | {name: values[name] + step}, test=self.name,
                                           recording=answer.recording)
-                ends.append((self._history_force(material, recording, offset), step))
+                ends.append((self._compute_force_with_memory(material, recording, offset), step))
             except InputError:
                 # The value is at a bound of the material: the difference is one-sided.
                 ends.append((force, 0.0))
         (above, high), (below, low) = ends
         return (above - below) / (high - low) if high > low else np.full(force.size, np.nan)
 
-    def _history_force(self, material: Material, recording: int, offset: float) -> np.ndarray:
+    def _compute_force_with_memory(self, material: Material, recording: int, offset: float) -> np.ndarray:
         """Return the force of a material with memory at the samples of a recording, N, shape (n,)."""
         measured, factor = self.measured[recording], self.kind.sign * self.area
         with np.errstate(all="ignore"):
-            if not self._has_history or material.effects:
-                strain = self.strain(measured.displacement - offset)
-                return factor * self.closed_form.history(material, measured.clock, strain, self.radius)
-            return factor * self.history(recording, offset).nominal_stress(
-                material.energy_law, material.values, material.relaxation(self.radius), material.softening,
+            if not self._has_homogeneous_history or material.effects:
+                strain = self.convert_displacement_to_strain(measured.displacement - offset)
+                return factor * self.closed_form.history(material, measured.clock, strain, self.equivalent_radius)
+            return factor * self.build_deformation_history(recording, offset).nominal_stress(
+                material.energy_law, material.values, material.relaxation(self.equivalent_radius), material.softening,
                 material.instantaneous_factor)
 
     @property
-    def _has_history(self) -> bool:
+    def _has_homogeneous_history(self) -> bool:
         """Whether `HomogeneousHistory` can compute the stress: uniaxial loading or simple shear."""
         return type(self.closed_form) is ClosedForm and self.closed_form.law_mode in ("uniaxial", "simple_shear")
 
-    def history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
+    def build_deformation_history(self, recording: int, offset: float = 0.0) -> HomogeneousHistory:
         """Return the deformation history of the specimen in a recording."""
         if offset == 0.0 and recording in self._histories:
             return self._histories[recording]
         measured = self.measured[recording]
         mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = HomogeneousHistory(mode, measured.clock, self.strain(measured.displacement - offset), self.largest_step)
+        found = HomogeneousHistory(mode, measured.clock,
+                                   self.convert_displacement_to_strain(measured.displacement - offset),
+                                   self.largest_step)
         if offset == 0.0:
             self._histories[recording] = found
         return found
 
-    def strain(self, displacement: np.ndarray) -> np.ndarray:
+    def convert_displacement_to_strain(self, displacement: np.ndarray) -> np.ndarray:
         """Return stretch or shear strain at displacements, m, any shape."""
         return self.kind.compute_stretch_or_shear_strain(displacement / self.height)
 
-    def update_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
         """Return 0: a closed form has no mesh error."""
         return 0.0
 
-    def drop_correction(self) -> None:
+    def remove_mesh_correction(self) -> None:
         """Do nothing: a closed form has no mesh correction."""
 
-    def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
-        """Return the range of stretches; see `ForwardTest.stretch_range`."""
-        strain = np.concatenate([self.strain(curve.displacement) for curve in self.measured])
+    def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
+        """Return the range of stretches; see `ForwardTest.compute_stretch_range`."""
+        strain = np.concatenate([self.convert_displacement_to_strain(curve.displacement) for curve in self.measured])
         low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
         if not closed_form.rest:
             return StretchRange(closed_form.mode, *closed_form.extremes(low, high), closed_form.extremes(low, high))

@@ -8,7 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.forward.closed import ClosedFormSolution, ClosedFormTest
+from calibration.forward.closed import ClosedFormParameters, ClosedFormTest
 from calibration.forward.contract import InfeasibleError, StretchRange
 from tissue_sim.closed_form.column import Column
 from tissue_sim.laws import find_law
@@ -17,7 +17,7 @@ from tissue_sim.specimen import Specimen
 
 @dataclass(eq=False)
 class ColumnTest(ClosedFormTest):
-    """Lubricated compression of a specimen that has settled under its own weight.
+    """Forward model of the lubricated compression of a column that has settled under its own weight.
 
     The displacement counts from the settled state; the height is the stated height.
 
@@ -30,14 +30,14 @@ class ColumnTest(ClosedFormTest):
     specimen: Specimen = field(kw_only=True)
     reserve: float = 0.0
 
-    proportional: ClassVar[bool] = False
+    is_force_proportional_to_moduli: ClassVar[bool] = False
 
     @property
-    def weightless(self) -> ClosedFormTest:
+    def without_self_weight(self) -> ClosedFormTest:
         """Closed form of the same test without self-weight."""
         return ClosedFormTest(self.name, self.kind, self.height, self.area, self.measured)
 
-    def _evaluate_elastic(self, answer: ClosedFormSolution, displacement: np.ndarray, contact: bool):
+    def _evaluate_elastic_force(self, answer: ClosedFormParameters, displacement: np.ndarray, contact: bool):
         column, law, values = Column(self.specimen), answer.law, answer.values
         deepest = max(float(curve.displacement.max()) for curve in self.measured) + self.reserve
         # With the deepest point appended, the column is solved at the same states for every offset.
@@ -50,7 +50,7 @@ class ColumnTest(ClosedFormTest):
                                   "largest displacement")
         return self._convert_to_force(answer, stress, derivatives, slope)
 
-    def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
+    def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the stretches between the base in the deepest state and the unloaded top."""
         law, values = find_law(space.law), space.of_law(space.values(theta), self.name)
         displacement = np.concatenate([curve.displacement for curve in self.measured])

@@ -54,11 +54,11 @@ class ForwardTest(Protocol):
         """Recordings of the test."""
 
     @property
-    def proportional(self) -> bool:
-        """Whether the force is proportional to the moduli."""
+    def is_force_proportional_to_moduli(self) -> bool:
+        """Whether the force is proportional to the moduli if all moduli change by the same factor."""
 
     @property
-    def homogeneous(self) -> bool:
+    def is_homogeneous(self) -> bool:
         """Whether the deformation is homogeneous, so that every mesh is exact."""
 
     @property
@@ -79,10 +79,10 @@ class ForwardTest(Protocol):
 
     @property
     def closed_form(self) -> ClosedForm:
-        """Closed form of a homogeneous test."""
+        """Closed form (stress as a function of strain) of a homogeneous test."""
 
     def solve(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> Any:
-        """Solve the test at given parameters.
+        """Compute what `evaluate_force` needs at given parameters: a simulation, or the values in a closed form.
 
         Args:
             space: parameter space.
@@ -90,13 +90,13 @@ class ForwardTest(Protocol):
             solves: cache of simulations.
 
         Returns:
-            Solution for `evaluate`.
+            Solution, which `evaluate_force` uses.
 
         Raises:
             InfeasibleError: the material is invalid, or the solver does not converge.
         """
 
-    def evaluate(self, answer: Any, recording: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def evaluate_force(self, answer: Any, recording: int, offset: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Evaluate the force at the samples of a recording.
 
         Args:
@@ -112,18 +112,18 @@ class ForwardTest(Protocol):
             InfeasibleError: the force is not finite.
         """
 
-    def differenced_parameters(self, answer: Any) -> frozenset[str]:
+    def list_differenced_parameters(self, answer: Any) -> frozenset[str]:
         """Return the names of the free parameters whose derivatives are finite differences."""
 
-    def update_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
         """Compute the difference of the accurate and the fast mesh at `theta`; later solutions add this difference.
 
         Returns:
             The largest difference relative to the largest force; 0 if every mesh is exact.
         """
 
-    def drop_correction(self) -> None:
+    def remove_mesh_correction(self) -> None:
         """Remove the mesh correction."""
 
-    def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
+    def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of stretches that the recordings reach with these parameters."""

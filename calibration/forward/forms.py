@@ -12,8 +12,8 @@ from calibration.campaign.measured import MeasuredCurve, depends_on_history
 from calibration.forward.closed import ClosedFormTest
 from calibration.forward.column import ColumnTest
 from calibration.forward.contract import ForwardTest
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, find_meshes
-from calibration.forward.motion import Loading, TimedMotion
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS, MESH_ERROR, get_solver_meshes
+from calibration.forward.motion import MonotonicLoading, TimedMotion
 from calibration.forward.simulated import SimulatedTest
 from calibration.forward.simulation_cache import hash_content
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
@@ -41,8 +41,8 @@ class DepthMarginSettings:
 _MARGINS = DepthMarginSettings()
 
 
-def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
-               contact: float) -> SimulatedTest | ClosedFormTest:
+def build_forward_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSettings,
+                       contact: float) -> SimulatedTest | ClosedFormTest:
     """Return the forward model of a test in an inverse fit.
 
     Args:
@@ -64,7 +64,7 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
         motion_of = []
         for curve in curves:
             motion = TimedMotion.from_recording(curve.clock, curve.displacement)
-            same = [i for i, other in enumerate(motions) if other.is_equivalent(motion)]
+            same = [i for i, other in enumerate(motions) if other.is_equal_within_tolerance(motion)]
             if not same:
                 motions.append(motion)
             motion_of.append(same[0] if same else len(motions) - 1)
@@ -77,7 +77,8 @@ def build_test(test: Test, curves: Sequence[MeasuredCurve], settings: FitSetting
     speed = float(np.median([curve.speed or STUDY_SPEED for curve in curves]))
     tool = test.experiment.tool
     smooth = tool.is_plate or (tool.sharp_edge and not test.experiment.is_path_dependent)
-    ramp = Loading.to_depth(float(depth), max(speed, 1e-9), smooth=smooth, strain=float(depth / height))
+    ramp = MonotonicLoading.make_loading_to_depth(float(depth), max(speed, 1e-9), smooth=smooth,
+                                                  strain=float(depth / height))
     return SimulatedTest(test.name, test.experiment, test.rig, (ramp,), (0,) * len(curves), curves, layered, mesh=mesh,
                          solver=test.solver)
 
@@ -102,21 +103,21 @@ def build_analytical_test(test: Test, curves: Sequence[MeasuredCurve], settings:
     return replace(plain, largest_step=FITTED_STEP)
 
 
-def mesh_uncertainty(test: ForwardTest, errors: Mapping[str, float]) -> float:
+def compute_mesh_uncertainty(test: ForwardTest, errors: Mapping[str, float]) -> float:
     """Return the relative standard deviation of the force by the error of the mesh; 0 if every mesh is exact.
 
     Args:
-        test: forward model, after `ForwardTest.update_correction` if `errors` are those of the accurate mesh.
+        test: forward model, after `ForwardTest.update_mesh_correction` if `errors` are those of the accurate mesh.
         errors: `ACCURATE_MESH_ERRORS` or `FAST_MESH_ERRORS`.
     """
-    if test.homogeneous or not isinstance(test, SimulatedTest):
+    if test.is_homogeneous or not isinstance(test, SimulatedTest):
         return 0.0
     shape, error = test.experiment.tool.shape, test.mesh_error
-    known = find_meshes(test.solver).error_factor * errors[shape if shape in errors else "other"]
+    known = get_solver_meshes(test.solver).error_factor * errors[shape if shape in errors else "other"]
     if test.specimen.from_file:
         largest = max(float(np.abs(curve.force).max()) for curve in test.measured)
         added = max((float(np.abs(each).max(initial=0.0)) for each in test.correction), default=np.inf)
         return max(known, min(MESH_ERROR.file_fraction * added / largest, MESH_ERROR.max_file_error))
     if errors is ACCURATE_MESH_ERRORS and error is not None and shape in FINEST_MESH_ERRORS:
-        return min(known, max(FINEST_MESH_ERRORS[shape], MESH_ERROR.finest_fraction * error.largest))
+        return min(known, max(FINEST_MESH_ERRORS[shape], MESH_ERROR.finest_fraction * error.largest_error))
     return known

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.experiments import ROUND_SOLVER
-from calibration.forward.meshes import find_meshes
+from calibration.forward.meshes import get_solver_meshes
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.model import Model
 
 
-def check_geometry(campaign: Campaign) -> None:
+def check_test_geometries(campaign: Campaign) -> None:
     """Build the solver of each three-dimensional test once, with the first material of the campaign.
 
     Raises:
@@ -21,7 +21,7 @@ def check_geometry(campaign: Campaign) -> None:
             continue
         try:
             SOLVERS.find(test.solver, "solver")(Model(test.experiment, campaign.fit.material),
-                                                resolution=find_meshes(test.solver).fast)
+                                                resolution=get_solver_meshes(test.solver).fast)
         except InputError as error:
             raise InputError(error.problem, file=campaign.path, field=f"test[{number}]") from None
         except ConvergenceError:

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calibration.forward.motion import build_spline
+from calibration.forward.motion import build_cubic_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.mesh.grading import Grading
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -26,7 +26,7 @@ FINEST_MESH_ERRORS = {"plate": 0.0002, "flat": 0.0005}
 
 @dataclass(frozen=True)
 class MeshErrorSettings:
-    """Settings of the errors of meshes.
+    """Settings of the estimated discretisation errors of meshes.
 
     Attributes:
         finest_fraction: error after correction by the finest mesh, as a fraction of the correction.
@@ -51,8 +51,8 @@ MESH_ERROR = MeshErrorSettings()
 _SPECIMEN_SIZE = 10.0
 
 
-class Meshes(NamedTuple):
-    """Resolutions of a solver in a fit, and their errors.
+class SolverMeshes(NamedTuple):
+    """Resolutions of a solver that a fit uses (fast, accurate and finest), and their errors.
 
     Attributes:
         fast: resolution during the iterations of the fit.
@@ -73,25 +73,25 @@ class Meshes(NamedTuple):
     elements: str = "axisymmetric nine-node finite elements"
     slow: bool = False
 
-    def shows_error(self, experiment: Experiment) -> bool:
+    def shows_mesh_error(self, experiment: Experiment) -> bool:
         """Return whether the finest mesh determines the error of the accurate mesh; never for a mesh from a file."""
         return (self.finest is not None and experiment.tool.shape in self.finest_under
                 and not experiment.specimen.from_file)
 
 
 #: Name of the solver -> its meshes; other solvers use the entry of the axisymmetric solver.
-MESHES = {"axisymmetric": Meshes("fast", "accurate", "finest"),
-          "solid": Meshes("realtime", "fast", "accurate", error_factor=3.0, finest_under=("plate",),
+MESHES = {"axisymmetric": SolverMeshes("fast", "accurate", "finest"),
+          "solid": SolverMeshes("realtime", "fast", "accurate", error_factor=3.0, finest_under=("plate",),
                            elements="finite elements in space of first order, corrected by ones of second order",
                            slow=True)}
 
 
-def find_meshes(solver: str) -> Meshes:
-    """Return the meshes of a solver by its name."""
+def get_solver_meshes(solver: str) -> SolverMeshes:
+    """Return the resolutions and mesh errors of a solver (fast, accurate, finest) by the name of the solver."""
     return MESHES.get(solver, MESHES["axisymmetric"])
 
 
-def make_exact_mesh(model: Model, solver: str) -> SolidMesh | None:
+def make_exact_block_mesh(model: Model, solver: str) -> SolidMesh | None:
     """Return a mesh of eight elements for a block in homogeneous deformation, where every mesh is exact; else None."""
     experiment = model.experiment
     if (solver != "solid" or not isinstance(experiment.specimen, Block) or not experiment.homogeneous
@@ -125,19 +125,19 @@ class MeshError:
         """
         large = np.abs(accurate) > MESH_ERROR.min_force_fraction * np.abs(accurate).max(initial=0.0)
         relative = finest[large] / accurate[large] - 1.0
-        return cls(depth[large], relative) if large.sum() >= MESH_ERROR.min_knots else cls.unknown()
+        return cls(depth[large], relative) if large.sum() >= MESH_ERROR.min_knots else cls.make_unknown_error()
 
     @classmethod
-    def unknown(cls) -> MeshError:
+    def make_unknown_error(cls) -> MeshError:
         """Return an unknown error, for a finest mesh that does not converge."""
         return cls(np.zeros(0), np.zeros(0))
 
     @property
-    def largest(self) -> float:
-        """Largest relative error; infinite if unknown."""
+    def largest_error(self) -> float:
+        """Largest relative error of the force along the loading; infinite if unknown."""
         return float(np.abs(self.relative).max(initial=0.0)) if self.relative.size else float("inf")
 
-    def factor(self, depth: np.ndarray) -> np.ndarray:
+    def compute_correction_factor(self, depth: np.ndarray) -> np.ndarray:
         """Return the factor that corrects the force of the accurate mesh; 1 if the error is unknown.
 
         Args:
@@ -145,4 +145,4 @@ class MeshError:
         """
         if not self.relative.size:
             return np.ones(np.shape(depth))
-        return 1.0 + build_spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))
+        return 1.0 + build_cubic_spline(self.depth, self.relative)(np.clip(depth, self.depth[0], self.depth[-1]))

@@ -18,8 +18,8 @@ from tissue_sim.rig.rig import Rig
 
 
 @dataclass(frozen=True)
-class StepSettings:
-    """Steps of a simulated motion.
+class MotionStepSettings:
+    """Numbers and sizes of the steps in which a motion is simulated.
 
     Attributes:
         smooth_steps: smallest number of steps of a smooth force curve. With `smooth_strain` the error of the cubic
@@ -45,14 +45,14 @@ class StepSettings:
     hold_step_ratio: float = 1.6
 
 
-MOTION_STEPS = StepSettings()
+MOTION_STEPS = MotionStepSettings()
 #: Width of the rounded corner of the force at first contact, as a fraction of the depth. The force at first contact is
 #: that of a sharp corner at a quarter of this width.
 _CORNER_WIDTH = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Loading:
+class MonotonicLoading:
     """Monotonic loading of a test whose force depends on depth alone.
 
     Attributes:
@@ -64,8 +64,9 @@ class Loading:
     speed: float
 
     @classmethod
-    def to_depth(cls, depth: float, speed: float, *, smooth: bool, strain: float = 0.0) -> Loading:
-        """Return a loading from rest to a depth.
+    def make_loading_to_depth(cls, depth: float, speed: float, *, smooth: bool,
+                              strain: float = 0.0) -> MonotonicLoading:
+        """Return a monotonic loading from zero depth to a depth.
 
         Args:
             depth: largest depth, m.
@@ -80,17 +81,17 @@ class Loading:
         return cls(depth * np.linspace(0.0, 1.0, MOTION_STEPS.sliding_steps + 1)**MOTION_STEPS.sliding_power, speed)
 
     @property
-    def protocol(self) -> Protocol:
+    def tool_protocol(self) -> Protocol:
         """Motion of the tool: displacement in m at times in s."""
         return Protocol(self.depth / self.speed, self.depth)
 
     @property
-    def with_equal_steps(self) -> Loading:
+    def with_equal_steps(self) -> MonotonicLoading:
         """Loading to the same depth with the same number of equal steps."""
         return replace(self, depth=np.linspace(self.depth[0], self.depth[-1], self.depth.size))
 
-    def with_fewer_steps(self) -> tuple[Loading, np.ndarray]:
-        """Return a loading with about `StepSettings.smooth_steps` steps.
+    def with_fewer_steps(self) -> tuple[MonotonicLoading, np.ndarray]:
+        """Return a loading with about `MotionStepSettings.smooth_steps` steps.
 
         It serves for quantities that vary more slowly than the force.
 
@@ -101,12 +102,12 @@ class Loading:
         kept = np.unique([*range(0, last, max(last // MOTION_STEPS.smooth_steps, 1)), last])
         return replace(self, depth=self.depth[kept]), kept
 
-    def evaluate_at_knots(self, curve: ForceCurve) -> np.ndarray:
+    def evaluate_curve_at_knots(self, curve: ForceCurve) -> np.ndarray:
         """Return the columns of a curve at the knots, shape (k, m)."""
         # The rounded corner makes the force at rest slightly positive; the difference removes this value.
         return curve(None, self.depth, 0.0)[0] - curve(None, self.depth[:1], 0.0)[0]
 
-    def interpolate(self, columns: np.ndarray) -> ForceCurve:
+    def make_curve(self, columns: np.ndarray) -> ForceCurve:
         """Return the curve through values at the knots.
 
         Args:
@@ -128,9 +129,9 @@ class _LoadingCurve:
 
     def __init__(self, depth: np.ndarray, columns: np.ndarray):
         self._end, self._width = depth[-1], _CORNER_WIDTH * depth[-1]
-        self._spline = build_spline(depth, columns)
+        self._spline = build_cubic_spline(depth, columns)
         self._slope = self._spline.derivative()
-        self._force = build_spline(depth, columns[:, 0])
+        self._force = build_cubic_spline(depth, columns[:, 0])
 
     def __call__(self, time: np.ndarray | None, displacement: np.ndarray,
                  offset: float) -> tuple[np.ndarray, np.ndarray]:
@@ -149,7 +150,8 @@ class _LoadingCurve:
         # The curve is extrapolated linearly beyond the simulated depth.
         return self._spline(simulated) + rate * (inside - simulated)[:, None], -rate[:, 0] * derivative
 
-    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    def compute_forces_at_offsets(self, time: np.ndarray | None, displacement: np.ndarray,
+                                  offsets: np.ndarray) -> np.ndarray:
         """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
         inside, simulated, _ = self._depth_in_tissue(displacement[:, None] - offsets)
         return self._force(simulated) + self._force(self._end, 1) * (inside - simulated)
@@ -183,7 +185,7 @@ class TimedMotion:
     @classmethod
     def from_recording(cls, time: np.ndarray, displacement: np.ndarray, *,
                        steps: int = MOTION_STEPS.timed_steps) -> TimedMotion:
-        """Return the knots of a recorded motion.
+        """Return a recorded motion as a sequence of straight parts in time.
 
         If a recording begins below the surface, its first straight part is extrapolated to first contact.
 
@@ -204,7 +206,7 @@ class TimedMotion:
             fraction: np.ndarray
             if abs(change) > MOTION_STEPS.hold_fraction * travel:
                 fraction = np.linspace(0.0, 1.0, int(np.ceil(steps * abs(change) / travel - 1e-9)) + 1)[1:]
-                # Shorter steps at first contact, as in `Loading`: friction is path-dependent.
+                # Shorter steps at first contact, as in `MonotonicLoading`: friction is path-dependent.
                 fraction = fraction**MOTION_STEPS.sliding_power if i == 0 else fraction
             else:
                 ratio = MOTION_STEPS.hold_step_ratio
@@ -216,13 +218,13 @@ class TimedMotion:
             knots_d.append(d[i] + fraction * change)
         return cls(np.concatenate(knots_t), np.concatenate(knots_d), tuple(legs), float(time[0]))
 
-    def is_moving(self, first: int, last: int) -> bool:
+    def is_moving_after_knot(self, first: int, last: int) -> bool:
         """Return whether the tool moves between two knots; otherwise the straight part is a hold."""
         change = abs(self.displacement[last] - self.displacement[first])
         return bool(change > MOTION_STEPS.hold_fraction * np.ptp(self.displacement))
 
     @cached_property
-    def protocol(self) -> Protocol:
+    def tool_protocol(self) -> Protocol:
         """Motion of the tool: displacement in m at times in s from 0 on."""
         return Protocol(self.time - self.time[0], self.displacement)
 
@@ -235,11 +237,11 @@ class TimedMotion:
             values[first:last + 1] = np.linspace(values[first], values[last], last + 1 - first)
         return replace(self, time=time, displacement=displacement)
 
-    def evaluate_at_knots(self, curve: ForceCurve) -> np.ndarray:
+    def evaluate_curve_at_knots(self, curve: ForceCurve) -> np.ndarray:
         """Return the columns of a curve at the knots, shape (k, m)."""
         return curve(self.time, self.displacement, 0.0)[0]
 
-    def is_equivalent(self, other: TimedMotion) -> bool:
+    def is_equal_within_tolerance(self, other: TimedMotion) -> bool:
         """Return whether two motions agree within the tolerance of straight parts (`MotionSettings.straightness`)."""
         if self.legs != other.legs:
             return False
@@ -248,8 +250,8 @@ class TimedMotion:
         return bool(np.abs(self.displacement - other.displacement).max() <= tolerance
                     and np.abs(self.time - self.time[0] - other.time + other.time[0]).max() <= tolerance / speed)
 
-    def interpolate(self, columns: np.ndarray, *, position: np.ndarray | None = None,
-                    separates: bool = False) -> ForceCurve:
+    def make_curve(self, columns: np.ndarray, *, position: np.ndarray | None = None,
+                   separates: bool = False) -> ForceCurve:
         """Return the curve through values at the knots, as a function of the recording's time.
 
         Args:
@@ -261,11 +263,11 @@ class TimedMotion:
         # Holds are no part of a loading curve: their force relaxes at constant displacement.
         labels = np.full(self.time.size, "ramp", dtype="<U4")
         for first, last in self.legs:
-            if not self.is_moving(first, last):
+            if not self.is_moving_after_knot(first, last):
                 labels[first + 1:last + 1] = "hold"
         recording = Recording({"time": self.time, "displacement": self.displacement, "force": columns[:, 0]},
                               labels={"segment": labels})
-        return _TimedCurve(self, np.column_stack([columns, offset_derivative(recording)]),
+        return _TimedCurve(self, np.column_stack([columns, compute_offset_derivative(recording)]),
                            self.displacement if position is None else position, separates)
 
 
@@ -277,7 +279,7 @@ class _TimedCurve:
         columns: force, its derivatives, and the derivative of the force with the contact offset as the last column,
             shape (k, m + 1).
         position: true position of the tool at the knots, m, shape (k,).
-        separates: see `TimedMotion.interpolate`.
+        separates: see `TimedMotion.make_curve`.
     """
 
     def __init__(self, motion: TimedMotion, columns: np.ndarray, position: np.ndarray, separates: bool):
@@ -286,7 +288,7 @@ class _TimedCurve:
         self._parts = []
         for first, last in motion.legs:
             part = slice(first, last + 1)
-            interpolate = build_spline if motion.is_moving(first, last) else PchipInterpolator
+            interpolate = build_cubic_spline if motion.is_moving_after_knot(first, last) else PchipInterpolator
             self._parts.append(interpolate(motion.time[part], columns[part]))
         self._ends = motion.time[[last for _, last in motion.legs[:-1]]]
 
@@ -314,7 +316,7 @@ class _TimedCurve:
         values[((leg_of == 0) | self._separates) & (position < offset)] = 0.0
         return values[:, :-1], values[:, -1]
 
-    def forces(self, time: Any, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    def compute_forces_at_offsets(self, time: Any, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
         """Return the force at samples for several contact offsets, m; shape (n, offsets)."""
         return np.column_stack([self(time, displacement, offset)[0][:, 0] for offset in offsets])
 
@@ -339,7 +341,7 @@ def _remove_hold_corners(displacement: np.ndarray, corners: np.ndarray, toleranc
     return [*kept, int(corners[-1])]
 
 
-def offset_derivative(recording: Recording) -> np.ndarray:
+def compute_offset_derivative(recording: Recording) -> np.ndarray:
     """Return the derivative of the force of a simulated recording with the contact offset, N/m, shape (n,).
 
     The force at an offset follows from the loading curve of the recording, see `tissue_sim.rig.rig.Rig`. The one-sided
@@ -351,7 +353,7 @@ def offset_derivative(recording: Recording) -> np.ndarray:
     return (3 * recording.force - 4 * near + far) / (2 * step)
 
 
-def build_spline(knots: np.ndarray, values: np.ndarray):
+def build_cubic_spline(knots: np.ndarray, values: np.ndarray):
     """Return the cubic spline through values at knots; a piecewise linear function for fewer than four knots.
 
     Args:

@@ -17,7 +17,7 @@ _MOTION_PARAMETERS = frozenset(f"rig.{name}" for name in (
     "contact_offset", "displacement_gain", "backlash", "step_loss", "step_loss_depth"))
 
 
-def is_proportional(experiment: Experiment, rig: Rig) -> bool:
+def is_force_proportional_to_moduli(experiment: Experiment, rig: Rig) -> bool:
     """Return whether the tissue is the only source of force and stiffness in a test.
 
     Self-weight, contact laws with a stress scale and a compliant load train break the proportionality.
@@ -25,7 +25,7 @@ def is_proportional(experiment: Experiment, rig: Rig) -> bool:
     return not (experiment.specimen.specific_weight or experiment.acting_laws or rig.compliance)
 
 
-def preserves_proportionality(unknown: Unknown, *, rigid: bool) -> bool:
+def keeps_force_proportional_to_moduli(unknown: Unknown, *, rigid: bool) -> bool:
     """Return whether forces stay proportional to the moduli for every value of a parameter.
 
     Args:

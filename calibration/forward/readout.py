@@ -20,7 +20,7 @@ from tissue_sim.recording.recording import Recording
 from tissue_sim.rig.rig import Rig
 
 
-def difference_step(value: float) -> float:
+def compute_difference_step(value: float) -> float:
     """Return the step of a finite difference at a parameter value.
 
     Readings depend almost linearly on the parameters of the readout, so a small relative step is accurate.
@@ -28,7 +28,7 @@ def difference_step(value: float) -> float:
     return DIFFERENCES.relative * (abs(value) or 1.0)
 
 
-def affects_readings_only(rig: Rig, path: str, value: float) -> bool:
+def parameter_affects_readings_only(rig: Rig, path: str, value: float) -> bool:
     """Return whether a parameter of a rig changes readings and not the motion of the tool.
 
     Args:
@@ -36,38 +36,38 @@ def affects_readings_only(rig: Rig, path: str, value: float) -> bool:
         path: path of the parameter in the rig.
         value: value near which the motion is compared.
     """
-    changed = with_values(rig, {path: value + difference_step(value)})
+    changed = with_values(rig, {path: value + compute_difference_step(value)})
     return changed.motion_only == with_values(rig, {path: value}).motion_only
 
 
 @dataclass(frozen=True, eq=False)
-class Readout:
+class RigReadout:
     """Conversion of true forces to the readings of a rig."""
 
     rig: Rig
 
     @cached_property
-    def faults(self) -> Rig | None:
+    def readout_faults(self) -> Rig | None:
         """Rig with only the faults that change readings; None if the rig reads true forces."""
         reading = self.rig.reading_only
         return None if reading.is_ideal else reading
 
-    def read(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
-        """Return the readings of the force sensor.
+    def convert_to_readings(self, measured: MeasuredCurve, force: np.ndarray) -> np.ndarray:
+        """Convert true forces to the readings of the force sensor.
 
         Args:
             measured: recording with displacement and time of the samples.
             force: true force at the samples, N, shape (n,).
         """
-        if self.faults is None:
+        if self.readout_faults is None:
             return force
         channels = {"displacement": measured.displacement, "force": force}
         if measured.time is not None:
             channels["time"] = measured.time
-        return self.faults.read(Recording(channels)).force
+        return self.readout_faults.read(Recording(channels)).force
 
-    def read_derivatives(self, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray, rates: np.ndarray,
-                         rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def convert_derivatives_to_readings(self, measured: MeasuredCurve, true: np.ndarray, read: np.ndarray,
+                                        rates: np.ndarray, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Convert derivatives of the true force to derivatives of the readings.
 
         Args:
@@ -88,7 +88,7 @@ class Readout:
         for index, column in enumerate(columns.T):
             if column.any():
                 step = DIFFERENCES.relative * max(float(np.abs(true).max()), 1e-6) / np.abs(column).max()
-                columns[:, index] = (self.read(measured, true + step * column) - read) / step
+                columns[:, index] = (self.convert_to_readings(measured, true + step * column) - read) / step
         return columns[:, :-1], columns[:, -1]
 
 
@@ -114,13 +114,13 @@ class ReadoutEffects:
         ideal = not model.experiment.tilt and model.rig.motion_only.is_ideal
         return cls(model.material.reduced_effects(plate=model.experiment.tool.is_plate) if ideal else ())
 
-    def has_parameter(self, path: str) -> bool:
+    def has_effect_parameter(self, path: str) -> bool:
         """Return whether a parameter of the material belongs to one of these effects."""
         part = path.rpartition(".")[0]
         return any(part in (effect.name, f"effects.{effect.name}") for effect in self.effects)
 
-    def remove_from(self, model: Model) -> Model:
-        """Return the model without these effects."""
+    def remove_effects_from_model(self, model: Model) -> Model:
+        """Return the model without these effects, so that a simulation does not apply them twice."""
         material = model.material
         if not self.effects:
             return model
@@ -128,7 +128,7 @@ class ReadoutEffects:
         puncture = None if material.puncture in self.effects else material.puncture
         return replace(model, material=replace(material, puncture=puncture, effects=kept))
 
-    def factor(self, measured: MeasuredCurve, depth: np.ndarray) -> np.ndarray:
+    def compute_force_factor(self, measured: MeasuredCurve, depth: np.ndarray) -> np.ndarray:
         """Return the factor of the force at the samples of a recording.
 
         Args:
@@ -147,8 +147,8 @@ class ReadoutEffects:
         return factor
 
 
-def depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: MeasuredCurve,
-                    offset: float | np.ndarray) -> np.ndarray:
+def compute_depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: MeasuredCurve,
+                            offset: float | np.ndarray) -> np.ndarray:
     """Return the true depth of the tool at the samples of a recording.
 
     Args:
@@ -160,13 +160,13 @@ def depth_in_tissue(curve: ForceCurve | AlignedCurve, measured: MeasuredCurve,
         Depth, m, shape (n,) or (n, offsets).
     """
     if isinstance(curve, AlignedCurve):
-        return curve.positions(offset)
+        return curve.compute_tool_positions(offset)
     return measured.displacement - offset if np.ndim(offset) == 0 else measured.displacement[:, None] - offset
 
 
 @dataclass(frozen=True, eq=False)
 class SimulatedSolution:
-    """Simulated forces of one test at one set of parameters.
+    """Simulated forces of one test at one set of parameters, and their derivatives.
 
     Attributes:
         curves: force and derivatives of each recording.
@@ -178,7 +178,7 @@ class SimulatedSolution:
     """
 
     curves: Sequence[ForceCurve | AlignedCurve]
-    readouts: list[Readout]
+    readouts: list[RigReadout]
     effects: list[ReadoutEffects]
     space: ParameterSpace
     values: dict[str, float]

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.motion import MOTION_STEPS, Loading, build_spline
+from calibration.forward.motion import MOTION_STEPS, MonotonicLoading, build_cubic_spline
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.model import Model
@@ -34,7 +34,7 @@ class RigMotionSettings:
         position_tolerance: tolerance of the tool position, relative to the largest depth.
         max_iterations: maximum number of iterations of Newton's method for the tool position.
         min_growth: smallest ratio of stage displacement to tool displacement, 1 + C dF/dx, for which the equilibrium
-            counts as stable; below it the load train snaps.
+            counts as stable; below it the load train is unstable (snap-through).
     """
 
     step_tolerance: float = 1e-3
@@ -46,7 +46,7 @@ class RigMotionSettings:
 _SETTINGS = RigMotionSettings()
 
 
-def build_loading(depth: float, deepest: float, limit: float) -> Loading:
+def build_rig_loading(depth: float, deepest: float, limit: float) -> MonotonicLoading:
     """Return a loading from rest to the deepest position of the tool.
 
     Args:
@@ -57,11 +57,11 @@ def build_loading(depth: float, deepest: float, limit: float) -> Loading:
     ratio = (max(deepest, depth) / depth) ** (1.0 / MOTION_STEPS.sliding_power)
     steps = max(STEPS, int(np.ceil(STEPS * ratio - _SETTINGS.step_tolerance)))
     knots = depth * (np.arange(steps + 1) / STEPS) ** MOTION_STEPS.sliding_power
-    return Loading(np.append(knots[knots < limit], limit) if knots[-1] > limit else knots, STUDY_SPEED)
+    return MonotonicLoading(np.append(knots[knots < limit], limit) if knots[-1] > limit else knots, STUDY_SPEED)
 
 
 @dataclass(frozen=True, eq=False)
-class PositionCurve:
+class ForcePositionCurve:
     """Force and its derivatives as functions of the tool position.
 
     Attributes:
@@ -79,21 +79,22 @@ class PositionCurve:
     strips: list[tuple[float, float]]
 
     @classmethod
-    def interpolate(cls, depth: np.ndarray, columns: np.ndarray, *, holds: bool, tilt: float = 0.0) -> PositionCurve:
+    def make_interpolant(cls, depth: np.ndarray, columns: np.ndarray, *, holds: bool,
+                         tilt: float = 0.0) -> ForcePositionCurve:
         """Return the interpolant of values at knots.
 
         Args:
             depth: depth of the knots from 0 on, m, shape (k,).
             columns: force and derivatives at the knots, force first, shape (k, m).
-            holds: see `PositionCurve`.
+            holds: see `ForcePositionCurve`.
             tilt: height difference across the tool's face, m.
         """
-        return cls(build_spline(depth, columns), build_spline(depth, columns[:, 0]), float(depth[-1]), holds,
-                   _divide_face(tilt))
+        return cls(build_cubic_spline(depth, columns), build_cubic_spline(depth, columns[:, 0]), float(depth[-1]),
+                   holds, _divide_tilted_face(tilt))
 
-    def with_tilt(self, tilt: float) -> PositionCurve:
+    def with_tilt(self, tilt: float) -> ForcePositionCurve:
         """Return the curve of a face with another tilt, m."""
-        return replace(self, strips=_divide_face(tilt))
+        return replace(self, strips=_divide_tilted_face(tilt))
 
     def __call__(self, position: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the curve at tool positions.
@@ -108,17 +109,17 @@ class PositionCurve:
         for lag, fraction in self.strips:
             depth, velocity = _compute_strip_position(position, lag)
             inside, contact = self._limit_to_simulated_range(depth)
-            rates = self._rates(inside) * contact[:, None]
+            rates = self._position_derivatives(inside) * contact[:, None]
             columns = columns + fraction * (self.columns(inside) * contact[:, None] + rates * (depth - inside)[:, None])
             slope = slope + fraction * velocity * rates[:, 0]
         return columns, slope
 
     @cached_property
-    def _rates(self) -> Any:
+    def _position_derivatives(self) -> Any:
         """Derivative of the columns with the position."""
         return self.columns.derivative()
 
-    def force(self, position: np.ndarray) -> np.ndarray:
+    def compute_force(self, position: np.ndarray) -> np.ndarray:
         """Return the force at tool positions, m, any shape."""
         force = np.zeros(position.shape)
         for lag, fraction in self.strips:
@@ -140,7 +141,7 @@ class PositionCurve:
             position >= 0.0).astype(float)
 
 
-def _divide_face(tilt: float) -> list[tuple[float, float]]:
+def _divide_tilted_face(tilt: float) -> list[tuple[float, float]]:
     """Return lag, m, and fraction of the face for the strips of a tilted face; one strip without tilt."""
     return split_into_strips(tilt) if tilt else [(0.0, 1.0)]
 
@@ -155,7 +156,7 @@ def _compute_strip_position(position: np.ndarray, lag: float) -> tuple[np.ndarra
 
 @dataclass(frozen=True, eq=False)
 class AlignedCurve:
-    """Force at the samples of a recording, from the true positions of its tool.
+    """Force at the samples of a recording, from the true tool positions behind the compliant load train.
 
     Attributes:
         curve: force against tool position.
@@ -165,7 +166,7 @@ class AlignedCurve:
             difference of the values, for a finite difference.
     """
 
-    curve: PositionCurve
+    curve: ForcePositionCurve
     motion: np.ndarray
     compliance: float
     neighbours: Mapping[int, tuple[AlignedCurve, float]] = field(default_factory=dict)
@@ -183,28 +184,31 @@ class AlignedCurve:
             Columns, force first, shape (n, m), and the derivative of the force with the contact offset, shape (n,).
 
         Raises:
-            InfeasibleError: the load train snaps, or the tool has no equilibrium position.
+            InfeasibleError: the load train is unstable (snap-through), or the tool has no equilibrium position.
         """
-        position = self.positions(offset)
+        position = self.compute_tool_positions(offset)
         columns, slope = self.curve(position)
         growth = 1.0 + self.compliance * slope
         if growth.min(initial=1.0) < _SETTINGS.min_growth:
-            raise InfeasibleError("the force falls so steeply that the load train snaps")
+            raise InfeasibleError("the force decreases with depth so steeply that the compliant load train is unstable "
+                                  "(snap-through)")
         columns[:, 1:] /= growth[:, None]
         rate = -slope / growth
         # The force is zero before the first contact.
         before_contact = ~np.maximum.accumulate(position >= 0.0)
         columns[before_contact], rate[before_contact] = 0.0, 0.0
         for number, (other, step) in self.neighbours.items():
-            columns[:, number] = (other.forces(time, displacement, np.array([offset]))[:, 0] - columns[:, 0]) / step
+            columns[:, number] = (other.compute_forces_at_offsets(time, displacement, np.array([offset]))[:, 0]
+                                  - columns[:, 0]) / step
         return columns, rate
 
-    def forces(self, time: np.ndarray | None, displacement: np.ndarray, offsets: np.ndarray) -> np.ndarray:
+    def compute_forces_at_offsets(self, time: np.ndarray | None, displacement: np.ndarray,
+                                  offsets: np.ndarray) -> np.ndarray:
         """Return the force at the samples for several contact offsets, m; shape (n, offsets)."""
-        position = self.positions(offsets)
-        return np.where(np.maximum.accumulate(position >= 0.0, axis=0), self.curve.force(position), 0.0)
+        position = self.compute_tool_positions(offsets)
+        return np.where(np.maximum.accumulate(position >= 0.0, axis=0), self.curve.compute_force(position), 0.0)
 
-    def positions(self, offset: float | np.ndarray) -> np.ndarray:
+    def compute_tool_positions(self, offset: float | np.ndarray) -> np.ndarray:
         """Return the tool positions at the samples.
 
         Newton's method solves the equilibrium x + C F(x) = s of tool position x and stage position s.
@@ -224,14 +228,14 @@ class AlignedCurve:
         position, tolerance = stage, _SETTINGS.position_tolerance * np.abs(stage).max(initial=1e-6)
         step = 1e-6 * np.abs(stage).max(initial=1e-6)
         for _ in range(_SETTINGS.max_iterations):
-            force = self.curve.force(position)
-            stiffness = (self.curve.force(position + step) - force) / step
+            force = self.curve.compute_force(position)
+            stiffness = (self.curve.compute_force(position + step) - force) / step
             change = (stage - position - self.compliance * force) / np.maximum(1.0 + self.compliance * stiffness,
                                                                                _SETTINGS.min_growth)
             position = position + change
             if np.abs(change).max(initial=0.0) <= tolerance:
                 return position
-        raise InfeasibleError("the tool has no equilibrium position with the load train")
+        raise InfeasibleError("no equilibrium position of the tool behind the compliant load train was found")
 
 
 def is_path_dependent(model: Model) -> bool:
@@ -243,7 +247,7 @@ def is_path_dependent(model: Model) -> bool:
     return model.is_path_dependent or bool(reduced and (model.rig.compliance or model.experiment.tilt))
 
 
-def separates_on_return(experiment: Experiment) -> bool:
+def tool_separates_on_retraction(experiment: Experiment) -> bool:
     """Return whether the tool separates from the tissue when it retracts past the first contact."""
     return experiment.friction != "bonded" and experiment.adhesion is None and not experiment.contact_laws
 
@@ -257,6 +261,6 @@ def is_rig_motion_parameter(path: str) -> bool:
     return path.startswith("rig.") or path == "experiment.tilt"
 
 
-def with_ideal_rig(model: Model) -> Model:
+def replace_rig_by_ideal_rig(model: Model) -> Model:
     """Return the model with an ideal rig and without tilt: the tool is at the position of the stage."""
     return replace(model, experiment=replace(model.experiment, tilt=0.0), rig=Rig())

@@ -11,23 +11,23 @@ import numpy as np
 
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.forward.contract import InfeasibleError, StretchRange
-from calibration.forward.meshes import MeshError, find_meshes
-from calibration.forward.motion import ForceCurve, Loading, TimedMotion, build_spline
-from calibration.forward.proportionality import is_proportional
+from calibration.forward.meshes import MeshError, get_solver_meshes
+from calibration.forward.motion import ForceCurve, MonotonicLoading, TimedMotion, build_cubic_spline
+from calibration.forward.proportionality import is_force_proportional_to_moduli
 from calibration.forward.readout import (
-    Readout,
     ReadoutEffects,
+    RigReadout,
     SimulatedSolution,
-    depth_in_tissue,
-    difference_step,
+    compute_depth_in_tissue,
+    compute_difference_step,
 )
 from calibration.forward.rig_motion import (
     AlignedCurve,
-    PositionCurve,
-    build_loading,
+    ForcePositionCurve,
+    build_rig_loading,
     is_path_dependent,
     is_rig_motion_parameter,
-    separates_on_return,
+    tool_separates_on_retraction,
 )
 from calibration.forward.simulated_motions import SimulatedMotions
 from calibration.forward.simulation_cache import SimulationCache
@@ -45,7 +45,7 @@ _PULL_FRACTION = 0.02
 
 @dataclass(eq=False)
 class SimulatedTest(SimulatedMotions):
-    """Test that finite elements simulate on one mesh; see `ForwardTest`.
+    """Forward model that simulates one test with finite elements on one mesh; see `ForwardTest`.
 
     Between the knots of the simulated motions the force is interpolated at the samples of the recordings.
     """
@@ -65,12 +65,12 @@ class SimulatedTest(SimulatedMotions):
         return tuple(motion for motion in self.motions if isinstance(motion, TimedMotion))
 
     @property
-    def proportional(self) -> bool:
+    def is_force_proportional_to_moduli(self) -> bool:
         """Whether the force is proportional to the moduli."""
-        return is_proportional(self.experiment, self.rig)
+        return is_force_proportional_to_moduli(self.experiment, self.rig)
 
     @property
-    def homogeneous(self) -> bool:
+    def is_homogeneous(self) -> bool:
         """Whether every mesh is exact."""
         return not self.layered and self._build_experiment(self.motions[0]).homogeneous
 
@@ -88,12 +88,12 @@ class SimulatedTest(SimulatedMotions):
             curves, differences = self._simulate_motions(space, values, solves, models)
             effects = [ReadoutEffects.from_model(model) for model in models]
         else:
-            curves, differences = self._simulate_positions(space, values, solves, models)
+            curves, differences = self._simulate_position_curve(space, values, solves, models)
             effects = [ReadoutEffects(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
                        for model in models]
-        differences |= {each.name for each in space.varied if self._affects_readings_only(each, values)
-                        or any(one.has_parameter(each.path) for one in effects)}
-        return SimulatedSolution(curves, [Readout(model.rig) for model in models], effects, space, values,
+        differences |= {each.name for each in space.varied if self._parameter_affects_readings_only(each, values)
+                        or any(one.has_effect_parameter(each.path) for one in effects)}
+        return SimulatedSolution(curves, [RigReadout(model.rig) for model in models], effects, space, values,
                                  frozenset(differences))
 
     def uses_position_curve(self, space: ParameterSpace, theta: np.ndarray) -> bool:
@@ -113,11 +113,11 @@ class SimulatedTest(SimulatedMotions):
         # The tensile response of a bonded face cannot be extrapolated from compression.
         paths = [motion.displacement[int(np.argmax(motion.displacement >= 0)):] for motion in self._timed_motions]
         pulls = min(float(path.min()) for path in paths) < -_PULL_FRACTION * max(float(path.max()) for path in paths)
-        return (pulls and not separates_on_return(self.experiment)) or any(map(is_path_dependent, models))
+        return (pulls and not tool_separates_on_retraction(self.experiment)) or any(map(is_path_dependent, models))
 
     def _simulate_motions(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
                           models: Sequence[Model]) -> tuple[list[ForceCurve], set[str]]:
-        """Simulate each motion.
+        """Simulate the whole motion of each recording.
 
         Returns:
             Force curve of each recording, and the names of parameters whose derivatives are finite differences.
@@ -128,41 +128,42 @@ class SimulatedTest(SimulatedMotions):
             key = number, space.find_own_recording(self.name, measured.name)
             if key not in curves:
                 motion = self.motions[number]
-                force, rates, inexact = self._simulate(space, values, solves, motion, "fast", key[1])
+                force, rates, inexact = self._simulate_or_load_motion(space, values, solves, motion, "fast", key[1])
                 differences |= inexact
                 if self.correction:
                     force = force + self.correction[number]
                 columns = np.column_stack([force, rates])
-                curves[key] = motion.interpolate(columns, position=model.rig.tool_motion(motion.displacement),
-                                                 separates=separates_on_return(self.experiment)) \
-                    if isinstance(motion, TimedMotion) else motion.interpolate(columns)
+                curves[key] = motion.make_curve(columns, position=model.rig.tool_motion(motion.displacement),
+                                                separates=tool_separates_on_retraction(self.experiment)) \
+                    if isinstance(motion, TimedMotion) else motion.make_curve(columns)
             chosen.append(curves[key])
         return chosen, differences
 
-    def _simulate_positions(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                            models: Sequence[Model]) -> tuple[list[AlignedCurve], set[str]]:
+    def _simulate_position_curve(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                                 models: Sequence[Model]) -> tuple[list[AlignedCurve], set[str]]:
         """Simulate one loading with an ideal rig, and align its force with the samples of each recording.
 
         Returns:
             Force curve of each recording, and the names of parameters whose derivatives are finite differences.
         """
-        by_mark: dict[str | None, PositionCurve] = {}
+        by_mark: dict[str | None, ForcePositionCurve] = {}
         curves, differences = [], set()
         for recording, (measured, number, model) in enumerate(zip(self.measured, self.motion_of, models, strict=False)):
             mark = space.find_own_recording(self.name, measured.name)
-            align = partial(self._align_curve, recording)
+            align = partial(self._make_aligned_curve, recording)
             if mark not in by_mark:
                 loading = self._build_loading(model.rig)
-                force, rates, inexact = self._simulate(space, values, solves, loading, "fast", mark, rigid=True)
+                force, rates, inexact = self._simulate_or_load_motion(space, values, solves, loading, "fast", mark,
+                                                                      rigid=True)
                 differences |= inexact
-                by_mark[mark] = PositionCurve.interpolate(
+                by_mark[mark] = ForcePositionCurve.make_interpolant(
                     loading.depth, np.column_stack([force + self._interpolate_correction(loading), rates]),
-                    holds=not separates_on_return(model.experiment))
+                    holds=not tool_separates_on_retraction(model.experiment))
             neighbours = {}
             for column, each in enumerate(space.varied, start=1):
                 if is_rig_motion_parameter(each.path) and each.acts_in(self.name, measured.name) \
-                        and not self._affects_readings_only(each, values):
-                    step = difference_step(values[each.name])
+                        and not self._parameter_affects_readings_only(each, values):
+                    step = compute_difference_step(values[each.name])
                     changed = self._build_model(space, values | {each.name: values[each.name] + step},
                                                 self.motions[number], measured.name)
                     neighbours[column] = align(by_mark[mark], changed), step
@@ -170,7 +171,7 @@ class SimulatedTest(SimulatedMotions):
             curves.append(replace(align(by_mark[mark], model), neighbours=neighbours))
         return curves, differences
 
-    def _align_curve(self, recording: int, curve: PositionCurve, model: Model) -> AlignedCurve:
+    def _make_aligned_curve(self, recording: int, curve: ForcePositionCurve, model: Model) -> AlignedCurve:
         """Return the force at the samples of a recording for the rig and the tilt of a model."""
         motion, measured = self._timed_motions[self.motion_of[recording]], self.measured[recording]
         tilt, time = model.experiment.tilt, measured.clock - measured.clock[0] + motion.sampled_from
@@ -180,7 +181,7 @@ class SimulatedTest(SimulatedMotions):
         position = model.rig.tool_motion(straight) + measured.displacement - straight
         return AlignedCurve(curve.with_tilt(tilt) if tilt else curve, position, model.rig.compliance)
 
-    def _build_loading(self, rig: Rig) -> Loading:
+    def _build_loading(self, rig: Rig) -> MonotonicLoading:
         """Return a loading to the largest depth that a rig gives the tool in any of the motions.
 
         Raises:
@@ -194,16 +195,16 @@ class SimulatedTest(SimulatedMotions):
         if not depth > 0:
             raise InfeasibleError(f"{self.name}: the tool never reaches the tissue; check the contact of its "
                                   "recordings and the compliance of the rig")
-        return build_loading(depth, deepest, 0.999 * self.experiment.thickness)
+        return build_rig_loading(depth, deepest, 0.999 * self.experiment.thickness)
 
-    def _interpolate_correction(self, loading: Loading) -> np.ndarray:
+    def _interpolate_correction(self, loading: MonotonicLoading) -> np.ndarray:
         """Return the mesh correction at the knots of a loading, N, shape (k,)."""
         if self.position_correction is None:
             return np.zeros(loading.depth.size)
         depth, force = self.position_correction
-        return build_spline(depth, force)(np.minimum(loading.depth, depth[-1]))
+        return build_cubic_spline(depth, force)(np.minimum(loading.depth, depth[-1]))
 
-    def update_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
+    def update_mesh_correction(self, space: ParameterSpace, theta: np.ndarray, solves: SimulationCache) -> float:
         """Compute the force difference of the accurate and the fast mesh, and store it as the correction.
 
         Returns:
@@ -213,30 +214,30 @@ class SimulatedTest(SimulatedMotions):
             InfeasibleError: the accurate mesh does not converge.
         """
         values, found, largest = space.values(theta), [], 0.0
-        if self.homogeneous:
-            self.drop_correction()
+        if self.is_homogeneous:
+            self.remove_mesh_correction()
             return 0.0
         rigid = self.uses_position_curve(space, theta)
         loading = self._build_loading(Rig()) if rigid else None
         for motion in self.motions if loading is None else (loading,):
-            fast, *_ = self._simulate(space, values, solves, motion, "fast", rigid=rigid)
-            accurate = self._accurate_force(space, values, solves, motion, rigid=rigid)
-            if isinstance(motion, Loading) and not self.experiment.is_path_dependent:
+            fast, *_ = self._simulate_or_load_motion(space, values, solves, motion, "fast", rigid=rigid)
+            accurate = self._compute_accurate_force(space, values, solves, motion, rigid=rigid)
+            if isinstance(motion, MonotonicLoading) and not self.experiment.is_path_dependent:
                 self._find_mesh_error(space, values, solves, motion, accurate, rigid=rigid)
             if self.mesh_error is not None:
-                accurate = accurate * self.mesh_error.factor(motion.protocol.displacement)
+                accurate = accurate * self.mesh_error.compute_correction_factor(motion.tool_protocol.displacement)
             found.append(accurate - fast)
             largest = max(largest, float(np.abs(found[-1]).max() / np.abs(accurate).max()))
         self.correction, self.position_correction = found, None
         if loading is not None:
             self.position_correction = loading.depth, found[0]
-            correction = build_spline(*self.position_correction)
+            correction = build_cubic_spline(*self.position_correction)
             self.correction = [correction(np.clip(motion.displacement, 0.0, loading.depth[-1]))
                                for motion in self._timed_motions]
         return largest
 
     def _find_mesh_error(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                         loading: Loading, accurate: np.ndarray, *, rigid: bool) -> None:
+                         loading: MonotonicLoading, accurate: np.ndarray, *, rigid: bool) -> None:
         """Compute `mesh_error` once, by comparison of the accurate with the finest mesh.
 
         Args:
@@ -247,46 +248,47 @@ class SimulatedTest(SimulatedMotions):
             accurate: force of the accurate mesh at the knots, N, shape (k,).
             rigid: whether the rig is ideal.
         """
-        meshes = find_meshes(self.solver)
-        if self.mesh_error is not None or not meshes.shows_error(self.experiment):
+        meshes = get_solver_meshes(self.solver)
+        if self.mesh_error is not None or not meshes.shows_mesh_error(self.experiment):
             return
         fewer, kept = loading.with_fewer_steps() if meshes.slow else (loading, np.arange(loading.depth.size))
         try:
-            finest, *_ = self._simulate(space, values, solves, fewer, "finest", rigid=rigid)
+            finest, *_ = self._simulate_or_load_motion(space, values, solves, fewer, "finest", rigid=rigid)
             self.mesh_error = MeshError.from_forces(fewer.depth, accurate[kept], finest)
         except InfeasibleError:
-            self.mesh_error = MeshError.unknown()
+            self.mesh_error = MeshError.make_unknown_error()
 
-    def drop_correction(self) -> None:
+    def remove_mesh_correction(self) -> None:
         """Remove the mesh correction."""
         self.correction, self.position_correction = [], None
 
-    def evaluate(self, answer: SimulatedSolution, recording: int, offset: float):
-        """Evaluate force and derivatives at the samples of a recording; see `ForwardTest.evaluate`."""
+    def evaluate_force(self, answer: SimulatedSolution, recording: int, offset: float):
+        """Evaluate force and derivatives at the samples of a recording; see `ForwardTest.evaluate_force`."""
         measured, readout = self.measured[recording], answer.readouts[recording]
         rig = readout.rig
-        values, rate = answer.curves[recording](self._times_on_motion_clock(recording), measured.displacement, offset)
+        values, rate = answer.curves[recording](self._convert_to_motion_time(recording), measured.displacement, offset)
         if answer.effects[recording].effects:
-            values, rate = self._apply_effects(answer, recording, offset, values, rate)
+            values, rate = self._apply_reduced_effects(answer, recording, offset, values, rate)
         simulated = values[:, 0]
         if rig.latency:
             columns = np.column_stack([values, rate])
             late = np.column_stack([np.interp(measured.clock - rig.latency, measured.clock, column)
                                     for column in columns.T])
             values, rate = late[:, :-1], late[:, -1]
-        force = readout.read(measured, simulated)
-        rates, rate = readout.read_derivatives(measured, simulated, force, values[:, 1:], rate)
+        force = readout.convert_to_readings(measured, simulated)
+        rates, rate = readout.convert_derivatives_to_readings(measured, simulated, force, values[:, 1:], rate)
         for column, unknown in enumerate(() if answer.space.of_material_alone else answer.space.varied):
-            if unknown.acts_in(self.name, measured.name) and self._affects_readings_only(unknown, answer.values):
+            if unknown.acts_in(self.name, measured.name) and (
+                    self._parameter_affects_readings_only(unknown, answer.values)):
                 path, value = unknown.path.removeprefix("rig."), answer.values[unknown.name]
-                step = difference_step(value)
+                step = compute_difference_step(value)
                 # The difference is one-sided: zero is a lower bound of many faults.
-                changed = Readout(with_values(rig, {path: value + step})).read(measured, simulated)
+                changed = RigReadout(with_values(rig, {path: value + step})).convert_to_readings(measured, simulated)
                 rates[:, column] = (changed - force) / step
         return force, rates, rate
 
-    def _apply_effects(self, answer: SimulatedSolution, recording: int, offset: float, values: np.ndarray,
-                       rate: np.ndarray):
+    def _apply_reduced_effects(self, answer: SimulatedSolution, recording: int, offset: float, values: np.ndarray,
+                               rate: np.ndarray):
         """Multiply simulated forces by the factor of effects in reduced form.
 
         Args:
@@ -300,35 +302,36 @@ class SimulatedTest(SimulatedMotions):
             `values` and `rate` with the effects.
         """
         effects, measured, space = answer.effects[recording], self.measured[recording], answer.space
-        depth = depth_in_tissue(answer.curves[recording], measured, offset)
-        factor = effects.factor(measured, depth)
+        depth = compute_depth_in_tissue(answer.curves[recording], measured, offset)
+        factor = effects.compute_force_factor(measured, depth)
         scaled = factor[:, None] * values
         for column, each in enumerate(space.varied, start=1):
-            if each.acts_in(self.name, measured.name) and effects.has_parameter(each.path):
-                step = difference_step(answer.values[each.name])
+            if each.acts_in(self.name, measured.name) and effects.has_effect_parameter(each.path):
+                step = compute_difference_step(answer.values[each.name])
                 changed = self._build_model(space, answer.values | {each.name: answer.values[each.name] + step},
                                             self.motions[self.motion_of[recording]], measured.name)
                 material, plate = changed.material, changed.experiment.tool.is_plate
-                other = ReadoutEffects(material.reduced_effects(plate=plate)).factor(measured, depth)
+                other = ReadoutEffects(material.reduced_effects(plate=plate)).compute_force_factor(measured, depth)
                 scaled[:, column] = (other - factor) / step * values[:, 0]
         return scaled, factor * rate
 
-    def differenced_parameters(self, answer: SimulatedSolution) -> frozenset[str]:
+    def list_differenced_parameters(self, answer: SimulatedSolution) -> frozenset[str]:
         """Return the names of parameters whose derivatives are finite differences."""
         return answer.differences
 
-    def forces_at_offsets(self, answer: SimulatedSolution, recording: int, offsets: np.ndarray) -> np.ndarray:
+    def compute_forces_at_offsets(self, answer: SimulatedSolution, recording: int, offsets: np.ndarray) -> np.ndarray:
         """Return the force at the samples of a recording for several contact offsets, m; shape (n, offsets)."""
-        if answer.readouts[recording].faults is not None:
-            return np.column_stack([self.evaluate(answer, recording, offset)[0] for offset in offsets])
+        if answer.readouts[recording].readout_faults is not None:
+            return np.column_stack([self.evaluate_force(answer, recording, offset)[0] for offset in offsets])
         measured = self.measured[recording]
         curve, effects = answer.curves[recording], answer.effects[recording]
-        forces = curve.forces(self._times_on_motion_clock(recording), measured.displacement, offsets)
+        forces = curve.compute_forces_at_offsets(self._convert_to_motion_time(recording), measured.displacement,
+                                                 offsets)
         # A jump occurs at a true depth, so the contact offset determines its sample.
-        return effects.factor(measured, depth_in_tissue(curve, measured, offsets)) * forces \
+        return effects.compute_force_factor(measured, compute_depth_in_tissue(curve, measured, offsets)) * forces \
             if effects.effects else forces
 
-    def _times_on_motion_clock(self, recording: int) -> np.ndarray | None:
+    def _convert_to_motion_time(self, recording: int) -> np.ndarray | None:
         """Return the time of the samples on the clock of their motion, s, shape (n,).
 
         Recordings with equivalent motions share one simulated motion and may have begun at other times.
@@ -338,12 +341,12 @@ class SimulatedTest(SimulatedMotions):
             return measured.clock - measured.clock[0] + motion.sampled_from
         return measured.time
 
-    def stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
+    def compute_stretch_range(self, space: ParameterSpace, theta: np.ndarray) -> StretchRange:
         """Return the range of stretches over the volume, without the lowest and highest 1 %."""
         deepest = max(float(curve.displacement.max()) for curve in self.measured)
-        if self.homogeneous:
+        if self.is_homogeneous:
             return compute_homogeneous_range(self.closed_form, 1 - deepest / self.specimen.height)
-        points = max(3, self.motions[0].protocol.time.size // 2)
+        points = max(3, self.motions[0].tool_protocol.time.size // 2)
         experiment = replace(self.experiment, protocol=Protocol.ramp(deepest, points))
         try:
             model = replace(space.model(space.values(theta), experiment, self.rig, test=self.name), rig=Rig())

@@ -9,16 +9,16 @@ import numpy as np
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.parameter_space import ParameterSpace, Unknown
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.meshes import MeshError, find_meshes
-from calibration.forward.motion import Loading, TimedMotion
-from calibration.forward.proportionality import is_proportional, preserves_proportionality
+from calibration.forward.meshes import MeshError, get_solver_meshes
+from calibration.forward.motion import MonotonicLoading, TimedMotion
+from calibration.forward.proportionality import is_force_proportional_to_moduli, keeps_force_proportional_to_moduli
 from calibration.forward.readout import (
     ReadoutEffects,
-    affects_readings_only,
+    parameter_affects_readings_only,
 )
 from calibration.forward.rig_motion import (
     is_rig_motion_parameter,
-    with_ideal_rig,
+    replace_rig_by_ideal_rig,
 )
 from calibration.forward.simulation_cache import SimulationCache, hash_content, simulate_curve
 from tissue_sim.errors import InputError
@@ -52,7 +52,7 @@ class SimulatedMotions:
     name: str
     experiment: Experiment
     rig: Rig
-    motions: tuple[Loading | TimedMotion, ...]
+    motions: tuple[MonotonicLoading | TimedMotion, ...]
     motion_of: tuple[int, ...]
     measured: tuple[MeasuredCurve, ...]
     layered: bool = False
@@ -68,11 +68,11 @@ class SimulatedMotions:
         """Specimen of the experiment."""
         return self.experiment.specimen
 
-    def _build_experiment(self, motion: Loading | TimedMotion) -> Experiment:
+    def _build_experiment(self, motion: MonotonicLoading | TimedMotion) -> Experiment:
         """Return the experiment with this motion of the tool."""
-        return replace(self.experiment, protocol=motion.protocol)
+        return replace(self.experiment, protocol=motion.tool_protocol)
 
-    def _build_model(self, space: ParameterSpace, values: dict[str, float], motion: Loading | TimedMotion,
+    def _build_model(self, space: ParameterSpace, values: dict[str, float], motion: MonotonicLoading | TimedMotion,
                      recording: str | None) -> Model:
         """Return the model of a recording with a motion.
 
@@ -84,14 +84,16 @@ class SimulatedMotions:
         except InputError as error:
             raise InfeasibleError(f"test {self.name}: {error}") from None
 
-    def _affects_readings_only(self, unknown: Unknown, values: dict[str, float]) -> bool:
+    def _parameter_affects_readings_only(self, unknown: Unknown, values: dict[str, float]) -> bool:
         """Return whether a parameter belongs to the rig of this test and does not change the motion of the tool."""
         acts = unknown.path.startswith("rig.") and any(unknown.acts_in(self.name, each.name) for each in self.measured)
-        return acts and affects_readings_only(self.rig, unknown.path.removeprefix("rig."), values[unknown.name])
+        return acts and parameter_affects_readings_only(self.rig, unknown.path.removeprefix("rig."),
+                                                        values[unknown.name])
 
-    def _simulate(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                  motion: Loading | TimedMotion, resolution: str, recording: str | None = None, *, rigid: bool = False
-                  ) -> tuple[np.ndarray, np.ndarray, set[str]]:
+    def _simulate_or_load_motion(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                                 motion: MonotonicLoading | TimedMotion, resolution: str, recording: str | None = None,
+                                 *, rigid: bool = False
+                                 ) -> tuple[np.ndarray, np.ndarray, set[str]]:
         """Simulate a motion, or take the result from the cache.
 
         If forces are proportional to the moduli, the simulation uses normalised moduli and its force is scaled, so that
@@ -102,7 +104,7 @@ class SimulatedMotions:
             values: name -> value of all parameters, SI.
             solves: cache of simulations.
             motion: motion with k knots.
-            resolution: ``"fast"``, ``"accurate"`` or ``"finest"``, see `calibration.forward.meshes.Meshes`.
+            resolution: ``"fast"``, ``"accurate"`` or ``"finest"``, see `calibration.forward.meshes.SolverMeshes`.
             recording: name of the recording with these values; None: recordings without own parameters.
             rigid: whether the rig is ideal and the tool not tilted.
 
@@ -113,8 +115,9 @@ class SimulatedMotions:
         Raises:
             InfeasibleError: the model is invalid, or the solver does not converge.
         """
-        factor, proportional = 1.0, is_proportional(self.experiment, Rig() if rigid else self.rig) and all(
-            preserves_proportionality(each, rigid=rigid) or self._affects_readings_only(each, values)
+        factor, proportional = 1.0, is_force_proportional_to_moduli(self.experiment,
+                                                                    Rig() if rigid else self.rig) and all(
+            keeps_force_proportional_to_moduli(each, rigid=rigid) or self._parameter_affects_readings_only(each, values)
             for each in space.unknowns if each.is_modulus or each.acts_in(self.name, recording))
         if proportional:
             values, factor = space.normalise_moduli(values)
@@ -122,24 +125,25 @@ class SimulatedMotions:
         def build_true_model(of: dict[str, float]) -> Model:
             # The readout is applied to the samples later, so only the motion of the rig is simulated.
             model = self._build_model(space, of, motion, recording)
-            return with_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
+            return replace_rig_by_ideal_rig(model) if rigid else replace(model, rig=model.rig.motion_only)
 
         model = build_true_model(values)
         topology = build_true_model(space.with_start_geometry(values)) if space.shapes_mesh(self.name) else None
         effects = ReadoutEffects.from_model(model)
-        model, topology = effects.remove_from(model), topology and effects.remove_from(topology)
+        model = effects.remove_effects_from_model(model)
+        topology = topology and effects.remove_effects_from_model(topology)
         acting = {} if resolution != "fast" else {
             column: each.path for column, each in enumerate(space.varied)
-            if each.acts_in(self.name, recording) and not self._affects_readings_only(each, values)
-            and not effects.has_parameter(each.path) and not (rigid and is_rig_motion_parameter(each.path))}
-        meshes, paths = find_meshes(self.solver), list(acting.values())
+            if each.acts_in(self.name, recording) and not self._parameter_affects_readings_only(each, values)
+            and not effects.has_effect_parameter(each.path) and not (rigid and is_rig_motion_parameter(each.path))}
+        meshes, paths = get_solver_meshes(self.solver), list(acting.values())
         mesh = getattr(meshes, resolution)
         key = hash_content(model, topology, paths, mesh, self.solver)
-        curve = solves.find(key)
+        curve = solves.find_curve(key)
         if curve is None:
             curve = simulate_curve(model, topology, paths, mesh, self.solver, one_sided=meshes.slow)
             solves.counts[self.name, resolution] += 1
-            solves.store(key, curve)
+            solves.store_curve(key, curve)
         if curve.problem:
             raise InfeasibleError(f"{self.name}: {curve.problem}")
         force = factor * np.array(curve.force)
@@ -150,8 +154,8 @@ class SimulatedMotions:
         inexact = {space.free[column] for column, exact in zip(acting, curve.exact, strict=False) if not exact}
         return force, rates, inexact
 
-    def _accurate_force(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
-                        motion: Loading | TimedMotion, *, rigid: bool) -> np.ndarray:
+    def _compute_accurate_force(self, space: ParameterSpace, values: dict[str, float], solves: SimulationCache,
+                                motion: MonotonicLoading | TimedMotion, *, rigid: bool) -> np.ndarray:
         """Return the force of the accurate mesh at the knots, N, shape (k,).
 
         With friction the fast mesh needs short steps near first contact, and the accurate mesh converges more often
@@ -160,7 +164,9 @@ class SimulatedMotions:
         equal = motion.with_equal_steps
         first, second = (equal, motion) if isinstance(motion, TimedMotion) else (motion, equal)
         try:
-            used, (force, *_) = first, self._simulate(space, values, solves, first, "accurate", rigid=rigid)
+            used, (force, *_) = first, self._simulate_or_load_motion(space, values, solves, first, "accurate",
+                                                                     rigid=rigid)
         except InfeasibleError:
-            used, (force, *_) = second, self._simulate(space, values, solves, second, "accurate", rigid=rigid)
-        return force if used is motion else motion.evaluate_at_knots(used.interpolate(force[:, None]))[:, 0]
+            used, (force, *_) = second, self._simulate_or_load_motion(space, values, solves, second, "accurate",
+                                                                      rigid=rigid)
+        return force if used is motion else motion.evaluate_curve_at_knots(used.make_curve(force[:, None]))[:, 0]

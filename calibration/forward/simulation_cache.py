@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 
 import tissue_sim
-from calibration.forward.meshes import make_exact_mesh
+from calibration.forward.meshes import make_exact_block_mesh
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.differentiation import sensitivities
 from tissue_sim.errors import ConvergenceError, InputError
@@ -48,7 +48,7 @@ class SimulatedCurve(msgspec.Struct, frozen=True, array_like=True):
 
 
 class SimulationCache:
-    """Simulated curves by key.
+    """Cache of simulated curves in memory and in files; the key is the hash of model, motion and mesh.
 
     Args:
         folder: folder with one file per curve; None: curves are kept in memory only.
@@ -66,7 +66,7 @@ class SimulationCache:
         return {"folder": self.folder, "_read_folder": self._read_folder,
                 "_curves": {} if self.folder else self._curves, "counts": Counter()}
 
-    def find(self, key: str) -> SimulatedCurve | None:
+    def find_curve(self, key: str) -> SimulatedCurve | None:
         """Return the curve of a key; None if it is not cached or its file cannot be read."""
         if key not in self._curves and self._read_folder is not None:
             with contextlib.suppress(OSError, msgspec.DecodeError, msgspec.ValidationError):
@@ -74,13 +74,13 @@ class SimulationCache:
                                                            type=SimulatedCurve)
         return self._curves.get(key)
 
-    def store(self, key: str, curve: SimulatedCurve) -> None:
+    def store_curve(self, key: str, curve: SimulatedCurve) -> None:
         """Store a curve in memory and, if the cache has a folder, in a file."""
         self._curves[key] = curve
         if self.folder is not None:
             write_bytes(self.folder / f"{key}.msgpack", msgspec.msgpack.encode(curve))
 
-    def start_meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
+    def start_effort_meter(self) -> Callable[[], tuple[dict[tuple[str, str], int], float]]:
         """Start a measurement of computing effort.
 
         Returns:
@@ -90,21 +90,21 @@ class SimulationCache:
         began, counted = time.process_time(), self.counts.copy()
         return lambda: (dict(self.counts - counted), time.process_time() - began)
 
-    def read_from(self, folder: Path) -> None:
+    def add_read_folder(self, folder: Path) -> None:
         """Read cached curves from a folder; new curves are not written there."""
         self._read_folder = folder
 
-    def move_to(self, folder: Path) -> None:
+    def move_to_folder(self, folder: Path) -> None:
         """Write all curves to a folder, and read and write there from now on."""
         # The absolute path is valid in worker processes with another working directory.
         self.folder = self._read_folder = folder.resolve()
         for key, curve in self._curves.items():
-            self.store(key, curve)
+            self.store_curve(key, curve)
 
 
 def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], resolution: str,
                    solver: str = "axisymmetric", *, one_sided: bool = False) -> SimulatedCurve:
-    """Simulate a model with the derivatives of its force.
+    """Simulate a model, and return its force with the derivatives by the free parameters.
 
     Args:
         model: model, see `tissue_sim.simulation.simulate`.
@@ -119,7 +119,7 @@ def simulate_curve(model: Model, topology: Model | None, names: Sequence[str], r
     """
     began = time.process_time()
     try:
-        mesh = make_exact_mesh(topology or model, solver)
+        mesh = make_exact_block_mesh(topology or model, solver)
         if names:
             answer = sensitivities(model, names, resolution=resolution, mesh=mesh, topology=topology, solver=solver,
                                    one_sided=one_sided)
@@ -141,7 +141,7 @@ def hash_content(*parts: Any) -> str:
     `tissue_sim`, and the source of registered additions (laws, effects, ...).
     """
     added = [[name, _hash_module_source(module)] for name, module in modules_of_additions().items()]
-    content = msgspec.json.encode([_hash_solver_source(), added, _convert_to_plain(parts)])
+    content = msgspec.json.encode([_hash_solver_source(), added, _convert_to_plain_data(parts)])
     return hashlib.sha256(content).hexdigest()[:40]
 
 
@@ -160,26 +160,26 @@ def _hash_solver_source() -> str:
     return digest.hexdigest()
 
 
-def _convert_to_plain(value: Any) -> Any:
+def _convert_to_plain_data(value: Any) -> Any:
     """Convert immutable data to nested lists, dictionaries and strings that determine a simulation."""
     if isinstance(value, Tool):
         # The geometry determines the contact; the path of the tool's file does not.
-        return [value.shape, _convert_to_plain({name: getattr(value, name) for name in declared(type(value))}),
-                _convert_to_plain(value.profile)]
+        return [value.shape, _convert_to_plain_data({name: getattr(value, name) for name in declared(type(value))}),
+                _convert_to_plain_data(value.profile)]
     if isinstance(value, Specimen) and value.paths:
         # The same holds for a specimen from a file: the digest of the file replaces its path.
         named = {value.texts[key] for key in value.paths}
-        return [type(value).__name__, value.digest, {entry.name: _convert_to_plain(getattr(value, entry.name))
+        return [type(value).__name__, value.digest, {entry.name: _convert_to_plain_data(getattr(value, entry.name))
                                                      for entry in fields(value) if entry.name not in named}]
     if is_dataclass(value):
         return [type(value).__name__,
-                {entry.name: _convert_to_plain(getattr(value, entry.name)) for entry in fields(value)}]
+                {entry.name: _convert_to_plain_data(getattr(value, entry.name)) for entry in fields(value)}]
     if isinstance(value, np.ndarray):
         return [float(number).hex() if value.dtype.kind == "f" else str(number) for number in value.ravel()]
     if isinstance(value, Mapping):
-        return {str(key): _convert_to_plain(item) for key, item in sorted(value.items())}
+        return {str(key): _convert_to_plain_data(item) for key, item in sorted(value.items())}
     if isinstance(value, list | tuple):
-        return [_convert_to_plain(item) for item in value]
+        return [_convert_to_plain_data(item) for item in value]
     if isinstance(value, float):
         return value.hex()
     return value if isinstance(value, int | str | bool | None) else str(value)

@@ -9,7 +9,7 @@ import numpy as np
 
 from calibration.importing.assumption_table import wrap_assumptions
 from calibration.importing.imported import Imported, ImportedTest
-from calibration.report.drawing import COLOURS, STYLE, new_figure, thinning_slice
+from calibration.report.drawing import COLOURS, STYLE, create_figure, make_thinning_slice
 from calibration.report.png import render_png
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.screening import Screening
@@ -54,7 +54,7 @@ def draw_imported(imported: Imported) -> bytes:
     with matplotlib.rc_context(STYLE):
         lines = wrap_assumptions(tests, _SETTINGS.text_columns, _SETTINGS.most_lines)
         heights = [_SETTINGS.row_height] * len(tests) + [max(len(lines), 1) * _SETTINGS.line_height]
-        figure = new_figure(10.0, sum(heights))
+        figure = create_figure(10.0, sum(heights))
         axes = figure.subplots(len(heights), 2, gridspec_kw={"height_ratios": heights})
         for row, test in zip(axes[:-1], tests, strict=True):
             _draw_curves(row[0], row[1], test)
@@ -83,7 +83,7 @@ def _draw_curves(left, right, test: ImportedTest) -> None:
             style = {"color": COLOURS[number % len(COLOURS)], "lw": 1.0}
             name = part.file.name if len(part.motions) == 1 else f"{part.file.name} {number + 1}"
             kept = np.arange(len(recording)) if motion.kept is None else motion.kept
-            every = kept[thinning_slice(kept.size)]
+            every = kept[make_thinning_slice(kept.size)]
             ways, loads = (_convert_to_plotted_unit(recording, channel, raw) for channel in (motion.channel, load))
             clocks = recording.time if motion.rate is not None else np.arange(len(recording))
             left.plot(clocks[every], ways[every], **style)

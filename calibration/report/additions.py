@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from calibration.campaign.campaign import Campaign, Test
 from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
-from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.result import CalibrationResult
 from calibration.report.outputs import build_material_file
 from tissue_sim.atomic_write import write_text
@@ -30,13 +30,13 @@ from tissue_sim.rig.rig import Rig
 CAMPAIGN_FILE = "diagnosed.toml"
 
 
-def list_addition_files(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
-    """Return the paths of all files that `write_additions` may write for a campaign and these laws."""
+def list_effect_files(campaign: Campaign, laws: Sequence[str], folder: Path) -> list[Path]:
+    """Return the paths of all files that `write_effect_files` may write for a campaign and these laws."""
     return [*(folder / f"{law}.material.json" for law in laws), folder / CAMPAIGN_FILE, folder / "rig.rig.json",
-            *(folder / _rig_file_name(number) for number in range(len(campaign.tests)))]
+            *(folder / _make_rig_file_name(number) for number in range(len(campaign.tests)))]
 
 
-def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) -> Diagnosis:
+def write_effect_files(diagnosis: Diagnosis, after: FitEvidence | None, folder: Path) -> Diagnosis:
     """Write a material file, rig files and a campaign file that include the effects found.
 
     Files of an earlier calibration in the folder stay unchanged.
@@ -52,10 +52,10 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
     if after is None or diagnosis.fit_after is None:
         return diagnosis
     files = {}
-    name = f"{after.law}.material.json"
+    name = f"{after.law_name}.material.json"
     write_material_file(_build_material_file(diagnosis, after, folder), folder / name)
     files["material"] = name
-    rigs = {test.name: _set_fitted_rig_values(after, test) for test in after.situation.tests
+    rigs = {test.name: _set_fitted_rig_values(after, test) for test in after.effect_situation.tests
             if test.experiment is not None}
     if any(effect.category == "rig" for effect in diagnosis.effects):
         if len({json.dumps(to_keys(rig), sort_keys=True) for rig in rigs.values()}) == 1:
@@ -64,29 +64,30 @@ def write_additions(diagnosis: Diagnosis, after: Evidence | None, folder: Path) 
         else:
             for number, test in enumerate(after.campaign.tests):
                 if test.name in rigs:
-                    write_rig(rigs[test.name], folder / _rig_file_name(number))
-                    files[f"rig of {test.name}"] = _rig_file_name(number)
+                    write_rig(rigs[test.name], folder / _make_rig_file_name(number))
+                    files[f"rig of {test.name}"] = _make_rig_file_name(number)
     write_text(folder / CAMPAIGN_FILE, _format_campaign_file(diagnosis, after))
     files["campaign"] = CAMPAIGN_FILE
     file_of = {"tissue": name, "rig": files.get("rig", "rig files of the tests"), "population": name}
-    effects = [replace(effect, written_to=CAMPAIGN_FILE if _is_limited_to_tests(effect) and effect.category == "tissue"
+    effects = [replace(effect, written_to=CAMPAIGN_FILE if _is_effect_of_single_tests(effect)
+                       and effect.category == "tissue"
                        else file_of.get(effect.category, CAMPAIGN_FILE)) for effect in diagnosis.effects]
     return replace(diagnosis, effects=effects, files=files)
 
 
-def _is_limited_to_tests(effect: FoundEffect) -> bool:
+def _is_effect_of_single_tests(effect: FoundEffect) -> bool:
     return bool(effect.tests)
 
 
-def _rig_file_name(number: int) -> str:
+def _make_rig_file_name(number: int) -> str:
     return f"test_{number + 1}.rig.json"
 
 
-def _build_material_file(diagnosis: Diagnosis, after: Evidence, folder: Path) -> MaterialFile:
+def _build_material_file(diagnosis: Diagnosis, after: FitEvidence, folder: Path) -> MaterialFile:
     fit = diagnosis.fit_after
     assert fit is not None
     # An effect of a single test or session is not a property of the tissue: the material file has it switched off.
-    switched_off = {number.path: number.absent for effect in diagnosis.effects if _is_limited_to_tests(effect)
+    switched_off = {number.path: number.absent for effect in diagnosis.effects if _is_effect_of_single_tests(effect)
                     for number in effect.parameters if number.absent is not None}
     fit = replace(fit, parameters={**fit.parameters, **switched_off})
     result = CalibrationResult(after.campaign, (fit,), (), diagnosis.message, folder, "", None, "estimated")
@@ -101,15 +102,15 @@ def _build_material_file(diagnosis: Diagnosis, after: Evidence, folder: Path) ->
     return replace(file, provenance=replace(provenance, settings=settings))
 
 
-def _set_fitted_rig_values(after: Evidence, test: Test) -> Rig:
+def _set_fitted_rig_values(after: FitEvidence, test: Test) -> Rig:
     """Return the rig of a test with the fitted rig parameters."""
     space = after.problem.space
-    values = {each.path.removeprefix("rig."): after.values[each.name] for each in space.unknowns
+    values = {each.path.removeprefix("rig."): after.parameter_values[each.name] for each in space.unknowns
               if each.path.startswith("rig.") and each.acts_in(test.name, None) and each.recording is None}
     return with_values(test.rig, values) if values else test.rig
 
 
-def _format_campaign_file(diagnosis: Diagnosis, after: Evidence) -> str:
+def _format_campaign_file(diagnosis: Diagnosis, after: FitEvidence) -> str:
     """Return the campaign file (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
@@ -124,7 +125,7 @@ def _format_campaign_file(diagnosis: Diagnosis, after: Evidence) -> str:
             # Friction of both plates was added: the test is no longer a lubricated compression.
             friction = next(each for each in after.problem.space.unknowns
                             if each.path == "experiment.friction" and each.acts_in(test.name, None))
-            table |= {"kind": "friction_compression", "friction": after.values[friction.name],
+            table |= {"kind": "friction_compression", "friction": after.parameter_values[friction.name],
                       "friction_base": AS_TOOL}
     densities = {test.experiment.specimen.name: test.experiment.specimen.density for test in campaign.tests
                  if test.experiment is not None}
@@ -133,7 +134,7 @@ def _format_campaign_file(diagnosis: Diagnosis, after: Evidence) -> str:
         if density is not None:
             table["density_kg_m3"] = density
     fit, settings = content["fit"], campaign.fit
-    fit["laws"] = [after.law]
+    fit["laws"] = [after.law_name]
     start: dict[str, dict[str, Any]] = {"start": {}, "fixed": {}, "bounds": {}, "scope": {}}
     for path, named in settings.named.items():
         factor = named.declaration.factor
@@ -144,13 +145,13 @@ def _format_campaign_file(diagnosis: Diagnosis, after: Evidence) -> str:
             start["scope"][path] = list(named.scope) if isinstance(named.scope, tuple) else named.scope
     for each in after.problem.space.unknowns:
         kind = "fixed" if each.name in after.problem.space.fixed else "start"
-        start[kind].setdefault(each.path, after.values[each.name] / each.declaration.factor)
+        start[kind].setdefault(each.path, after.parameter_values[each.name] / each.declaration.factor)
     fit.update({key: table for key, table in start.items() if table})
     words = "; ".join(effect.title for effect in diagnosis.effects)
-    return f"# {campaign.path.name} with the effects that a diagnosis found: {words}.\n{to_toml(content)}"
+    return f"# {campaign.path.name} with the effects that a diagnosis found: {words}.\n{format_toml(content)}"
 
 
-def to_toml(content: Mapping[str, Any]) -> str:
+def format_toml(content: Mapping[str, Any]) -> str:
     """Write tables, lists of tables and plain values as TOML text."""
     plain = [_format_toml_entry((name, value)) for name, value in content.items()
              if not isinstance(value, Mapping) and not _is_list_of_tables(value)]
@@ -158,8 +159,8 @@ def to_toml(content: Mapping[str, Any]) -> str:
     for name, value in content.items():
         if isinstance(value, Mapping):
             inner = {key: each for key, each in value.items() if not isinstance(each, Mapping)}
-            parts.append(f"[{_format_toml_key(name)}]\n{to_toml(inner)}".rstrip())
-            parts += [f"[{_format_toml_key(name)}.{_format_toml_key(key)}]\n{to_toml(each)}".rstrip()
+            parts.append(f"[{_format_toml_key(name)}]\n{format_toml(inner)}".rstrip())
+            parts += [f"[{_format_toml_key(name)}.{_format_toml_key(key)}]\n{format_toml(each)}".rstrip()
                       for key, each in value.items() if isinstance(each, Mapping)]
         elif _is_list_of_tables(value):
             parts += [f"[[{_format_toml_key(name)}]]\n" + "\n".join(map(_format_toml_entry, table.items()))

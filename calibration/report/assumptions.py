@@ -5,10 +5,10 @@ from __future__ import annotations
 from calibration.fit.result import CalibrationResult
 from calibration.fit.self_weight import describe_self_weight
 from calibration.report.drawing import format_count
-from calibration.report.units import Units
+from calibration.report.units import ReportUnits
 
 
-def list_assumptions(result: CalibrationResult, units: Units) -> list[str]:
+def list_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
     """Return the assumptions of a calibration, one sentence each."""
     campaign = result.campaign
     lines = _list_analytical_assumptions(result, units) if campaign.fit.method == "analytical" \
@@ -19,7 +19,7 @@ def list_assumptions(result: CalibrationResult, units: Units) -> list[str]:
     return [*lines, describe_self_weight(campaign, result.best)]
 
 
-def _list_analytical_assumptions(result: CalibrationResult, units: Units) -> list[str]:
+def _list_analytical_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
     fit, noise = result.campaign.fit, result.campaign.noise
     lines = ["The material is incompressible; its viscoelastic parameters are fitted to ramps, holds and unloading."]
     if not fit.others:
@@ -40,7 +40,7 @@ def _list_analytical_assumptions(result: CalibrationResult, units: Units) -> lis
     source = {"stated": "stated in the campaign", "estimated": "estimated from second differences of the samples",
               "resolution": "the resolution of the sensor, step/√12, because most neighbouring samples are equal",
               "mixed": "of different sources for different recordings"}[result.noise_source]
-    level = units.pressure.text(result.noise_Pa or 0.0, 2)
+    level = units.pressure.format_quantity(result.noise_Pa or 0.0, 2)
     lines.append(f"The noise of the nominal stress is {level} (standard deviation), "
                  f"{source}; AIC and BIC take it as known.")
     if fit.prior or fit.offset == "fit":
@@ -50,7 +50,7 @@ def _list_analytical_assumptions(result: CalibrationResult, units: Units) -> lis
     return lines
 
 
-def _list_simulation_assumptions(result: CalibrationResult, units: Units) -> list[str]:
+def _list_simulation_assumptions(result: CalibrationResult, units: ReportUnits) -> list[str]:
     best, campaign = result.best, result.campaign
     shared = "All tests have the same material" if not best.material_of else "Each specimen has a separate material"
     lines = [f"{shared}. Each recording has a separate contact offset and force zero; both are unknown and "
@@ -60,15 +60,16 @@ def _list_simulation_assumptions(result: CalibrationResult, units: Units) -> lis
         source = "stated in the campaign, or the default prior" if freedom is None else \
             f"estimated with {freedom} degrees of freedom" if freedom else \
             "assumed, because no test has two recordings"
-        contact, zero = units.format_scatter(best.jitter, campaign.tests)
+        contact, zero = units.format_replicate_jitter(best.jitter, campaign.tests)
         lines.append(f"Between recordings the contact point scatters by {contact} and the force zero by {zero} "
                      f"(standard deviations), {source}.")
     tests = {test.name: test for test in campaign.tests}
     alike: dict[str, list[str]] = {}
     for noise in result.noise:
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.3g} s"
-        alike.setdefault(f"{units.load_unit(tests[noise.test]).text(noise.deviation_N, 2)} (standard deviation, "
-                         f"{noise.source}), {colour}", []).append(f"Noise of {noise.test}")
+        deviation = units.get_load_unit(tests[noise.test]).format_quantity(noise.deviation_N, 2)
+        alike.setdefault(f"{deviation} (standard deviation, {noise.source}), {colour}", []).append(f"Noise of "
+                                                                                                   f"{noise.test}")
     for mesh in best.mesh:
         if mesh.largest_percent is None:
             words = (f"the simulation on the accurate mesh does not converge; the error of the fast mesh, "

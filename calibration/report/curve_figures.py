@@ -11,19 +11,26 @@ import numpy as np
 from calibration.campaign.campaign import Test
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
-from calibration.fit.fit import Fit, Region
+from calibration.fit.fit import Fit, RegionMisfitTest
 from calibration.report.drawing import (
     add_legend_above,
+    choose_marker_style,
+    compute_panels_per_row,
+    create_panel_figure,
     format_count,
-    line_styles,
-    marker_style,
-    new_panels,
-    panels_per_row,
-    thinning_slice,
+    iterate_line_styles,
+    make_thinning_slice,
 )
 from calibration.report.layout import LAYOUT
-from calibration.report.units import Unit, Units
-from calibration.report.views import Trace, View, compute_law_trace, interpolate_law, is_timed, list_views
+from calibration.report.units import DisplayUnit, ReportUnits
+from calibration.report.views import (
+    CurveTrace,
+    PanelView,
+    compute_law_curve,
+    interpolate_law_at_samples,
+    is_drawn_over_time,
+    list_panel_views,
+)
 from tissue_sim.laws import find_law
 
 #: Colour of a region whose residuals exceed the noise.
@@ -32,7 +39,7 @@ MISFIT = "#D55E00"
 BAND = "95 % of new recordings"
 
 
-def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Units):
+def draw_test_figure(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: ReportUnits):
     """Draw one test: its views, the recordings in the 95 % prediction band of the best law, and the residuals.
 
     The residuals have the contact offset and force zero of each recording removed.
@@ -45,37 +52,37 @@ def draw_test(fits: Sequence[Fit], curves: Mapping[str, TestCurves], units: Unit
     Returns:
         The matplotlib figure.
     """
-    drawn = [(curves[fit.law], fit, style) for fit, style in zip(fits, line_styles(), strict=False)
+    drawn = [(curves[fit.law], fit, style) for fit, style in zip(fits, iterate_line_styles(), strict=False)
              if fit.law in curves]
     best, fit, best_style = drawn[0]
-    shown_views = list_views(best, units)
-    figure, axes = new_panels([*panels_per_row(len(shown_views)), 2], LAYOUT.test_row_height)
+    shown_views = list_panel_views(best, units)
+    figure, axes = create_panel_figure([*compute_panels_per_row(len(shown_views)), 2], LAYOUT.test_row_height)
     band, residual = axes[-2:]
     titled = [(each, find_law(law_fit.law).title, style) for each, law_fit, style in drawn]
     for panel, view in zip(axes, shown_views, strict=False):
-        draw_view(panel, titled, view)
-    timed = is_timed(best.measured)
-    x = Abscissa(units.travel_unit(best.test), units.load_unit(best.test), timed,
-                 "time [s]" if timed else shown_views[0].x)
+        draw_view_panel(panel, titled, view)
+    timed = is_drawn_over_time(best.measured)
+    x = ResidualAxis(units.get_displacement_unit(best.test), units.get_load_unit(best.test), timed,
+                     "time [s]" if timed else shown_views[0].x)
     spans = [(r, span) for r in fit.regions if r.test == best.test.name and not r.adequate
-             for span in x.spans(r, best.measured)]
+             for span in x.iterate_region_spans(r, best.measured)]
     for _, (start, end) in spans:
         for panel in (band, residual):
             panel.axvspan(start, end, fc=MISFIT, alpha=0.09, lw=0, zorder=0)
             for edge in (start, end):
                 panel.axvline(edge, color=MISFIT, alpha=0.35, lw=0.8, zorder=0)
-    _draw_band(band, best, best_style["color"], x)
+    _draw_prediction_band(band, best, best_style["color"], x)
     _draw_residuals(residual, drawn, x)
     band.sharex(residual)
     _write_misfit_labels(residual, spans, x.load)
     for panel in (band, residual):
-        panel.set(xlabel=x.label, ylabel=x.load.label("model − data"))
+        panel.set(xlabel=x.label, ylabel=x.load.format_axis_label("model − data"))
     figure.align_labels()
     add_legend_above(figure)
     return figure
 
 
-def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -> None:
+def draw_view_panel(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: PanelView) -> None:
     """Draw the recordings and the laws in one view; the view transforms both in the same way.
 
     Args:
@@ -88,14 +95,14 @@ def draw_view(axes, drawn: Sequence[tuple[TestCurves, str, dict]], view: View) -
     shown = []
     label = f"measured ({format_count(len(best.measured), 'recording')})"
     for m in best.measured:
-        for x, y, _ in view.lines(Trace.of(m)):
-            thin = thinning_slice(x.size)
+        for x, y, _ in view.lines(CurveTrace.from_recording(m)):
+            thin = make_thinning_slice(x.size)
             axes.plot(x[thin], y[thin], "o", ms=4 if points < LAYOUT.dense_points else 3, label=label,
-                      **marker_style(points))
+                      **choose_marker_style(points))
             shown.append(y)
     for rank, (curves, title, style) in enumerate(drawn):
         line = {**style, "lw": 1.8 if rank == 0 else 1.2, "zorder": 4 - rank / len(drawn)}
-        trace = compute_law_trace(curves, view.own)
+        trace = compute_law_curve(curves, view.own)
         for x, y, band in () if trace is None else view.lines(trace):
             axes.plot(x, y, label=title, **line)
             if rank == 0:
@@ -124,7 +131,7 @@ def _set_y_limits(axes, shown: np.ndarray, rates: bool) -> None:
 
 
 @dataclass(frozen=True)
-class Abscissa:
+class ResidualAxis:
     """Horizontal axis of residuals: time if a displacement occurs more than once, otherwise displacement.
 
     Attributes:
@@ -134,22 +141,23 @@ class Abscissa:
         label: label of the axis.
     """
 
-    travel: Unit
-    load: Unit
+    travel: DisplayUnit
+    load: DisplayUnit
     timed: bool
     label: str
 
-    def positions_of(self, measured: MeasuredCurve) -> np.ndarray:
+    def compute_sample_positions(self, measured: MeasuredCurve) -> np.ndarray:
         """Return the position of each sample on this axis, in the unit of the axis, shape (n,)."""
         return measured.clock if self.timed else measured.displacement / self.travel.size
 
-    def bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
+    def compute_bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
         """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
-        positions = [self.positions_of(measured) for measured in recordings]
+        positions = [self.compute_sample_positions(measured) for measured in recordings]
         return np.linspace(min(each.min() for each in positions), max(each.max() for each in positions),
                            LAYOUT.residual_bins + 1)
 
-    def spans(self, region: Region, recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
+    def iterate_region_spans(self, region: RegionMisfitTest,
+                             recordings: Sequence[MeasuredCurve]) -> Iterator[tuple[float, float]]:
         """Yield the interval of a region on this axis; on a time axis one interval for each cycle."""
         measured = recordings[0]
         start, end = _find_region_ends(region, measured.test)
@@ -166,14 +174,14 @@ class Abscissa:
                 yield float(measured.clock[first]), float(measured.clock[after - 1])
 
 
-def _draw_band(axes, best: TestCurves, colour: str, x: Abscissa) -> None:
+def _draw_prediction_band(axes, best: TestCurves, colour: str, x: ResidualAxis) -> None:
     """Draw the law minus the recordings, contact offsets and force zeros not removed, in the prediction band."""
     axes.set_title("Raw recordings in the prediction band")
     axes.axhline(0.0, color=colour, lw=1.6)
     y = 1 / x.load.size
     points = sum(m.force.size for m in best.measured)
     first = best.measured[0]
-    law_values = [interpolate_law(best, m) for m in best.measured]
+    law_values = [interpolate_law_at_samples(best, m) for m in best.measured]
     known = [values for values in law_values if values is not None]
     if len(known) < len(law_values):
         axes.text(0.5, 0.75, "no curve: the recordings have no common time", transform=axes.transAxes, ha="center",
@@ -189,24 +197,24 @@ def _draw_band(axes, best: TestCurves, colour: str, x: Abscissa) -> None:
     axes.fill_between(positions, -2 * y * error, 2 * y * error, color=colour, alpha=0.35, lw=0,
                       label="± 2 standard errors of the model")
     for m, values in zip(best.measured, known, strict=True):
-        thin = thinning_slice(m.force.size)
+        thin = make_thinning_slice(m.force.size)
         difference = y * (values[:, 0] - m.force)
-        axes.plot(x.positions_of(m)[thin], difference[thin], "o", ms=4 if points < LAYOUT.dense_points else 2.2,
-                  **marker_style(points))
+        axes.plot(x.compute_sample_positions(m)[thin], difference[thin], "o",
+                  ms=4 if points < LAYOUT.dense_points else 2.2, **choose_marker_style(points))
 
 
-def _draw_residuals(axes, drawn, x: Abscissa) -> None:
+def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
     """Draw the binned mean residuals of each recording and of all recordings; other laws as thin lines."""
     best = drawn[0][0]
     y = 1 / x.load.size
     noise = y * float(np.sqrt(np.mean([m.noise.deviation**2 for m in best.measured])))
     axes.axhspan(-2 * noise, 2 * noise, color="0.6", alpha=0.22, lw=0, label="± 2 noise")
-    edges = x.bin_edges(best.measured)
+    edges = x.compute_bin_edges(best.measured)
     reach = [2.2 * noise]
     for rank, (curves, _, other) in enumerate(drawn):
         by_run: dict[int, list[np.ndarray]] = {}
         for m, fitted in zip(curves.measured, curves.fitted, strict=True):
-            for run, (means, spread) in enumerate(bin_residuals(m, y * (fitted - m.force), x, edges)):
+            for run, (means, spread) in enumerate(iterate_residual_bins(m, y * (fitted - m.force), x, edges)):
                 by_run.setdefault(run, []).append(means)
                 if rank == 0:
                     reach.append(np.abs(means[1][np.isfinite(means[1])]).max(initial=0.0))
@@ -226,7 +234,7 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
     axes.set_title(f"Residuals{removed}, bin means")
 
 
-def bin_residuals(measured: MeasuredCurve, residual: np.ndarray, x: Abscissa, edges: np.ndarray):
+def iterate_residual_bins(measured: MeasuredCurve, residual: np.ndarray, x: ResidualAxis, edges: np.ndarray):
     """Yield the bin means of residuals, and their standard deviation due to noise, for each run.
 
     A run is the whole recording. On a displacement axis a run is one segment, because a displacement may occur in
@@ -241,7 +249,7 @@ def bin_residuals(measured: MeasuredCurve, residual: np.ndarray, x: Abscissa, ed
     Yields:
         Mean position and mean residual, shape (2, bins), NaN in empty bins; and the standard deviation, shape (bins,).
     """
-    at, noise = x.positions_of(measured), measured.noise
+    at, noise = x.compute_sample_positions(measured), measured.noise
     step = 1.0 if measured.time is None else float(np.median(np.diff(measured.time)))
     ends = [0, at.size]
     if not x.timed and measured.segment is not None:
@@ -253,10 +261,10 @@ def bin_residuals(measured: MeasuredCurve, residual: np.ndarray, x: Abscissa, ed
         sums = np.stack([np.bincount(bins, values[part], edges.size - 1) for values in (at, residual)])
         with np.errstate(invalid="ignore"):
             means = sums / count
-        yield means, noise.deviation * compute_deviation_of_mean(count, step, noise.correlation_time)
+        yield means, noise.deviation * compute_standard_deviation_of_mean(count, step, noise.correlation_time)
 
 
-def compute_deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
+def compute_standard_deviation_of_mean(count: np.ndarray, step: float, correlation_time: float) -> np.ndarray:
     """Return the standard deviation of the mean of correlated samples of unit variance.
 
     The samples have the autocorrelation exp(-lag / correlation_time). The variance of the mean of n samples is
@@ -275,30 +283,31 @@ def compute_deviation_of_mean(count: np.ndarray, step: float, correlation_time: 
     return np.sqrt(((1 + phi) / (1 - phi) - 2 * phi * (1 - phi**n) / (n * (1 - phi) ** 2)) / n)
 
 
-def _write_misfit_labels(axes, spans, load: Unit) -> None:
+def _write_misfit_labels(axes, spans, load: DisplayUnit) -> None:
     """Write the misfit above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
         if end - start > LAYOUT.min_labelled_width * (right - left):
-            axes.text((start + end) / 2, 0.97, load.text(region.misfit_N, 2), transform=axes.get_xaxis_transform(),
+            axes.text((start + end) / 2, 0.97, load.format_quantity(region.misfit_N, 2),
+                      transform=axes.get_xaxis_transform(),
                       ha="center", va="top", fontsize=8.5, color="#8a3c00", zorder=6,
                       bbox={"fc": "white", "ec": "none", "alpha": 0.75, "pad": 1.5})
 
 
-def _find_region_ends(region: Region, test: Test) -> tuple[float, float]:
+def _find_region_ends(region: RegionMisfitTest, test: Test) -> tuple[float, float]:
     """Return the displacements (strains for a test without specimen) at both ends of a region, SI."""
     size = 1.0 if test.specimen is None else 1e-3
     return region.start * size, region.end * size
 
 
-def describe_region(region: Region, test: Test, units: Units) -> str:
+def describe_region(region: RegionMisfitTest, test: Test, units: ReportUnits) -> str:
     """Return a region in words, such as ``ramp from 3.3 to 6.7 mm`` or ``hold at 10 mm``."""
-    travel = units.travel_unit(test)
+    travel = units.get_displacement_unit(test)
     start, end = (f"{end / travel.size:.3g}" for end in _find_region_ends(region, test))
     span = f"{f'at {start}' if start == end else f'from {start} to {end}'} {travel.name}".rstrip()
     return f"{region.segment} {span}".strip()
 
 
-def format_probability(p: float) -> str:
+def format_p_value_text(p: float) -> str:
     """Return a probability as text, such as ``p = 0.031``, ``p = 2e-5`` or ``p < 1e-6``."""
     return "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}".replace("e-0", "e-")

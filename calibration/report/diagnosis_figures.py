@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from calibration.diagnosis.diagnosis import CandidateStatement, SegmentMisfit
-from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.evidence import FitEvidence
 from calibration.fit.curves import TestCurves
-from calibration.fit.fit import Region
-from calibration.report.curve_figures import MISFIT, Abscissa, bin_residuals, draw_view
-from calibration.report.drawing import COLOURS, add_legend_above, new_figure, new_panels
+from calibration.fit.fit import RegionMisfitTest
+from calibration.report.curve_figures import MISFIT, ResidualAxis, draw_view_panel, iterate_residual_bins
+from calibration.report.drawing import COLOURS, add_legend_above, create_figure, create_panel_figure
 from calibration.report.layout import LAYOUT
-from calibration.report.rounding import NORMAL_95, gain_text, ratio_text
-from calibration.report.units import Units
-from calibration.report.views import Trace, is_timed, list_views
+from calibration.report.rounding import NORMAL_95, format_criterion_difference, format_odds_ratio
+from calibration.report.units import ReportUnits
+from calibration.report.views import CurveTrace, is_drawn_over_time, list_panel_views
 
 #: Line style of the model without the added effects.
 BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
@@ -24,7 +24,7 @@ BEFORE: dict = {"color": MISFIT, "ls": (0, (5, 2))}
 AFTER: dict = {"color": COLOURS[0], "ls": "-"}
 
 
-def select_curves_of_test(evidence: Evidence, name: str) -> TestCurves:
+def select_diagnosis_curves(evidence: FitEvidence, name: str) -> TestCurves:
     """Return the measured and fitted curves of one test, with the offset and zero of each recording, without bands."""
     problem = evidence.problem
     number = next(i for i, test in enumerate(problem.tests) if test.name == name)
@@ -36,8 +36,8 @@ def select_curves_of_test(evidence: Evidence, name: str) -> TestCurves:
                       fitted, test.area)
 
 
-def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequence[Region],
-                     gaps: Sequence[SegmentMisfit], label: str, units: Units):
+def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequence[RegionMisfitTest],
+                     gaps: Sequence[SegmentMisfit], label: str, units: ReportUnits):
     """Draw one test: the recordings, the model without and with the added effects, and the residuals.
 
     Args:
@@ -54,22 +54,22 @@ def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequ
     drawn = [(before, "model, nothing added", BEFORE)]
     if after is not None:
         drawn.insert(0, (after, f"model with {label}", AFTER))
-    all_views = list_views(before, units)
-    timed = is_timed(before.measured)
+    all_views = list_panel_views(before, units)
+    timed = is_drawn_over_time(before.measured)
     # Holds get separate panels: the relaxation in a hold is a small fraction of the whole force range.
     shown = [all_views[0], *(view for view in all_views[1:] if view.log)]
-    figure, axes = new_panels([len(shown) + 1], LAYOUT.residual_row_height)
+    figure, axes = create_panel_figure([len(shown) + 1], LAYOUT.residual_row_height)
     for panel, view in zip(axes, shown, strict=False):
-        draw_view(panel, drawn, view)
+        draw_view_panel(panel, drawn, view)
         # Recordings differ by their offsets and zeros: each has a separate line.
         for curves, _, style in drawn:
             for m, fitted in zip(curves.measured[1:], curves.fitted[1:], strict=True):
-                for along, force, _ in view.lines(replace(Trace.of(m), force=fitted)):
+                for along, force, _ in view.lines(replace(CurveTrace.from_recording(m), force=fitted)):
                     panel.plot(along, force, **style, lw=1.2, zorder=3)
-    x = Abscissa(units.travel_unit(before.test), units.load_unit(before.test), timed,
-                 "time [s]" if timed else all_views[0].x)
+    x = ResidualAxis(units.get_displacement_unit(before.test), units.get_load_unit(before.test), timed,
+                     "time [s]" if timed else all_views[0].x)
     spans = [(region, span) for region in regions if not region.adequate
-             for span in x.spans(region, before.measured)]
+             for span in x.iterate_region_spans(region, before.measured)]
     for panel in axes[-1:] if timed else (axes[0], axes[-1]):
         for _, (start, end) in spans:
             panel.axvspan(start, end, fc=MISFIT, alpha=0.09, lw=0, zorder=0)
@@ -81,17 +81,17 @@ def draw_test_misfit(before: TestCurves, after: TestCurves | None, regions: Sequ
     return figure
 
 
-def _draw_residuals(axes, drawn, x: Abscissa) -> None:
+def _draw_residuals(axes, drawn, x: ResidualAxis) -> None:
     """Draw data minus model as bin means: thin lines per recording, thick for all; right axis in units of noise."""
     measured = drawn[0][0].measured
     noise = float(np.sqrt(np.mean([m.noise.deviation**2 for m in measured]))) / x.load.size
     axes.axhspan(-noise, noise, color="0.6", alpha=0.22, lw=0, label="± noise of a sample")
-    edges = x.bin_edges(measured)
+    edges = x.compute_bin_edges(measured)
     reach = 1.5 * noise
     for curves, _, style in drawn:
         by_run: dict[int, list[np.ndarray]] = {}
         for m, fitted in zip(curves.measured, curves.fitted, strict=True):
-            for run, (means, _) in enumerate(bin_residuals(m, (m.force - fitted) / x.load.size, x, edges)):
+            for run, (means, _) in enumerate(iterate_residual_bins(m, (m.force - fitted) / x.load.size, x, edges)):
                 by_run.setdefault(run, []).append(means)
                 axes.plot(*means, color=style["color"], lw=0.6, alpha=0.4, zorder=2)
                 reach = max(reach, float(np.abs(means[1][np.isfinite(means[1])]).max(initial=0.0)))
@@ -101,27 +101,27 @@ def _draw_residuals(axes, drawn, x: Abscissa) -> None:
             axes.plot(*np.nanmean(whole[:, :, known], axis=0), **style, lw=2.0, zorder=4)
     axes.axhline(0.0, color="0.3", lw=0.8)
     axes.set(ylim=(-1.15 * reach, 1.4 * reach), title="Data − model", xlabel=x.label,
-             ylabel=x.load.label("data − model"))
+             ylabel=x.load.format_axis_label("data − model"))
     right = axes.secondary_yaxis("right", functions=(lambda y: y / noise, lambda y: y * noise))
     right.set_ylabel("in units of the noise")
     right.spines["right"].set_visible(True)
 
 
-def _write_misfit_labels(axes, spans, gaps: dict[str, SegmentMisfit], x: Abscissa) -> None:
+def _write_misfit_labels(axes, spans, gaps: dict[str, SegmentMisfit], x: ResidualAxis) -> None:
     """Write the misfit before and after above each region that is wide enough for the text."""
     left, right = axes.get_xlim()
     for region, (start, end) in spans:
         gap = gaps.get(region.segment)
         if gap is None or end - start < LAYOUT.min_two_line_width * (right - left):
             continue
-        sizes = [x.load.text(size, 2) for size in (gap.before_N, gap.after_N) if size is not None]
+        sizes = [x.load.format_quantity(size, 2) for size in (gap.before_N, gap.after_N) if size is not None]
         axes.text((start + end) / 2, 0.975, f"{region.segment}\n" + "\n→ ".join(sizes),
                   transform=axes.get_xaxis_transform(), ha="center", va="top", fontsize=8, color="#8a3c00", zorder=6)
 
 
-def draw_evidence(regions: Sequence[SegmentMisfit], units: Units):
+def draw_region_significance(regions: Sequence[SegmentMisfit], units: ReportUnits):
     """Draw the significance of the residuals of each region, before and after, in standard deviations."""
-    figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(regions))
+    figure = create_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(regions))
     axes = figure.subplots()
     rows = -np.arange(len(regions), dtype=float)
     axes.axvspan(0, NORMAL_95, color="0.6", alpha=0.18, lw=0, label="chance")
@@ -156,12 +156,12 @@ def _format_segment_and_speed(region: SegmentMisfit) -> str:
     return f"{region.segment} at {region.speed_mm_s:g} mm/s" if region.speed_mm_s else region.segment
 
 
-def _format_misfits(region: SegmentMisfit, units: Units) -> str:
-    sizes = [units.force.text(size, 2) for size in (region.before_N, region.after_N) if size is not None]
+def _format_misfits(region: SegmentMisfit, units: ReportUnits) -> str:
+    sizes = [units.force.format_quantity(size, 2) for size in (region.before_N, region.after_N) if size is not None]
     return " → ".join(sizes)
 
 
-def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[str], chosen: Sequence[str]):
+def draw_candidate_scores(candidates: Sequence[CandidateStatement], names: Sequence[str], chosen: Sequence[str]):
     """Draw the score of each effect before a fit with the effect, and the gain of the fits with the likeliest effects.
 
     Args:
@@ -172,7 +172,7 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
     Returns:
         The matplotlib figure.
     """
-    figure = new_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(candidates))
+    figure = create_figure(LAYOUT.width, LAYOUT.frame_height + LAYOUT.bar_height * len(candidates))
     score, gain = figure.subplots(1, 2, sharey=True, width_ratios=(1.25, 1))
     rows = -np.arange(len(candidates), dtype=float)
     colours = [COLOURS[0] if each.name in chosen else "#8fb8d6" if each.refitted else "0.75" for each in candidates]
@@ -189,7 +189,8 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
                           color="0.5", bbox={"fc": "white", "ec": "none", "pad": 0.8})
             continue
         gain.barh(row, each.delta_BIC, 0.62, color=colour)
-        gain.text(max(each.delta_BIC, 0.0), row, f"  {gain_text(each.delta_BIC)}{_format_odds_against_best(each)}",
+        gain.text(max(each.delta_BIC, 0.0), row,
+                  f"  {format_criterion_difference(each.delta_BIC)}{_format_odds_against_best(each)}",
                   va="center", fontsize=8.5)
     _set_signed_log_scale(gain, [*known, 0.0], 10.0, margin=12.0)
     gain.axvline(10.0, color="0.4", lw=0.9, ls=(0, (3, 2)))
@@ -203,7 +204,7 @@ def draw_candidates(candidates: Sequence[CandidateStatement], names: Sequence[st
 def _format_odds_against_best(each: CandidateStatement) -> str:
     """Return the odds against the best candidate, such as ``, 1 : 45``; empty for the best."""
     ratio = each.evidence_ratio
-    return "" if ratio is None or ratio <= 1.0 else f", 1 : {ratio_text(ratio)}"
+    return "" if ratio is None or ratio <= 1.0 else f", 1 : {format_odds_ratio(ratio)}"
 
 
 def _set_signed_log_scale(axes, values: Sequence[float], linear: float, margin: float = 1.5) -> None:
@@ -213,5 +214,5 @@ def _set_signed_log_scale(axes, values: Sequence[float], linear: float, margin: 
     axes.set_xlim(1.5 * low if low < 0 else -0.06 * linear, margin * high)
     ends = [size for size in sorted({linear, 10.0, 100.0, 1e3, 1e4, 1e5, 1e6}) if size >= linear]
     ticks = [*(-size for size in ends if -size > 1.5 * low), 0.0, *(size for size in ends if size < margin * high)]
-    axes.set_xticks(ticks, list(map(gain_text, ticks)))
+    axes.set_xticks(ticks, list(map(format_criterion_difference, ticks)))
     axes.minorticks_off()

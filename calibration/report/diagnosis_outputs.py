@@ -11,15 +11,15 @@ from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign
 from calibration.campaign.measured import MeasuredCurve
-from calibration.diagnosis.diagnosis import Stage
-from calibration.diagnosis.evidence import Evidence
+from calibration.diagnosis.diagnosis import DiagnosisStage
+from calibration.diagnosis.evidence import FitEvidence
 from calibration.diagnosis.result import DiagnosisResult, diagnosis_to_json
 from calibration.effects.effect import Effect
-from calibration.output_folder import DIAGNOSIS_FILE, diagnosis_files
-from calibration.report.additions import list_addition_files, write_additions
-from calibration.report.diagnosis_page import diagnosis_page
-from calibration.report.drawing import Pictures
-from calibration.report.outputs import format_table
+from calibration.output_folder import DIAGNOSIS_FILE, list_diagnosis_result_files
+from calibration.report.additions import list_effect_files, write_effect_files
+from calibration.report.diagnosis_page import build_diagnosis_page
+from calibration.report.drawing import FigureEmbedder
+from calibration.report.outputs import format_csv_table
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import LAWS
 
@@ -29,10 +29,11 @@ def list_diagnosis_files(campaign: Campaign, folder: Path) -> list[Path]:
 
     Material files of all laws are included, because an effect may require a more general law than the campaign states.
     """
-    return [*diagnosis_files(campaign, folder), *list_addition_files(campaign, sorted(LAWS), folder)]
+    return [*list_diagnosis_result_files(campaign, folder), *list_effect_files(campaign, sorted(LAWS), folder)]
 
 
-def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence | None, effects: Mapping[str, Effect],
+def write_diagnosis(result: DiagnosisResult, before: FitEvidence, after: FitEvidence | None,
+                    effects: Mapping[str, Effect],
                     measured: Mapping[str, Sequence[MeasuredCurve]], *, figures: bool = True,
                     figures_format: str | None = None) -> DiagnosisResult:
     """Write all result files of a diagnosis.
@@ -52,19 +53,19 @@ def write_diagnosis(result: DiagnosisResult, before: Evidence, after: Evidence |
         The result with the names of the written files and the time of this step.
     """
     began = time.monotonic()
-    diagnosis = write_additions(result.diagnosis, after, result.output)
+    diagnosis = write_effect_files(result.diagnosis, after, result.output)
     write_text(result.output / "residuals.csv", _format_residual_table(before, after))
-    pictures = Pictures(result.output, figures_format) if figures else None
+    pictures = FigureEmbedder(result.output, figures_format) if figures else None
     write_text(result.output / "report.html",
-               diagnosis_page(diagnosis, before, after, effects, measured, pictures))
-    stages = [*diagnosis.stages, Stage(name="report", wall_s=time.monotonic() - began)]
+               build_diagnosis_page(diagnosis, before, after, effects, measured, pictures))
+    stages = [*diagnosis.stages, DiagnosisStage(name="report", wall_s=time.monotonic() - began)]
     result = DiagnosisResult(result.campaign, replace(diagnosis, stages=stages), result.output, result.digest)
     text = json.dumps(diagnosis_to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / DIAGNOSIS_FILE, text + "\n")
     return result
 
 
-def _format_residual_table(before: Evidence, after: Evidence | None) -> str:
+def _format_residual_table(before: FitEvidence, after: FitEvidence | None) -> str:
     """Return the CSV table of all samples: measured force, and both models with the recording's offset and zero.
 
     Forces are in N; for recordings of stress the values are in Pa and the displacement is a strain.
@@ -78,5 +79,5 @@ def _format_residual_table(before: Evidence, after: Evidence | None) -> str:
             rows.append([curve.name, None if curve.segment is None else str(curve.segment[i]),
                          None if curve.time is None else float(curve.time[i]), factor * float(curve.displacement[i]),
                          float(force), models[0], None if after is None else models[1], curve.noise.deviation])
-    return format_table(["replicate", "segment", "time [s]", "displacement [mm]", "measured [N]",
-                         "model before [N]", "model after [N]", "noise [N]"], rows)
+    return format_csv_table(["replicate", "segment", "time [s]", "displacement [mm]", "measured [N]",
+                             "model before [N]", "model after [N]", "noise [N]"], rows)

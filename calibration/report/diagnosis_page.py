@@ -9,37 +9,42 @@ from html import escape
 from calibration.campaign.measured import MeasuredCurve
 from calibration.diagnosis.decision_limits import DecisionLimits
 from calibration.diagnosis.diagnosis import VERDICTS, CandidateStatement, Diagnosis, Verdict
-from calibration.diagnosis.evidence import Evidence
-from calibration.diagnosis.words import join_words
+from calibration.diagnosis.evidence import FitEvidence
+from calibration.diagnosis.words import join_as_enumeration
 from calibration.effects.effect import Effect
 from calibration.fit.fit import Fit
-from calibration.output_folder import picture_of_test
-from calibration.report.diagnosis_figures import draw_candidates, draw_evidence, draw_test_misfit, select_curves_of_test
-from calibration.report.diagnosis_tables import (
-    candidate_label,
-    candidate_labels,
-    capitalise,
-    format_relative_bias,
-    make_fitted_table,
-    make_held_out_table,
-    make_parameter_table,
-    make_segment_misfit_table,
-    make_silent_table,
-    make_stage_table,
-    make_testable_table,
+from calibration.output_folder import make_test_figure_name
+from calibration.report.diagnosis_figures import (
+    draw_candidate_scores,
+    draw_region_significance,
+    draw_test_misfit,
+    select_diagnosis_curves,
 )
-from calibration.report.drawing import Pictures, format_count
+from calibration.report.diagnosis_tables import (
+    capitalise_first_letter,
+    format_candidate_label,
+    format_candidate_labels,
+    format_relative_bias,
+    make_detectable_effects_table,
+    make_fitted_effects_table,
+    make_parameter_bias_table,
+    make_prediction_error_table,
+    make_segment_misfit_table,
+    make_stage_duration_table,
+    make_undetectable_effects_table,
+)
+from calibration.report.drawing import FigureEmbedder, format_count
 from calibration.report.layout import LAYOUT
 from calibration.report.page import (
-    estimate_of,
-    html_list,
-    html_page,
+    format_law_title,
+    format_parameter_estimate,
+    format_parameter_symbol,
+    make_html_list,
+    make_html_page,
     make_recording_list,
-    symbol_of,
-    title_of,
     use_minus_signs,
 )
-from calibration.report.units import Units
+from calibration.report.units import ReportUnits
 
 #: Short heading of each verdict.
 HEADINGS: dict[Verdict, str] = {"NAMED": "One effect", "SET": "Several possible effects",
@@ -53,8 +58,9 @@ _NOTE = ("The models include the offset and the zero of each recording. Shaded: 
          "compensation. Thin lines: each recording; thick lines: mean of the recordings.")
 
 
-def diagnosis_page(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, effects: Mapping[str, Effect],
-                   measured: Mapping[str, Sequence[MeasuredCurve]], pictures: Pictures | None) -> str:
+def build_diagnosis_page(diagnosis: Diagnosis, before: FitEvidence, after: FitEvidence | None,
+                         effects: Mapping[str, Effect],
+                         measured: Mapping[str, Sequence[MeasuredCurve]], pictures: FigureEmbedder | None) -> str:
     """Return the HTML report of one diagnosis.
 
     Args:
@@ -65,29 +71,29 @@ def diagnosis_page(diagnosis: Diagnosis, before: Evidence, after: Evidence | Non
         measured: all recordings of each test.
         pictures: destination of the figures; None: no figures.
     """
-    units = Units.of_fit(diagnosis.fit_before)
+    units = ReportUnits.choose_for_fit(diagnosis.fit_before)
     recordings = [curve for several in measured.values() for curve in several]
     parts = [f'<p class="quiet">{format_count(len(recordings), "recording")} of {format_count(len(measured), "test")}, '
-             f"{title_of(diagnosis.law)}, {format_count(len(effects), 'effect')} in the catalogue</p>",
+             f"{format_law_title(diagnosis.law)}, {format_count(len(effects), 'effect')} in the catalogue</p>",
              _format_summary(diagnosis, effects, units)]
     if pictures is not None:
         parts += _make_misfit_section(diagnosis, before, after, units, pictures)
-    parts += ["<h2>Parameters</h2>", make_parameter_table(diagnosis.fit_before, diagnosis.fit_after, units)]
+    parts += ["<h2>Parameters</h2>", make_parameter_bias_table(diagnosis.fit_before, diagnosis.fit_after, units)]
     if diagnosis.held_out:
-        parts += ["<h2>Data that were not fitted</h2>", make_held_out_table(diagnosis.held_out, units)]
-    parts += _make_catalogue_section(diagnosis, units, pictures)
+        parts += ["<h2>Data that were not fitted</h2>", make_prediction_error_table(diagnosis.held_out, units)]
+    parts += _make_effect_catalogue_section(diagnosis, units, pictures)
     if diagnosis.next_experiment:
         parts += ["<h2>What to measure next</h2>", _format_next_experiments(diagnosis)]
-    parts += ["<h2>Assumptions</h2>", html_list(_list_assumption_sentences(diagnosis, before, units)),
-              "<h2>Time</h2>", make_stage_table(diagnosis)]
+    parts += ["<h2>Assumptions</h2>", make_html_list(_list_assumption_sentences(diagnosis, before, units)),
+              "<h2>Time</h2>", make_stage_duration_table(diagnosis)]
     if diagnosis.files:
-        parts += ["<h2>Files</h2>", html_list(f"{escape(what)}: <code>{escape(name)}</code>"
-                                              for what, name in diagnosis.files.items())]
+        parts += ["<h2>Files</h2>", make_html_list(f"{escape(what)}: <code>{escape(name)}</code>"
+                                                   for what, name in diagnosis.files.items())]
     parts += ["<h2>Recordings</h2>", make_recording_list(recordings)]
-    return html_page(f"Diagnosis of {diagnosis.campaign}", parts)
+    return make_html_page(f"Diagnosis of {diagnosis.campaign}", parts)
 
 
-def _format_summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: Units) -> str:
+def _format_summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: ReportUnits) -> str:
     """Return the summary of a diagnosis as an HTML definition list."""
     verdict = diagnosis.verdict
     # The message may already contain the meaning of the verdict.
@@ -95,13 +101,15 @@ def _format_summary(diagnosis: Diagnosis, effects: Mapping[str, Effect], units: 
     meaning = [] if is_stated else [f'<span class="quiet">{verdict}: {escape(VERDICTS[verdict])}.</span>']
     rows = [(HEADINGS[verdict], [f"<b>{escape(diagnosis.message)}</b>", *meaning]),
             ("Where", [escape(sentence) for sentence in list_misfit_sentences(diagnosis)]),
-            ("Influence", [f"{escape(capitalise(effects[each.name].title))}: {escape(effects[each.name].signature)}"
-                           + (f"; largest here in {escape(join_words(each.acts_in))}." if each.acts_in else ".")
-                           for each in diagnosis.effects if each.name in effects]),
+            ("Influence",
+             [f"{escape(capitalise_first_letter(effects[each.name].title))}: {escape(effects[each.name].signature)}"
+              + (f"; largest here in {escape(join_as_enumeration(each.acts_in))}." if each.acts_in
+                              else ".")
+              for each in diagnosis.effects if each.name in effects]),
             ("Distinguished by", list(_list_separation_sentences(diagnosis, effects))),
             ("Biased parameters", list(_list_bias_sentences(diagnosis.fit_before, diagnosis.fit_after, units))),
             ("Data not fitted", list(_list_unfitted_sentences(diagnosis, units))),
-            ("Next", [f"{escape(capitalise(each.sentence))}." for each in diagnosis.next_experiment[:1]])]
+            ("Next", [f"{escape(capitalise_first_letter(each.sentence))}." for each in diagnosis.next_experiment[:1]])]
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows if lines)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
@@ -119,13 +127,13 @@ def list_misfit_sentences(diagnosis: Diagnosis) -> Iterator[str]:
     if good and len(good) == len(diagnosis.regions):
         yield "Every region agrees."
     elif good:
-        yield f"{join_words(good)} {'agrees' if len(good) == 1 else 'agree'}."
+        yield f"{join_as_enumeration(good)} {'agrees' if len(good) == 1 else 'agree'}."
 
 
 def _list_separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effect]) -> Iterator[str]:
     if diagnosis.verdict != "SET":
         return
-    labels = candidate_labels(diagnosis.candidates)
+    labels = format_candidate_labels(diagnosis.candidates)
     ratios = {each.name: each.evidence_ratio for each in diagnosis.candidates}
     for name in diagnosis.indistinguishable:
         effect = effects.get(name.partition("@")[0])
@@ -133,28 +141,30 @@ def _list_separation_sentences(diagnosis: Diagnosis, effects: Mapping[str, Effec
             continue
         ratio = ratios.get(name)
         against = "" if ratio is None or ratio < 1.05 else f" (1 : {ratio:.2g} against the most likely effect)"
-        yield f"{escape(capitalise(labels.get(name, effect.title)))}{against}: {escape(effect.separated_by)}."
+        label = escape(capitalise_first_letter(labels.get(name, effect.title)))
+        yield f"{label}{against}: {escape(effect.separated_by)}."
 
 
-def _list_bias_sentences(before: Fit, after: Fit | None, units: Units) -> Iterator[str]:
+def _list_bias_sentences(before: Fit, after: Fit | None, units: ReportUnits) -> Iterator[str]:
     """Yield a sentence for each parameter that was biased because the effect was missing in the model."""
     for name in before.parameters:
         change = format_relative_bias(before, after, name)
         if after is not None and change is not None and abs(change) > _MIN_CHANGE:
             side = "too large" if change > 0 else "too small"
-            yield (f"{symbol_of(before, name)} was {abs(100 * change):.2g}\u00a0% {side}: "
-                   f"{use_minus_signs(estimate_of(before, name, units))} without the effect, "
-                   f"{use_minus_signs(estimate_of(after, name, units))} with the effect.")
+            yield (f"{format_parameter_symbol(before, name)} was {abs(100 * change):.2g}\u00a0% {side}: "
+                   f"{use_minus_signs(format_parameter_estimate(before, name, units))} without the effect, "
+                   f"{use_minus_signs(format_parameter_estimate(after, name, units))} with the effect.")
 
 
-def _list_unfitted_sentences(diagnosis: Diagnosis, units: Units) -> Iterator[str]:
+def _list_unfitted_sentences(diagnosis: Diagnosis, units: ReportUnits) -> Iterator[str]:
     """Yield a sentence about the prediction error of recordings left out, and one about tests held out."""
     for kind, noun, how in (("replicate", "recording", "left out"), ("test", "test", "held out")):
         predicted = [each for each in diagnosis.held_out if each.kind == kind and each.before_N is not None]
         if not predicted:
             continue
         later = [each.after_N for each in predicted if each.after_N is not None]
-        before, after = (" to ".join(units.force.text(size, 2) for size in _smallest_and_largest(sizes))
+        before, after = (" to ".join(units.force.format_quantity(size, 2)
+                                     for size in _format_smallest_and_largest(sizes))
                          for sizes in ([each.before_N for each in predicted], later))
         judged = [each.adequate_before if each.after_N is None else each.adequate_after for each in predicted]
         held = sum(each is True for each in judged)
@@ -163,49 +173,50 @@ def _list_unfitted_sentences(diagnosis: Diagnosis, units: Units) -> Iterator[str
                "the error is within noise, jitter and parameter uncertainty.")
 
 
-def _smallest_and_largest(sizes: Sequence[float | None]) -> list[float]:
+def _format_smallest_and_largest(sizes: Sequence[float | None]) -> list[float]:
     known = [size for size in sizes if size is not None]
     return sorted({min(known), max(known)}) if known else []
 
 
-def _make_misfit_section(diagnosis: Diagnosis, before: Evidence, after: Evidence | None, units: Units,
-                         pictures: Pictures) -> Iterator[str]:
+def _make_misfit_section(diagnosis: Diagnosis, before: FitEvidence, after: FitEvidence | None, units: ReportUnits,
+                         pictures: FigureEmbedder) -> Iterator[str]:
     yield "<h2>Where model and measurement differ</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
-    label = join_words([each.title for each in diagnosis.effects])
+    label = join_as_enumeration([each.title for each in diagnosis.effects])
     for number, test in enumerate(before.campaign.tests):
         gaps = [each for each in diagnosis.regions if each.test == test.name]
         if not gaps:
             continue
         count = format_count(len(before.measured[test.name]), "recording")
         yield f"<h3>{escape(test.name)} <small>{escape(test.kind.name.replace('_', ' '))}; {count}</small></h3>"
-        regions = [region for region in before.regions if region.test == test.name]
-        later = None if after is None else select_curves_of_test(after, test.name)
-        yield pictures.show(picture_of_test(before.campaign, number), partial(
-            draw_test_misfit, select_curves_of_test(before, test.name), later, regions, gaps, label, units),
+        regions = [region for region in before.region_tests if region.test == test.name]
+        later = None if after is None else select_diagnosis_curves(after, test.name)
+        yield pictures.embed_figure(make_test_figure_name(before.campaign, number), partial(
+            draw_test_misfit, select_diagnosis_curves(before, test.name), later, regions, gaps, label, units),
             f"Recordings, model before and after, and residuals of {test.name}")
     yield "<h2>Evidence by region</h2>"
-    yield pictures.show("regions", partial(draw_evidence, diagnosis.regions, units),
-                        "Significance of the residuals in each region, before and after",
-                        "Significance of the smooth part of the residuals, adjusted for the number of regions "
-                        "(Holm). Right: root mean square of the smooth part.")
+    yield pictures.embed_figure("regions", partial(draw_region_significance, diagnosis.regions, units),
+                                "Significance of the residuals in each region, before and after",
+                                "Significance of the smooth part of the residuals, adjusted for the number of regions "
+                                "(Holm). Right: root mean square of the smooth part.")
     yield f"<details><summary>In numbers</summary>{make_segment_misfit_table(diagnosis.regions, units)}</details>"
 
 
-def _make_catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictures | None) -> Iterator[str]:
+def _make_effect_catalogue_section(diagnosis: Diagnosis, units: ReportUnits,
+                                   pictures: FigureEmbedder | None) -> Iterator[str]:
     seen = [each for each in diagnosis.candidates if each.testable]
     yield "<h2>Effects of the catalogue in these tests</h2>"
     limits = DecisionLimits(**diagnosis.decision_limits)
     drawn = [each for each in seen
              if each.refitted or (each.p is not None and each.p <= limits.effect_level)][:LAYOUT.drawn_effects]
     if drawn and pictures is not None:
-        draw = partial(draw_candidates, drawn, [candidate_label(each) for each in drawn],
+        draw = partial(draw_candidate_scores, drawn, [format_candidate_label(each) for each in drawn],
                        _list_added_candidates(diagnosis, drawn))
-        yield pictures.show("candidates", draw, "Score and gain of each effect")
-    yield make_fitted_table(diagnosis.candidates, units)
+        yield pictures.embed_figure("candidates", draw, "Score and gain of each effect")
+    yield make_fitted_effects_table(diagnosis.candidates, units)
     if seen:
         yield "<h3>Effects that these tests can detect</h3>"
-        yield make_testable_table(diagnosis.candidates, units)
+        yield make_detectable_effects_table(diagnosis.candidates, units)
         yield ('<p class="quiet">Smallest detectable size: nine of ten data sets like this would show an effect of '
                "this size. Score: standard deviations along the force change that the effect makes and that the fitted "
                "parameters cannot compensate. p: probability that chance gives any effect of the catalogue such a "
@@ -213,7 +224,7 @@ def _make_catalogue_section(diagnosis: Diagnosis, units: Units, pictures: Pictur
                "these tests in the same way except for a few per cent.</p>")
     if len(seen) < len(diagnosis.candidates):
         yield "<h3>Effects that these tests cannot detect</h3>"
-    yield make_silent_table(diagnosis.candidates)
+    yield make_undetectable_effects_table(diagnosis.candidates)
 
 
 def _list_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStatement]) -> list[str]:
@@ -224,29 +235,31 @@ def _list_added_candidates(diagnosis: Diagnosis, seen: Sequence[CandidateStateme
 
 
 def _format_next_experiments(diagnosis: Diagnosis) -> str:
-    labels = candidate_labels(diagnosis.candidates)
+    labels = format_candidate_labels(diagnosis.candidates)
     lines = []
     for each in diagnosis.next_experiment:
         by = "" if each.deviations is None else f" by {each.deviations:.2g} standard deviations"
-        names = join_words([labels.get(name, name) for name in each.separates], "and")
+        names = join_as_enumeration([labels.get(name, name) for name in each.separates], "and")
         separation = f' <span class="quiet">Distinguishes {escape(names)}{by}.</span>' if names else ""
-        lines.append(f"{escape(capitalise(each.sentence))}.{separation}")
+        lines.append(f"{escape(capitalise_first_letter(each.sentence))}.{separation}")
     return f"<ol>{''.join(f'<li>{line}</li>' for line in lines)}</ol>"
 
 
-def _list_assumption_sentences(diagnosis: Diagnosis, before: Evidence, units: Units) -> Iterator[str]:
+def _list_assumption_sentences(diagnosis: Diagnosis, before: FitEvidence, units: ReportUnits) -> Iterator[str]:
     """Yield the assumptions of a diagnosis, one sentence each."""
     sources = sorted({curve.noise.source for curve in before.problem.measured})
     colour = "white" if not diagnosis.noise_correlation_s else \
         f"correlated over {diagnosis.noise_correlation_s:.2g} s"
-    yield f"Noise: {units.force.text(diagnosis.noise_N, 2)} (standard deviation, {join_words(sources)}), {colour}."
+    yield (f"Noise: {units.force.format_quantity(diagnosis.noise_N, 2)} (standard deviation, "
+           f"{join_as_enumeration(sources)}), {colour}.")
     freedom = before.problem.jitter.freedom
     source = "stated in the campaign, or the default prior" if freedom is None else \
         f"estimated with {format_count(freedom, 'degree')} of freedom" if freedom else \
         "assumed, because no test has two recordings"
-    contact = units.length.text(1e-3 * diagnosis.contact_jitter_mm, 2)
+    contact = units.length.format_quantity(1e-3 * diagnosis.contact_jitter_mm, 2)
     yield (f"Between recordings the contact point scatters by {contact} and the force zero by "
-           f"{units.force.text(diagnosis.zero_jitter_N, 2)} (standard deviations), {source}; both are marginalised.")
+           f"{units.force.format_quantity(diagnosis.zero_jitter_N, 2)} (standard deviations), {source}; both are "
+           "marginalised.")
     yield (f"The difference of the accurate mesh is corrected. The remaining mesh error, {diagnosis.mesh_percent:.2g} "
            "% of the force, is included in the covariance.")
     yield "All samples after contact are fitted, including holds and unloading, also with an elastic law."

@@ -14,10 +14,16 @@ from calibration.diagnosis.diagnosis import (
 )
 from calibration.effects.effect import CATEGORIES
 from calibration.fit.fit import Fit
-from calibration.report.page import estimate_of, html_table, interval_of, symbol_of, use_minus_signs
-from calibration.report.rounding import gain_text, ratio_text, value_and_error
-from calibration.report.symbols import html_symbol, plain_symbol
-from calibration.report.units import Unit, Units
+from calibration.report.page import (
+    format_parameter_estimate,
+    format_parameter_interval,
+    format_parameter_symbol,
+    make_html_table,
+    use_minus_signs,
+)
+from calibration.report.rounding import format_criterion_difference, format_odds_ratio, format_value_and_error
+from calibration.report.symbols import format_html_symbol, format_plain_symbol
+from calibration.report.units import DisplayUnit, ReportUnits
 
 #: Smallest probability that is written; the number of random draws limits the resolution.
 _MIN_PROBABILITY = 1e-4
@@ -27,23 +33,23 @@ _MIN_WRONG_SIGN_SCORE = 3.0
 _LARGE_CHANGE = 0.5
 
 
-def candidate_label(candidate: CandidateStatement) -> str:
+def format_candidate_label(candidate: CandidateStatement) -> str:
     """Return the display name of a candidate, such as ``plate friction`` or ``tilt in needle``."""
     test = candidate.name.partition("@")[2]
     return f"{candidate.title} in {test}" if test else candidate.title
 
 
-def candidate_labels(candidates: Iterable[CandidateStatement]) -> dict[str, str]:
+def format_candidate_labels(candidates: Iterable[CandidateStatement]) -> dict[str, str]:
     """Return the display name of each candidate by its name."""
-    return {each.name: candidate_label(each) for each in candidates}
+    return {each.name: format_candidate_label(each) for each in candidates}
 
 
-def unit_of(path: str, unit: str, units: Units) -> Unit:
+def choose_effect_parameter_unit(path: str, unit: str, units: ReportUnits) -> DisplayUnit:
     """Return the unit in which a parameter of an effect is written; gain errors are written in %."""
-    return Unit("%", 0.01) if unit == "1" and path.endswith("gain") else units.of_parameter(unit)
+    return DisplayUnit("%", 0.01) if unit == "1" and path.endswith("gain") else units.choose_parameter_unit(unit)
 
 
-def describe_sizes(candidate: CandidateStatement, units: Units) -> str:
+def format_detectable_sizes(candidate: CandidateStatement, units: ReportUnits) -> str:
     """Return the smallest detectable size of an effect as text, such as ``c 0.01 mm/N``.
 
     A size is the difference from the parameter value at which the effect is absent.
@@ -51,46 +57,47 @@ def describe_sizes(candidate: CandidateStatement, units: Units) -> str:
     words = []
     for path, value in candidate.seen_from.items():
         absent = candidate.absent.get(path, 0.0)
-        unit = unit_of(path, candidate.units.get(path, "1"), units)
-        text = unit.text(abs(value - absent), 2)
+        unit = choose_effect_parameter_unit(path, candidate.units.get(path, "1"), units)
+        text = unit.format_quantity(abs(value - absent), 2)
         if absent:
             change = abs(value / absent - 1.0)
-            in_percent = Unit("%", 0.01).text(change, 2)
-            text = f"{unit.text(value, 2)} instead of {unit.text(absent, 2)}" if change > _LARGE_CHANGE else \
-                in_percent if absent == 1.0 else f"{text} ({in_percent})"
-        words.append(f"{plain_symbol(candidate.symbols.get(path, path.rpartition('.')[2]))} {text}")
+            in_percent = DisplayUnit("%", 0.01).format_quantity(change, 2)
+            both = f"{unit.format_quantity(value, 2)} instead of {unit.format_quantity(absent, 2)}"
+            text = both if change > _LARGE_CHANGE else in_percent if absent == 1.0 else f"{text} ({in_percent})"
+        words.append(f"{format_plain_symbol(candidate.symbols.get(path, path.rpartition('.')[2]))} {text}")
     return ", ".join(words)
 
 
-def number_in_words(number: EffectParameter, units: Units) -> str:
+def format_fitted_parameter(number: EffectParameter, units: ReportUnits) -> str:
     """Return a fitted parameter as HTML, such as ``g₁ = 3.02 ± 0.05 %``."""
-    unit, error = unit_of(number.path, number.unit, units), number.standard_error
-    text = value_and_error(number.value / unit.size, error and error / unit.size, unit.name)
-    return f"{html_symbol(number.symbol)} = {use_minus_signs(text)}".replace(" ", "\u00a0")
+    unit, error = choose_effect_parameter_unit(number.path, number.unit, units), number.standard_error
+    text = format_value_and_error(number.value / unit.size, error and error / unit.size, unit.name)
+    return f"{format_html_symbol(number.symbol)} = {use_minus_signs(text)}".replace(" ", "\u00a0")
 
 
-def make_fitted_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
+def make_fitted_effects_table(candidates: Sequence[CandidateStatement], units: ReportUnits) -> str:
     """Return the HTML table of the effects that were fitted, best first."""
     rows = []
     for each in (each for each in candidates if each.refitted):
-        fitted = "<br>".join(number_in_words(number, units) for number in each.parameters)
-        notes = [f"{', '.join(map(plain_symbol, each.on_bound))} on a bound"] if each.on_bound else []
+        fitted = "<br>".join(format_fitted_parameter(number, units) for number in each.parameters)
+        notes = [f"{', '.join(map(format_plain_symbol, each.on_bound))} on a bound"] if each.on_bound else []
         notes += [each.note] if each.note else []
         fitted += f'<br><span class="bad">{escape("; ".join(notes))}</span>' if notes else ""
-        rows.append([escape(candidate_label(each)), fitted or "-", "-" if each.score is None else use_minus_signs(
-            f"{each.score:.1f}"), "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
+        rows.append([escape(format_candidate_label(each)), fitted or "-",
+                     "-" if each.score is None else use_minus_signs(
+            f"{each.score:.1f}"), "-" if each.delta_BIC is None else format_criterion_difference(each.delta_BIC),
             "-" if each.explained_percent is None else f"{each.explained_percent:.3g}\u00a0%",
             escape(format_odds(each.evidence_ratio))])
-    return html_table(["Fitted effect", "Parameters", "Score", "ΔBIC", "Explains", "Odds against"], rows, text=(1,),
-                      narrow=True) if rows else ""
+    return make_html_table(["Fitted effect", "Parameters", "Score", "ΔBIC", "Explains", "Odds against"], rows,
+                           text=(1,), narrow=True) if rows else ""
 
 
-def make_testable_table(candidates: Sequence[CandidateStatement], units: Units) -> str:
+def make_detectable_effects_table(candidates: Sequence[CandidateStatement], units: ReportUnits) -> str:
     """Return the HTML table of the effects that these tests can detect, by category.
 
     Columns: smallest detectable size, score, probability and effects that these tests cannot distinguish.
     """
-    labels = candidate_labels(candidates)
+    labels = format_candidate_labels(candidates)
     seen = sorted((each for each in candidates if each.testable),
                   key=lambda each: (CATEGORIES.index(each.category), each.title))
     rows: list[list[str | None]] = []
@@ -99,14 +106,14 @@ def make_testable_table(candidates: Sequence[CandidateStatement], units: Units) 
         test = each.name.partition("@")[2]
         rows.append([None if each.category == last.category else escape(each.category),
                      None if each.effect == last.effect else escape(each.title), escape(test),
-                     escape(describe_sizes(each, units)),
+                     escape(format_detectable_sizes(each, units)),
                      "-" if each.score is None else use_minus_signs(f"{each.score:.1f}"), _format_score_p_value(each),
                      escape(", ".join(labels.get(name, name) for name in each.twins)) or "-"])
         last = each
     labelled = ["Category", "Effect", "Test", "Smallest detectable size", "Score", "p", "Similar effects"]
     kept = [j for j in range(len(labelled)) if j not in (2, 6) or any(row[j] not in ("", "-") for row in rows)]
-    return html_table([labelled[j] for j in kept], [[row[j] for j in kept] for row in rows],
-                      text=[kept.index(j) for j in (1, 2, 3, 6) if j in kept])
+    return make_html_table([labelled[j] for j in kept], [[row[j] for j in kept] for row in rows],
+                           text=[kept.index(j) for j in (1, 2, 3, 6) if j in kept])
 
 
 def _format_score_p_value(each: CandidateStatement) -> str:
@@ -116,18 +123,18 @@ def _format_score_p_value(each: CandidateStatement) -> str:
     return format_p_value(each.p)
 
 
-def make_silent_table(candidates: Sequence[CandidateStatement]) -> str:
+def make_undetectable_effects_table(candidates: Sequence[CandidateStatement]) -> str:
     """Return the HTML table of the effects that these tests cannot detect, grouped by the reason."""
     reasons: dict[str, list[CandidateStatement]] = {}
     for each in candidates:
         if not each.testable:
             reasons.setdefault(each.reason, []).append(each)
-    rows = [[escape(", ".join(map(candidate_label, several))), escape(capitalise(reason))]
+    rows = [[escape(", ".join(map(format_candidate_label, several))), escape(capitalise_first_letter(reason))]
             for reason, several in reasons.items()]
-    return html_table(["Effect", "Not detectable because"], rows, text=(0, 1), narrow=True) if rows else ""
+    return make_html_table(["Effect", "Not detectable because"], rows, text=(0, 1), narrow=True) if rows else ""
 
 
-def capitalise(words: str) -> str:
+def capitalise_first_letter(words: str) -> str:
     """Return the text with a capital first letter."""
     return words[:1].upper() + words[1:]
 
@@ -141,44 +148,46 @@ def format_odds(ratio: float | None) -> str:
     """Return the odds against a candidate, such as ``45 : 1``; ``best`` for the best and ``-`` for None."""
     if ratio is None:
         return "-"
-    return "best" if ratio <= 1.0 else f"{ratio_text(ratio)} : 1"
+    return "best" if ratio <= 1.0 else f"{format_odds_ratio(ratio)} : 1"
 
 
-def make_segment_misfit_table(regions: Sequence[SegmentMisfit], units: Units) -> str:
+def make_segment_misfit_table(regions: Sequence[SegmentMisfit], units: ReportUnits) -> str:
     """Return the HTML table of the regions: misfit and significance, before and after."""
     rows: list[list[str | None]] = []
     last = None
     for each in regions:
         speed = "-" if each.speed_mm_s is None else f"{each.speed_mm_s:g}"
-        after = "-" if each.after_N is None else units.force.text(each.after_N, 2)
+        after = "-" if each.after_N is None else units.force.format_quantity(each.after_N, 2)
         sigma = "-" if each.after_sigma is None else f"{each.after_sigma:.1f}"
         rows.append([None if each.test == last else escape(each.test), escape(each.segment), speed,
-                     units.force.text(each.before_N, 2), after, _mark_inadequate(f"{each.before_sigma:.1f}",
+                     units.force.format_quantity(each.before_N, 2), after,
+                     _mark_inadequate_p_value(f"{each.before_sigma:.1f}",
                                                                          each.adequate_before),
-                     sigma if each.adequate_after is None else _mark_inadequate(sigma, each.adequate_after)])
+                     sigma if each.adequate_after is None else _mark_inadequate_p_value(sigma, each.adequate_after)])
         last = each.test
-    return html_table(["Test", "Segment", "Speed [mm/s]", "Misfit before", "after", "Deviations before", "after"], rows,
-                      text=(1,), narrow=True)
+    return make_html_table(["Test", "Segment", "Speed [mm/s]", "Misfit before", "after", "Deviations before", "after"],
+                           rows, text=(1,), narrow=True)
 
 
-def _mark_inadequate(text: str, adequate: bool) -> str:
+def _mark_inadequate_p_value(text: str, adequate: bool) -> str:
     return text if adequate else f'<span class="bad">{text}</span>'
 
 
-def make_parameter_table(before: Fit, after: Fit | None, units: Units) -> str:
+def make_parameter_bias_table(before: Fit, after: Fit | None, units: ReportUnits) -> str:
     """Return the HTML table of the parameters: estimates before and after, and the bias due to the missing effect."""
     rows = []
     for name in dict.fromkeys((*before.parameters, *(() if after is None else after.parameters))):
-        cells = [symbol_of(before if after is None or name in before.parameters else after, name)]
+        cells = [format_parameter_symbol(before if after is None or name in before.parameters else after, name)]
         for fit in (before, after):
             cells += ["-", "-"] if fit is None or name not in fit.parameters else [
-                use_minus_signs(estimate_of(fit, name, units)), use_minus_signs(interval_of(fit, name, units)) or "-"]
+                use_minus_signs(format_parameter_estimate(fit, name, units)),
+                use_minus_signs(format_parameter_interval(fit, name, units)) or "-"]
         change = format_relative_bias(before, after, name)
         cells.append("-" if change is None else use_minus_signs(f"{100 * change:+.2g}\u00a0%"))
         rows.append(cells)
     labels = ["Parameter", "Nothing added", "95 % interval", "With the added effects", "95 % interval", "Bias"]
     kept = slice(None, 3 if after is None else None)
-    return html_table(labels[kept], [row[kept] for row in rows], narrow=True)
+    return make_html_table(labels[kept], [row[kept] for row in rows], narrow=True)
 
 
 def format_relative_bias(before: Fit, after: Fit | None, name: str) -> float | None:
@@ -194,13 +203,13 @@ def format_relative_bias(before: Fit, after: Fit | None, name: str) -> float | N
     return before.parameters[name] / after.parameters[name] - 1.0
 
 
-def make_held_out_table(held_out: Sequence[HeldOutPrediction], units: Units) -> str:
+def make_prediction_error_table(held_out: Sequence[HeldOutPrediction], units: ReportUnits) -> str:
     """Return the HTML table of the prediction errors in data that were not fitted."""
     def format_error(value: float | None, noise: float | None, adequate: bool | None) -> str:
         if value is None:
             return "-"
         ratio = f" ({value / noise:.2g} × noise)" if noise else ""
-        return _mark_inadequate(f"{units.force.text(value, 2)}{ratio}", adequate is not False)
+        return _mark_inadequate_p_value(f"{units.force.format_quantity(value, 2)}{ratio}", adequate is not False)
 
     kinds = {"replicate": "recording, left out of the fits to the other recordings",
              "test": "test, held out of all fits"}
@@ -213,13 +222,13 @@ def make_held_out_table(held_out: Sequence[HeldOutPrediction], units: Units) -> 
     kept = [j for j in range(6) if (j != 3 or any(each.after_N is not None for each in held_out))
             and (j != 5 or any(each.note for each in held_out))]
     labels = ["Not fitted", "Kind", "Error, nothing added", "with the added effects", "Within chance", "Note"]
-    return html_table([labels[j] for j in kept], [[row[j] for j in kept] for row in rows],
-                      text=[kept.index(j) for j in (1, 5) if j in kept], narrow=True)
+    return make_html_table([labels[j] for j in kept], [[row[j] for j in kept] for row in rows],
+                           text=[kept.index(j) for j in (1, 5) if j in kept], narrow=True)
 
 
-def make_stage_table(diagnosis: Diagnosis) -> str:
+def make_stage_duration_table(diagnosis: Diagnosis) -> str:
     """Return the HTML table of the time and the simulations of each stage."""
     rows = [[escape(each.name), f"{each.wall_s:.1f}", str(each.simulations)] for each in diagnosis.stages]
     rows.append(["all", f"{sum(each.wall_s for each in diagnosis.stages):.1f}",
                  str(sum(each.simulations for each in diagnosis.stages))])
-    return html_table(["Stage", "Time [s]", "Simulations"], rows, narrow=True)
+    return make_html_table(["Stage", "Time [s]", "Simulations"], rows, narrow=True)

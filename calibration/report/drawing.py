@@ -12,7 +12,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from calibration.output_folder import picture_file
+from calibration.output_folder import make_figure_file_name
 from calibration.report.layout import LAYOUT
 from calibration.report.png import render_png
 from tissue_sim.atomic_write import write_bytes
@@ -32,18 +32,18 @@ STYLE: Any = {"font.size": 10, "axes.spines.top": False, "axes.spines.right": Fa
               "pdf.fonttype": 42, "svg.fonttype": "none", "svg.hashsalt": "tissue_sim"}
 
 
-def line_styles() -> Iterator[dict]:
+def iterate_line_styles() -> Iterator[dict]:
     """Yield line styles (colour and dashes), one for each law, without end."""
     return ({"color": colour, "ls": dashes} for colour, dashes in zip(cycle(COLOURS), cycle(DASHES), strict=False))
 
 
-def marker_style(points: int) -> dict:
+def choose_marker_style(points: int) -> dict:
     """Return the marker style for measured points: open circles in front for few points, dots behind for many."""
     few = points <= LAYOUT.data_points
     return {"mfc": "none", "mec": "0.2", "zorder": 4} if few else {"color": "0.35", "mew": 0, "alpha": 0.35}
 
 
-def thinning_slice(size: int) -> slice:
+def make_thinning_slice(size: int) -> slice:
     """Return a slice that reduces `size` samples to about `ReportLayout.data_points`, to keep the file small."""
     return slice(None, None, max(1, size // LAYOUT.data_points))
 
@@ -53,7 +53,7 @@ def format_count(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def new_figure(width: float, height: float):
+def create_figure(width: float, height: float):
     """Return an empty matplotlib figure of this size in inches, without pyplot and thus without global state."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -63,7 +63,7 @@ def new_figure(width: float, height: float):
     return figure
 
 
-def new_panels(counts: Sequence[int], height: float, width: float = LAYOUT.width):
+def create_panel_figure(counts: Sequence[int], height: float, width: float = LAYOUT.width):
     """Create a figure with rows of panels.
 
     Args:
@@ -76,11 +76,11 @@ def new_panels(counts: Sequence[int], height: float, width: float = LAYOUT.width
     """
     cells = math.lcm(*counts)
     mosaic = [[f"{row} {column * count // cells}" for column in range(cells)] for row, count in enumerate(counts)]
-    figure = new_figure(width, height * len(counts))
+    figure = create_figure(width, height * len(counts))
     return figure, [*figure.subplot_mosaic(mosaic).values()]
 
 
-def panels_per_row(count: int, most: int = LAYOUT.panels_per_row) -> list[int]:
+def compute_panels_per_row(count: int, most: int = LAYOUT.panels_per_row) -> list[int]:
     """Return the number of panels in each row for `count` panels with at most `most` in a row, evenly distributed."""
     rows = -(-count // most)
     return [count // rows + (row < count % rows) for row in range(rows)]
@@ -97,7 +97,7 @@ def add_legend_above(figure, columns: int = LAYOUT.legend_columns) -> None:
                       fontsize=9.5, handlelength=2.2, columnspacing=1.6)
 
 
-def to_bytes(figure, kind: str, **options) -> bytes:
+def render_figure(figure, kind: str, **options) -> bytes:
     """Return the figure as ``png``, ``svg`` or ``pdf``, reproducible byte for byte."""
     stream = io.BytesIO()
     dated = {"svg": "Date", "pdf": "CreationDate"}.get(kind)
@@ -106,7 +106,7 @@ def to_bytes(figure, kind: str, **options) -> bytes:
 
 
 @dataclass(frozen=True)
-class Pictures:
+class FigureEmbedder:
     """Embed figures in an HTML page as PNG and optionally write each figure as a file.
 
     Attributes:
@@ -117,11 +117,11 @@ class Pictures:
     folder: Path
     kind: str | None = None
 
-    def show(self, name: str, draw: Callable[[], Any], alt: str, caption: str = "") -> str:
+    def embed_figure(self, name: str, draw: Callable[[], Any], alt: str, caption: str = "") -> str:
         """Draw a figure and return its HTML; write the figure file if `kind` is set.
 
         Args:
-            name: name of the figure, from which `calibration.output_folder.picture_file` makes the file name.
+            name: name of the figure, from which `calibration.output_folder.make_figure_file_name` makes the file name.
             draw: returns the figure, or None if there is nothing to draw; called with the style of the reports.
             alt: plain text for readers without images.
             caption: HTML below the figure.
@@ -137,14 +137,15 @@ class Pictures:
                 return ""
             png = render_png(figure)
             if self.kind is not None:
-                write_bytes(self.folder / picture_file(name, self.kind),
-                            to_bytes(figure, self.kind, dpi=LAYOUT.print_dpi))
+                write_bytes(self.folder / make_figure_file_name(name, self.kind),
+                            render_figure(figure, self.kind, dpi=LAYOUT.print_dpi))
         below = f"<figcaption>{caption}</figcaption>" if caption else ""
         width = 100 * figure.get_figwidth() / LAYOUT.width
-        return f'<figure><img src="{as_data_uri(png)}" style="width:{width:.0f}%" alt="{escape(alt)}">{below}</figure>'
+        return (f'<figure><img src="{make_png_data_uri(png)}" style="width:{width:.0f}%" alt="{escape(alt)}">{below}'
+                "</figure>")
 
 
-def as_data_uri(png: bytes) -> str:
+def make_png_data_uri(png: bytes) -> str:
     """Return a PNG image as a data URI for an HTML page."""
     return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
 
@@ -155,16 +156,16 @@ def draw_formula(law_name: str) -> bytes | None:
 
     law = find_law(law_name)
     with matplotlib.rc_context({"mathtext.fontset": "cm"}):
-        figure = new_figure(0.01, 0.01)
+        figure = create_figure(0.01, 0.01)
         figure.text(0, 0, f"${law.latex()}$", fontsize=13)
         try:
-            return to_bytes(figure, "png", dpi=LAYOUT.formula_dpi, bbox_inches="tight", pad_inches=0.03,
-                            transparent=True)
+            return render_figure(figure, "png", dpi=LAYOUT.formula_dpi, bbox_inches="tight", pad_inches=0.03,
+                                 transparent=True)
         except ValueError:
             return None
 
 
-def natural_width(png: bytes) -> int:
+def compute_formula_width(png: bytes) -> int:
     """Return the width in CSS pixels at which an image of `draw_formula` has its intended font size."""
     # Bytes 16 to 20 of a PNG are its width: https://www.w3.org/TR/png/#11IHDR
     return round(int.from_bytes(png[16:20], "big") * 96 / LAYOUT.formula_dpi)

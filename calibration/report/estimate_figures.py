@@ -13,23 +13,23 @@ from calibration.report.curve_figures import MISFIT
 from calibration.report.drawing import (
     COLOURS,
     add_legend_above,
-    line_styles,
-    new_figure,
-    new_panels,
-    panels_per_row,
+    compute_panels_per_row,
+    create_figure,
+    create_panel_figure,
+    iterate_line_styles,
 )
 from calibration.report.layout import LAYOUT
-from calibration.report.page import free_parameters, use_minus_signs
-from calibration.report.rounding import error_text, interval_text, value_and_error
-from calibration.report.symbols import math_symbol
-from calibration.report.units import Units
+from calibration.report.page import list_free_parameters, use_minus_signs
+from calibration.report.rounding import format_error, format_interval, format_value_and_error
+from calibration.report.symbols import format_mathtext_symbol
+from calibration.report.units import ReportUnits
 from tissue_sim.laws import find_law
 
 #: Relative standard error above which a combination of parameters is reported as undetermined.
 UNDETERMINED = 1e3
 
 
-def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]], units: Units):
+def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]], units: ReportUnits):
     """Draw the profile likelihood of each parameter together with the quadratic approximation.
 
     The profile is the increase of the sum of squares when one parameter is fixed and all others are fitted again.
@@ -43,15 +43,15 @@ def draw_profiles(fit: Fit, bounds: Mapping[str, tuple[float, float]], units: Un
         The matplotlib figure.
     """
     names = list(fit.profiles)
-    figure, grid = new_panels(panels_per_row(len(names)), LAYOUT.profile_row_height)
+    figure, grid = create_panel_figure(compute_panels_per_row(len(names)), LAYOUT.profile_row_height)
     for axes, name in zip(grid, names, strict=True):
-        _draw_profile(axes, fit, name, bounds.get(name), units)
+        _draw_parameter_profile(axes, fit, name, bounds.get(name), units)
     add_legend_above(figure, LAYOUT.profile_legend_columns)
     return figure
 
 
-def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None, units: Units) -> None:
-    profile, unit = fit.profiles[name], units.of_parameter(fit.units[name])
+def _draw_parameter_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None, units: ReportUnits) -> None:
+    profile, unit = fit.profiles[name], units.choose_parameter_unit(fit.units[name])
     values, rises = np.array(profile.values) / unit.size, np.array(profile.rises)
     estimate, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
     ends = [end / unit.size for end in fit.intervals95.get(name) or ()]
@@ -83,16 +83,16 @@ def _draw_profile(axes, fit: Fit, name: str, bounds: tuple[float, float] | None,
             axes.axvspan(*sorted((wall, far)), fc="none", ec="0.65", hatch="////", lw=0, label="beyond a bound")
             axes.axvline(wall, color="0.35", lw=1.4)
     ceiling = min(max(1.9 * profile.level, 1.05 * rises.max()), 4 * profile.level)
-    words = f"\n95 %: {interval_text(ends[0], ends[1], error, estimate)}" if ends else ""
-    symbol = math_symbol(fit.symbols[name])
-    axes.set(xlim=(left, right), ylim=(-0.02 * ceiling, ceiling), xlabel=unit.label(symbol),
+    words = f"\n95 %: {format_interval(ends[0], ends[1], error, estimate)}" if ends else ""
+    symbol = format_mathtext_symbol(fit.symbols[name])
+    axes.set(xlim=(left, right), ylim=(-0.02 * ceiling, ceiling), xlabel=unit.format_axis_label(symbol),
              ylabel="increase of sum of squares")
-    axes.set_title(use_minus_signs(f"{symbol} = {value_and_error(estimate, error, unit.name)}{words}"),
+    axes.set_title(use_minus_signs(f"{symbol} = {format_value_and_error(estimate, error, unit.name)}{words}"),
                    fontweight="normal")
     axes.locator_params(axis="x", nbins=6)
 
 
-def draw_specimens(fits: Sequence[Fit], units: Units):
+def draw_individual_parameters(fits: Sequence[Fit], units: ReportUnits):
     """Draw the parameters that differ between specimens (or tests, or recordings), one panel per parameter.
 
     Estimates are drawn with standard errors and 95 % intervals.
@@ -109,22 +109,24 @@ def draw_specimens(fits: Sequence[Fit], units: Units):
     owners_of = {root: owners for root, owners in owners_of.items() if len(owners) > 1}
     if not owners_of:
         return None
-    rows = panels_per_row(len(owners_of))
+    rows = compute_panels_per_row(len(owners_of))
     width = max(rows) * (1.5 + LAYOUT.specimen_width * max(map(len, owners_of.values())))
-    figure, grid = new_panels(rows, LAYOUT.profile_row_height, float(np.clip(width, LAYOUT.width / 2, LAYOUT.width)))
+    figure, grid = create_panel_figure(rows, LAYOUT.profile_row_height,
+                                       float(np.clip(width, LAYOUT.width / 2, LAYOUT.width)))
     for axes, (root, owners) in zip(grid, owners_of.items(), strict=True):
         _draw_parameter_by_specimen(axes, fits, root, list(owners), units)
     add_legend_above(figure)
     return figure
 
 
-def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Sequence[str], units: Units) -> None:
+def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Sequence[str],
+                                units: ReportUnits) -> None:
     """Draw one parameter of all specimens (tests, recordings) that own a value of the parameter."""
-    having = [(fit, style) for fit, style in zip(fits, line_styles(), strict=False)
+    having = [(fit, style) for fit, style in zip(fits, iterate_line_styles(), strict=False)
               if any(symbol.startswith(f"{root}@") for symbol in fit.symbols.values())]
     for rank, (fit, style) in enumerate(having):
         names = {symbol: name for name, symbol in fit.symbols.items()}
-        unit = units.of_parameter(fit.units[names[f"{root}@{owners[0]}"]])
+        unit = units.choose_parameter_unit(fit.units[names[f"{root}@{owners[0]}"]])
         for i, owner in enumerate(owners):
             name = names.get(f"{root}@{owner}")
             if name is None:
@@ -137,34 +139,35 @@ def _draw_parameter_by_specimen(axes, fits: Sequence[Fit], root: str, owners: Se
             axes.errorbar(x, value, error, fmt="o", color=style["color"], lw=4, ms=6, label=find_law(fit.law).title)
     crowded = sum(map(len, owners)) > LAYOUT.max_label_characters
     axes.set_xticks(range(len(owners)), owners, rotation=35 if crowded else 0, ha="right" if crowded else "center")
-    axes.set(xlim=(-0.6, len(owners) - 0.4), ylabel=unit.label(math_symbol(root)))
+    axes.set(xlim=(-0.6, len(owners) - 0.4), ylabel=unit.format_axis_label(format_mathtext_symbol(root)))
     axes.grid(visible=False, axis="x")
 
 
-def draw_windows(fit: Fit, units: Units):
+def draw_window_fits(fit: Fit, units: ReportUnits):
     """Draw the parameters fitted to the first part of the strain of each test, compared with those of all data.
 
     Returns:
         The matplotlib figure; None if there are fewer than two windows or no free parameter.
     """
-    names = [name for name in free_parameters(fit) if all(name in window.parameters for window in fit.windows)]
+    names = [name for name in list_free_parameters(fit) if all(name in window.parameters for window in fit.windows)]
     if len(fit.windows) < 2 or not names:
         return None
     percentages = 100.0 * np.array([window.share for window in fit.windows])
-    figure, grid = new_panels(panels_per_row(len(names)), LAYOUT.window_row_height)
+    figure, grid = create_panel_figure(compute_panels_per_row(len(names)), LAYOUT.window_row_height)
     for axes, name in zip(grid, names, strict=True):
-        unit = units.of_parameter(fit.units[name])
+        unit = units.choose_parameter_unit(fit.units[name])
         value, error = fit.parameters[name] / unit.size, (fit.standard_errors[name] or 0.0) / unit.size
         axes.axhspan(value - error, value + error, color=COLOURS[0], alpha=0.2, lw=0,
                      label="all data, ± standard error")
         axes.plot(percentages, [window.parameters[name] / unit.size for window in fit.windows], "o-", color=COLOURS[0],
                   label="first part of the strain only")
-        axes.set(xlabel="fitted part of the largest strain [%]", ylabel=unit.label(math_symbol(fit.symbols[name])))
+        axes.set(xlabel="fitted part of the largest strain [%]",
+                 ylabel=unit.format_axis_label(format_mathtext_symbol(fit.symbols[name])))
     add_legend_above(figure)
     return figure
 
 
-def draw_correlation(fit: Fit, units: Units):
+def draw_parameter_correlation(fit: Fit, units: ReportUnits):
     """Draw the correlation matrix of the free parameters and how well the tests determine them jointly.
 
     For two parameters the second panel shows the joint confidence region, for more the poorly determined combinations.
@@ -172,13 +175,15 @@ def draw_correlation(fit: Fit, units: Units):
     Returns:
         The matplotlib figure; None with fewer than two free parameters.
     """
-    names = free_parameters(fit)
+    names = list_free_parameters(fit)
     if len(names) < 2:
         return None
     indices = [fit.covariance.order.index(name) for name in names]
     matrix = np.array(fit.correlation)[np.ix_(indices, indices)]
-    symbols, alone = [math_symbol(fit.symbols[name]) for name in names], len(names) > 2 and not fit.directions
-    figure = new_figure(LAYOUT.width / (2 if alone else 1), LAYOUT.correlation_height + 0.35 * max(0, len(names) - 4))
+    symbols, alone = [format_mathtext_symbol(fit.symbols[name])
+                      for name in names], len(names) > 2 and not fit.directions
+    figure = create_figure(LAYOUT.width / (2 if alone else 1),
+                           LAYOUT.correlation_height + 0.35 * max(0, len(names) - 4))
     left, *right = figure.subplots(1, 1 if alone else 2, squeeze=False, width_ratios=(1,) if alone else (1, 1.45)).flat
     _draw_correlation_matrix(figure, left, symbols, matrix)
     for axes in right:
@@ -214,8 +219,8 @@ def _draw_correlation_matrix(figure, axes, symbols: Sequence[str], matrix: np.nd
     figure.colorbar(image, ax=axes, shrink=0.85, label="correlation").outline.set_visible(False)
 
 
-def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: Units) -> None:
-    scales = [units.of_parameter(fit.units[name]) for name in names]
+def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: ReportUnits) -> None:
+    scales = [units.choose_parameter_unit(fit.units[name]) for name in names]
     indices = [fit.covariance.order.index(name) for name in names]
     sizes = np.array([unit.size for unit in scales])
     centre = np.array([fit.parameters[name] for name in names]) / sizes
@@ -232,7 +237,8 @@ def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: Units)
         for end in fit.intervals95.get(name) or ():
             line(end / size, color=MISFIT, lw=1.2, ls=(0, (5, 3)))
     axes.plot([], [], color=MISFIT, lw=1.2, ls=(0, (5, 3)), label="95 % interval of each")
-    labels = [unit.label(math_symbol(fit.symbols[name])) for name, unit in zip(names, scales, strict=True)]
+    labels = [unit.format_axis_label(format_mathtext_symbol(fit.symbols[name])) for name,
+              unit in zip(names, scales, strict=True)]
     axes.set(xlabel=labels[0], ylabel=labels[1])
     axes.locator_params(nbins=7)
 
@@ -240,13 +246,13 @@ def _draw_confidence_ellipse(axes, fit: Fit, names: Sequence[str], units: Units)
 def _draw_poorly_determined_combinations(axes, fit: Fit, names: Sequence[str]) -> None:
     directions = fit.directions[:4]
     height = 0.8 / len(directions)
-    for k, (direction, style) in enumerate(zip(directions, line_styles(), strict=False)):
+    for k, (direction, style) in enumerate(zip(directions, iterate_line_styles(), strict=False)):
         y = np.arange(len(names)) - 0.4 + (k + 0.5) * height
         error = direction.relative_error
         axes.barh(y, [direction.shares.get(name, 0.0) for name in names], 0.88 * height, color=style["color"],
-                  label=f"known to ± {error_text(100 * error)} %" if error < UNDETERMINED else "undetermined")
+                  label=f"known to ± {format_error(100 * error)} %" if error < UNDETERMINED else "undetermined")
     axes.axvline(0.0, color="0.3", lw=0.8)
-    axes.set_yticks(range(len(names)), [math_symbol(fit.symbols[name]) for name in names])
+    axes.set_yticks(range(len(names)), [format_mathtext_symbol(fit.symbols[name]) for name in names])
     axes.set(xlim=(-1.05, 1.05), xlabel="relative change of each parameter in the combination")
     axes.set_title("Least determined combinations")
     axes.invert_yaxis()

@@ -12,11 +12,17 @@ from scipy import special
 
 from calibration.campaign.campaign import Test
 from calibration.fit.fit import Fit, Prediction
-from calibration.report.curve_figures import describe_region, format_probability
-from calibration.report.drawing import COLOURS, add_legend_above, line_styles, new_panels, panels_per_row
+from calibration.report.curve_figures import describe_region, format_p_value_text
+from calibration.report.drawing import (
+    COLOURS,
+    add_legend_above,
+    compute_panels_per_row,
+    create_panel_figure,
+    iterate_line_styles,
+)
 from calibration.report.layout import LAYOUT
-from calibration.report.symbols import math_symbol
-from calibration.report.units import Units
+from calibration.report.symbols import format_mathtext_symbol
+from calibration.report.units import ReportUnits
 from tissue_sim.laws import find_law
 
 #: Standard errors above which a misfit is significant (two-sided 5 %).
@@ -27,7 +33,7 @@ _POSITIVE_TICKS = (1e-3, 0.01, 0.1, 0.2, 0.5, 1, 2, 5, 10, 100, 1e3)
 _SIGNED_TICKS = (-1e3, -100, -10, -1, 0, 1, 10, 100, 1e3)
 
 
-def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
+def draw_region_misfits(fits: Sequence[Fit], tests: Sequence[Test], units: ReportUnits):
     """Draw the smooth misfit in each region of each test, coloured by its significance in standard errors.
 
     Args:
@@ -48,7 +54,7 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
     fits = [fit for fit in fits if fit.regions]
     tests = [test for test in tests if any(r.test == test.name for fit in fits for r in fit.regions)]
     blocks = len(tests) * (0.62 + 0.4 * len(fits))
-    figure, (axes,) = new_panels([1], max(blocks + 0.3, 2.2))
+    figure, (axes,) = create_panel_figure([1], max(blocks + 0.3, 2.2))
     axes.grid(visible=False)
     top, ticks, names = 0.0, [], []
     for test in tests:
@@ -67,7 +73,8 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
                 axes.fill_between([j / len(row), (j + 1) / len(row)], low, high, color=shades(norm(deviate)),
                                   ec="white", lw=2)
                 axes.text((j + 0.5) / len(row), (low + high) / 2,
-                          f"{units.load_unit(test).text(region.misfit_N, 2)},{gap}{format_probability(region.p)}",
+                          f"{units.get_load_unit(test).format_quantity(region.misfit_N, 2)},{gap}"
+                          f"{format_p_value_text(region.p)}",
                           ha="center", va="center", fontsize=font, color="white" if deviate > 4.2 else "0.1",
                           fontweight="normal" if region.adequate else "bold")
             ticks.append(top - 0.75)
@@ -84,7 +91,7 @@ def draw_regions(fits: Sequence[Fit], tests: Sequence[Test], units: Units):
     return figure
 
 
-def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], units: Units):
+def draw_prediction_errors(predictions: Sequence[Prediction], tests: Sequence[Test], units: ReportUnits):
     """Draw the prediction error of each law in each test that it was not fitted to, compared with chance.
 
     Args:
@@ -101,8 +108,8 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
     several = {p.test: len(p.mean_of) for p in predictions if p.mean_of}
     cases = list(dict.fromkeys((p.test, tuple(p.fitted)) for p in predictions))
     by_name = {test.name: test for test in tests}
-    height, style_of = 0.8 / len(laws), dict(zip(laws, line_styles(), strict=False))
-    figure, (axes,) = new_panels([1], 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
+    height, style_of = 0.8 / len(laws), dict(zip(laws, iterate_line_styles(), strict=False))
+    figure, (axes,) = create_panel_figure([1], 1.1 + max(0.3 * len(laws) + 0.25, 0.7) * len(cases))
     known = [p.percent for p in predictions if p.percent is not None] or [1.0]
     # A very poor law is cut off: its bar would make all others too short.
     limit = min(max(known), 6 * max((p.percent for p in predictions if p.percent is not None and p.law == laws[0]),
@@ -116,8 +123,8 @@ def draw_predictions(predictions: Sequence[Prediction], tests: Sequence[Test], u
             continue
         length = min(p.percent, 1.02 * limit)
         axes.barh(y, length, 0.86 * height, color=style_of[p.law]["color"], alpha=0.85, lw=0)
-        force = units.force.text(p.RMSE_N, 2) if p.RMSE_N is not None else \
-            "" if p.RMSE_Pa is None else units.pressure.text(p.RMSE_Pa, 2)
+        force = units.force.format_quantity(p.RMSE_N, 2) if p.RMSE_N is not None else \
+            "" if p.RMSE_Pa is None else units.pressure.format_quantity(p.RMSE_Pa, 2)
         end = length
         if p.expected_N is not None and p.RMSE_N:
             chance = min(p.percent * p.expected_N / p.RMSE_N, limit)
@@ -155,34 +162,34 @@ def _format_prediction_label(test: Test, fitted: Sequence[str], of_mean: int) ->
     return f"{test.name}\n{'held out' if test.hold_out else f'from {others}'}"
 
 
-def draw_history(fits: Sequence[Fit]):
+def draw_descent_history(fits: Sequence[Fit]):
     """Draw the convergence of all starts: error above, parameters relative to the estimate below, a column per law."""
     fits = [fit for fit in fits if fit.history]
-    counts = [count for count in panels_per_row(len(fits)) for _ in ("error", "parameters")]
-    figure, axes = new_panels(counts, LAYOUT.history_row_height)
+    counts = [count for count in compute_panels_per_row(len(fits)) for _ in ("error", "parameters")]
+    figure, axes = create_panel_figure(counts, LAYOUT.history_row_height)
     remaining = iter(fits)
     for count in counts[::2]:
         for above, below in zip(axes[:count], axes[count:2 * count], strict=True):
-            _draw_convergence(above, below, next(remaining))
+            _draw_law_convergence(above, below, next(remaining))
         axes = axes[2 * count:]
     figure.align_labels()
     add_legend_above(figure)
     return figure
 
 
-def best_start_number(fit: Fit) -> int:
+def find_best_start_number(fit: Fit) -> int:
     """Return the number of the start with the lowest final error; starts on the accurate mesh are preferred."""
     last = {step.start: step for step in sorted(fit.history, key=lambda step: step.run)}
     return min(last, key=lambda start: (not last[start].corrected, last[start].error))
 
 
-def _draw_convergence(above, below, fit: Fit) -> None:
+def _draw_law_convergence(above, below, fit: Fit) -> None:
     from matplotlib.ticker import FixedLocator, MaxNLocator, NullLocator
 
     starts: dict[int, list] = {}
     for step in sorted(fit.history, key=lambda step: step.run):
         starts.setdefault(step.start, []).append(step)
-    chosen = best_start_number(fit)
+    chosen = find_best_start_number(fit)
     names = list(starts[chosen][0].parameters)
     scale = {name: fit.parameters[name] or max(abs(step.parameters[name]) for step in fit.history) or 1.0
              for name in names}
@@ -196,8 +203,8 @@ def _draw_convergence(above, below, fit: Fit) -> None:
             if fine:
                 above.plot([s.run for s in fine], [s.error for s in fine], "o", color=COLOURS[0], ms=5, zorder=6,
                            label="corrected to the accurate mesh")
-        for name, style in zip(names, line_styles(), strict=False):
-            symbol = math_symbol(fit.symbols[name])
+        for name, style in zip(names, iterate_line_styles(), strict=False):
+            symbol = format_mathtext_symbol(fit.symbols[name])
             label = symbol if fit.parameters[name] else f"{symbol} (of {scale[name]:.4g})"
             below.plot(run, [s.parameters[name] / scale[name] for s in steps], color=style["color"],
                        lw=2.4 if bold else 0.7, alpha=1.0 if bold else 0.4, zorder=4 if bold else 2,

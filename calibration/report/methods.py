@@ -10,21 +10,21 @@ from calibration.campaign.experiments import ROUND_SOLVER
 from calibration.campaign.measured import MeasuredCurve
 from calibration.campaign.segmented import summarise_notes
 from calibration.fit.fit import Fit
-from calibration.fit.population import describe_left_out
+from calibration.fit.population import describe_excluded_specimens
 from calibration.fit.result import CalibrationResult
-from calibration.forward.meshes import find_meshes
+from calibration.forward.meshes import get_solver_meshes
 from calibration.report.drawing import format_count
 from calibration.report.figures import format_percent
 from calibration.report.page import (
-    estimate_of,
+    are_laws_ranked_by_prediction,
+    format_parameter_estimate,
+    format_parameter_interval,
     format_young_modulus,
-    interval_of,
-    ranked_by_prediction,
     use_minus_signs,
 )
-from calibration.report.population import format_population
-from calibration.report.symbols import plain_symbol
-from calibration.report.units import Units
+from calibration.report.population import iterate_population_rows
+from calibration.report.symbols import format_plain_symbol
+from calibration.report.units import ReportUnits
 from tissue_sim.laws import find_law
 from tissue_sim.specimen.specimen import add_article
 
@@ -63,7 +63,8 @@ _REFERENCES = {
 }
 
 
-def write_methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]], units: Units) -> str:
+def write_methods_text(result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
+                       units: ReportUnits) -> str:
     """Return the methods text: paragraphs on data, model, method, noise and results, then the cited references.
 
     Args:
@@ -102,14 +103,14 @@ def _write_data_paragraph(result: CalibrationResult, measured: Mapping[str, Sequ
     found = "".join(f" In {format_count(several, 'recording')} of {test} displacement and force were measured from the "
                     "contact point, which was detected as the change point of the force relative to its zero and "
                     "drift."
-                    for test, several in _recordings_from_contact(result, measured))
+                    for test, several in _count_recordings_from_contact(result, measured))
     notes = summarise_notes((curve.test.name, curve.name, curve.notes)
                             for curves in measured.values() for curve in curves)
     return f"Data. {'; '.join(parts)}.{found}{notes}"
 
 
-def _recordings_from_contact(result: CalibrationResult,
-                             measured: Mapping[str, Sequence[MeasuredCurve]]) -> Iterator[tuple[str, int]]:
+def _count_recordings_from_contact(result: CalibrationResult,
+                                   measured: Mapping[str, Sequence[MeasuredCurve]]) -> Iterator[tuple[str, int]]:
     """Yield each test with the number of its recordings whose displacement starts at a detected contact."""
     for test in result.campaign.tests:
         shifted = sum(curve.whole is not None and curve.whole.shift != 0.0 for curve in measured[test.name])
@@ -140,7 +141,7 @@ def _write_method_paragraph(result: CalibrationResult, cite) -> str:
         return f"{text} {_write_ranking_sentence(result, cite)}"
     starts = format_count(result.campaign.fit.starts, "start")
     simulated = [test.solver for test in result.campaign.tests if test.experiment is not None]
-    elements = " or ".join(dict.fromkeys(find_meshes(solver).elements for solver in simulated or [ROUND_SOLVER]))
+    elements = " or ".join(dict.fromkeys(get_solver_meshes(solver).elements for solver in simulated or [ROUND_SOLVER]))
     return (f"Identification. All tests were simulated with {elements} (homogeneous tests: "
             "closed forms) under the recorded motion. The parameters were estimated by generalised least squares on "
             f"the force (trust region reflective, {starts}; {cite('descent')[1:-1]}). Contact offset and force zero of "
@@ -151,20 +152,20 @@ def _write_method_paragraph(result: CalibrationResult, cite) -> str:
 
 
 def _write_ranking_sentence(result: CalibrationResult, cite) -> str:
-    by = "the prediction error in tests that they were not fitted to" if ranked_by_prediction(result.fits) else \
-        f"the Bayesian information criterion {cite('BIC')}"
+    by = "the prediction error in tests that they were not fitted to" \
+        if are_laws_ranked_by_prediction(result.fits) else f"the Bayesian information criterion {cite('BIC')}"
     return f"Laws were ranked by {by}."
 
 
-def _write_noise_paragraph(result: CalibrationResult, units: Units) -> str:
+def _write_noise_paragraph(result: CalibrationResult, units: ReportUnits) -> str:
     tests = {test.name: test for test in result.campaign.tests}
-    levels = [f"{units.load_unit(tests[n.test]).text(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
+    levels = [f"{units.get_load_unit(tests[n.test]).format_quantity(n.deviation_N, 2)} in {n.test} ({n.source}, " + (
         "white)" if n.correlation_time_s == 0 else f"correlated over {n.correlation_time_s:.2g} s)")
         for n in result.noise]
     if result.noise_Pa is not None:
-        levels = [f"{units.pressure.text(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
+        levels = [f"{units.pressure.format_quantity(result.noise_Pa, 2)} of nominal stress ({result.noise_source})"]
     jitter = result.best.jitter
-    contact, zero = ("", "") if jitter is None else units.format_scatter(jitter, result.campaign.tests)
+    contact, zero = ("", "") if jitter is None else units.format_replicate_jitter(jitter, result.campaign.tests)
     scatter = f" Between recordings the contact point scatters by {contact} and the force zero by {zero}." \
         if contact else ""
     basis = {"noise": "this noise", "residuals": "the residuals, which exceed this noise",
@@ -174,7 +175,7 @@ def _write_noise_paragraph(result: CalibrationResult, units: Units) -> str:
             "the Particle Data Group.")
 
 
-def _write_results_paragraph(result: CalibrationResult, units: Units, cite) -> str:
+def _write_results_paragraph(result: CalibrationResult, units: ReportUnits, cite) -> str:
     sentences = []
     for fit in result.fits:
         unusable = f" Not usable: {fit.unusable}." if fit.unusable else ""
@@ -183,10 +184,11 @@ def _write_results_paragraph(result: CalibrationResult, units: Units, cite) -> s
                          f"residuals {fit.noise_ratio:.2g} times the noise.{unusable}")
         if fit.population is not None:
             several = ", ".join(use_minus_signs(
-                f"{plain_symbol(each.symbol)} = {each.mean} [{each.mean_interval}], standard deviation between "
+                f"{format_plain_symbol(each.symbol)} = {each.mean} [{each.mean_interval}], standard deviation between "
                 f"specimens {each.spread} [{each.spread_interval}]")
-                for each in format_population(fit, fit.population, units))
-            left_out = f"; not included: {describe_left_out(fit.left_out_specimens)}" if fit.left_out_specimens else ""
+                for each in iterate_population_rows(fit, fit.population, units))
+            left_out = "" if not fit.left_out_specimens else \
+                f"; not included: {describe_excluded_specimens(fit.left_out_specimens)}"
             sentences.append(f"Population of {len(fit.population.specimens)} specimens (restricted maximum "
                              f"likelihood {cite('population')}): {several}{left_out}.")
     for p in result.predictions:
@@ -197,10 +199,11 @@ def _write_results_paragraph(result: CalibrationResult, units: Units, cite) -> s
     return f"Results. {' '.join(sentences)}"
 
 
-def _format_parameters(fit: Fit, units: Units) -> Iterator[str]:
+def _format_parameters(fit: Fit, units: ReportUnits) -> Iterator[str]:
     for name in fit.parameters:
-        interval = interval_of(fit, name, units)
-        yield use_minus_signs(f"{plain_symbol(fit.symbols[name])} = {estimate_of(fit, name, units)}"
+        interval = format_parameter_interval(fit, name, units)
+        estimate = format_parameter_estimate(fit, name, units)
+        yield use_minus_signs(f"{format_plain_symbol(fit.symbols[name])} = {estimate}"
                               f"{f' [{interval}]' if interval else ''}")
 
 

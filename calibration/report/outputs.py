@@ -19,13 +19,13 @@ from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit
 from calibration.fit.result import CalibrationResult, to_json
 from calibration.fit.self_weight import describe_self_weight
-from calibration.fit.typical_material import typical_material
+from calibration.fit.typical_material import compute_representative_material
 from calibration.output_folder import FIT_FILE
-from calibration.report.drawing import Pictures
+from calibration.report.drawing import FigureEmbedder
 from calibration.report.methods import write_methods_text
-from calibration.report.page import html_page, html_table, title_of
-from calibration.report.report import report_page
-from calibration.report.units import Units
+from calibration.report.page import format_law_title, make_html_page, make_html_table
+from calibration.report.report import build_report_page
+from calibration.report.units import ReportUnits
 from tissue_sim.atomic_write import write_text
 from tissue_sim.laws import find_law
 from tissue_sim.material.file import MaterialFile, write_material_file
@@ -34,8 +34,8 @@ from tissue_sim.material.file import MaterialFile, write_material_file
 Curves = Mapping[str, Sequence[TestCurves]]
 
 
-def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[str, Sequence[MeasuredCurve]],
-                   method: str, *, figures: bool = True, figures_format: str | None = None) -> None:
+def write_calibration_files(result: CalibrationResult, curves: Curves, measured: Mapping[str, Sequence[MeasuredCurve]],
+                            method: str, *, figures: bool = True, figures_format: str | None = None) -> None:
     """Write all result files of a calibration.
 
     ``fit.json`` is written last, because its existence marks the campaign as finished.
@@ -53,19 +53,19 @@ def write_campaign(result: CalibrationResult, curves: Curves, measured: Mapping[
             write_material_file(build_material_file(fit, result, measured, method), result.output / fit.material_file)
     write_text(result.output / "curves.csv", _format_curve_table(curves))
     write_text(result.output / "residuals.csv", _format_residual_table(curves))
-    methods = write_methods_text(result, measured, Units.of(result))
+    methods = write_methods_text(result, measured, ReportUnits.choose_for_calibration(result))
     write_text(result.output / "methods.txt", methods)
-    pictures = Pictures(result.output, figures_format) if figures else None
-    write_text(result.output / "report.html", report_page(result, curves, methods, pictures))
+    pictures = FigureEmbedder(result.output, figures_format) if figures else None
+    write_text(result.output / "report.html", build_report_page(result, curves, methods, pictures))
     text = json.dumps(to_json([result]), indent=2, ensure_ascii=False, allow_nan=False)
     write_text(result.output / FIT_FILE, text + "\n")
 
 
-def write_failure(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:
+def write_failure_report(campaign: Campaign, failures: Mapping[str, str], folder: Path) -> None:
     """Write the report of a campaign in which no law could be fitted, with the reason for each law."""
-    rows: list[list[str | None]] = [[title_of(law), escape(reason)] for law, reason in failures.items()]
-    write_text(folder / "report.html", html_page(f"Calibration of {campaign.name}", [
-        "<p>No law has a fit.</p>", html_table(["Law", "Reason"], rows, text=(1,))]))
+    rows: list[list[str | None]] = [[format_law_title(law), escape(reason)] for law, reason in failures.items()]
+    write_text(folder / "report.html", make_html_page(f"Calibration of {campaign.name}", [
+        "<p>No law has a fit.</p>", make_html_table(["Law", "Reason"], rows, text=(1,))]))
 
 
 def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[str, Sequence[MeasuredCurve]],
@@ -83,7 +83,8 @@ def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[s
     space = ParameterSpace.of(fit.law, campaign, {name: [curve.name for curve in curves]
                                                   for name, curves in measured.items()})
     # The file format has no standard error for the bulk response. Parameters of experiment and rig are excluded.
-    material, of_material = typical_material(fit), {each.path for each in space.unknowns if each.of_material}
+    material, of_material = compute_representative_material(fit), {each.path for each in space.unknowns
+                                                                   if each.of_material}
     kept = [i for i, path in enumerate(material.parameters) if path in of_material and not path.startswith("bulk.")]
     order = [path for i, path in enumerate(material.parameters) if i in kept]
     errors = {path: error for path, error in material.errors.items() if error is not None and path in order}
@@ -126,9 +127,10 @@ def build_material_file(fit: Fit, result: CalibrationResult, measured: Mapping[s
                          "covariance_from": fit.covariance_from, **whose}})
 
 
-def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
+def write_summary_table(results: Sequence[CalibrationResult], path: Path) -> None:
     """Write ``summary.csv`` with one row per law and campaign; cells without a value are empty."""
-    units = {name: fit.unit(name) or "-" for result in results for fit in result.fits for name in fit.parameters}
+    units = {name: fit.display_unit(name) or "-" for result in results for fit in result.fits
+             for name in fit.parameters}
     header = ["campaign", "rank", "law", "status", "E0 [Pa]", "mu0 [Pa]", "R2", "RMSE [N]", "RMSE [Pa]", "AIC", "BIC",
               "left_out [%]", "noise_ratio", "stable_from", "stable_to", "not_identifiable", "fem_solves", "cpu [s]"]
     for name, unit in units.items():
@@ -144,7 +146,7 @@ def write_summary(results: Sequence[CalibrationResult], path: Path) -> None:
                 low, high = fit.intervals95.get(name) or (None, None)
                 row += [fit.parameters.get(name), fit.standard_errors.get(name), low, high]
             rows.append(row)
-    write_text(path, format_table(header, rows))
+    write_text(path, format_csv_table(header, rows))
 
 
 def _format_curve_table(curves: Curves) -> str:
@@ -157,11 +159,11 @@ def _format_curve_table(curves: Curves) -> str:
         for test in tests:
             time = [None] * test.force.size if test.time is None else test.time.tolist()
             columns = (test.displacement, test.force, test.force_error, test.band, test.whole_band)
-            rows += [[law, test.test.name, t, *_format_row_in_units(test, d, (f,), (e, b, w))]
+            rows += [[law, test.test.name, t, *_format_curve_row(test, d, (f,), (e, b, w))]
                      for t, d, f, e, b, w in zip(time, *(column.tolist() for column in columns), strict=True)]
-    return format_table(["law", "test", "time [s]", "abscissa", "value", "displacement [mm]", "force [N]",
-                         "standard error [N]", "band95 [N]", "whole band95 [N]", "nominal stress [Pa]",
-                         "standard error [Pa]", "band95 [Pa]", "whole band95 [Pa]"], rows)
+    return format_csv_table(["law", "test", "time [s]", "abscissa", "value", "displacement [mm]", "force [N]",
+                             "standard error [N]", "band95 [N]", "whole band95 [N]", "nominal stress [Pa]",
+                             "standard error [Pa]", "band95 [Pa]", "whole band95 [Pa]"], rows)
 
 
 def _format_residual_table(curves: Curves) -> str:
@@ -171,14 +173,14 @@ def _format_residual_table(curves: Curves) -> str:
         for test in tests:
             for curve, model in zip(test.measured, test.fitted, strict=True):
                 time = [None] * model.size if curve.time is None else curve.time.tolist()
-                rows += [[law, curve.name, t, *_format_row_in_units(test, d, (f, m, m - f))] for t, d, f, m in zip(
+                rows += [[law, curve.name, t, *_format_curve_row(test, d, (f, m, m - f))] for t, d, f, m in zip(
                     time, curve.displacement.tolist(), curve.force.tolist(), model.tolist(), strict=True)]
-    return format_table(["law", "replicate", "time [s]", "abscissa", "value", "displacement [mm]", "measured [N]",
-                         "model [N]", "residual [N]", "measured [Pa]", "model [Pa]", "residual [Pa]"], rows)
+    return format_csv_table(["law", "replicate", "time [s]", "abscissa", "value", "displacement [mm]", "measured [N]",
+                             "model [N]", "residual [N]", "measured [Pa]", "model [Pa]", "residual [Pa]"], rows)
 
 
-def _format_row_in_units(test: TestCurves, displacement: float, forces: Sequence[float],
-                         errors: Sequence[float] = ()) -> list[float | str | None]:
+def _format_curve_row(test: TestCurves, displacement: float, forces: Sequence[float],
+                      errors: Sequence[float] = ()) -> list[float | str | None]:
     """Return the cells of a row: abscissa (name, value), displacement in mm, forces in N and stresses in Pa.
 
     Cells that the test does not define are None. A nominal stress is negative in compression, its errors are positive.
@@ -196,7 +198,7 @@ def _format_row_in_units(test: TestCurves, displacement: float, forces: Sequence
             *(error / test.area for error in errors)]
 
 
-def format_table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
+def format_csv_table(header: Sequence[str], rows: Iterable[Sequence]) -> str:
     """Return a CSV table; floats have eight significant digits, None and NaN are empty cells."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")

@@ -9,11 +9,11 @@ from html import escape
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.fit import Fit
-from calibration.fit.typical_material import typical_material
-from calibration.report.drawing import as_data_uri, draw_formula, natural_width
-from calibration.report.rounding import interval_text, value_and_error, value_text
-from calibration.report.symbols import html_symbol
-from calibration.report.units import Unit, Units
+from calibration.fit.typical_material import compute_representative_material
+from calibration.report.drawing import compute_formula_width, draw_formula, make_png_data_uri
+from calibration.report.rounding import format_interval, format_value_and_error, format_value_rounded_by_error
+from calibration.report.symbols import format_html_symbol
+from calibration.report.units import DisplayUnit, ReportUnits
 from tissue_sim.laws import find_law
 
 #: Relative step of a parameter for the finite-difference derivative of a modulus.
@@ -49,7 +49,7 @@ small, .quiet { color: #59636e; } .bad { color: #a33c00; }
 """
 
 
-def html_page(title: str, parts: Iterable[str]) -> str:
+def make_html_page(title: str, parts: Iterable[str]) -> str:
     """Return a self-contained HTML page.
 
     Args:
@@ -62,8 +62,8 @@ def html_page(title: str, parts: Iterable[str]) -> str:
         f"<style>{_STYLE}</style></head><body>", f"<h1>{escape(title)}</h1>", *parts, "</body></html>"]) + "\n"
 
 
-def html_table(labels: Sequence[str], rows: Sequence[Sequence[str | None]], *, text: Collection[int] = (),
-               best: bool = False, narrow: bool = False) -> str:
+def make_html_table(labels: Sequence[str], rows: Sequence[Sequence[str | None]], *, text: Collection[int] = (),
+                    best: bool = False, narrow: bool = False) -> str:
     """Return an HTML table that scrolls horizontally on a narrow page.
 
     Args:
@@ -89,17 +89,17 @@ def html_table(labels: Sequence[str], rows: Sequence[Sequence[str | None]], *, t
             f'<tbody>{"".join(lines)}</tbody></table></div>')
 
 
-def html_list(sentences: Iterable[str]) -> str:
+def make_html_list(sentences: Iterable[str]) -> str:
     """Return a bulleted HTML list of these sentences (HTML)."""
     return f"<ul>{''.join(f'<li>{sentence}</li>' for sentence in sentences)}</ul>"
 
 
-def title_of(law_name: str) -> str:
+def format_law_title(law_name: str) -> str:
     """Return the title of a law as HTML; ``N = 2`` stays on one line."""
     return escape(find_law(law_name).title).replace("N = ", "N\u00a0=\u00a0")
 
 
-def ranked_by_prediction(fits: Iterable[Fit]) -> bool:
+def are_laws_ranked_by_prediction(fits: Iterable[Fit]) -> bool:
     """Return whether the laws are ranked by prediction error instead of the BIC."""
     return any(fit.left_out is not None for fit in fits)
 
@@ -114,31 +114,32 @@ def use_minus_signs(text: str) -> str:
     return re.sub(r"(?<![\w.-])-(?=\d)", "−", text)
 
 
-def estimate_of(fit: Fit, name: str, units: Units) -> str:
+def format_parameter_estimate(fit: Fit, name: str, units: ReportUnits) -> str:
     """Return the estimate of a parameter with its standard error, such as ``0.988 ± 0.023 kPa``.
 
     Without a standard error the text states the reason, or all values such as ``8 or -8`` if several optima fit equally
     well.
     """
-    unit, error = units.of_parameter(fit.units[name]), fit.standard_errors[name]
+    unit, error = units.choose_parameter_unit(fit.units[name]), fit.standard_errors[name]
     known = "fixed" if error == 0 else "on its bound" if name in fit.on_bound else ""
     if error is None and fit.alternatives and not known:
         values = dict.fromkeys(f"{each[name] / unit.size:.4g}" for each in (
             fit.parameters, *(one.parameters for one in fit.alternatives)))
         return f"{' or '.join(values)} {unit.name}".strip()
-    return value_and_error(fit.parameters[name] / unit.size, error and error / unit.size, unit.name, known=known)
+    return format_value_and_error(fit.parameters[name] / unit.size, error and error / unit.size, unit.name, known=known)
 
 
-def interval_of(fit: Fit, name: str, units: Units) -> str:
+def format_parameter_interval(fit: Fit, name: str, units: ReportUnits) -> str:
     """Return the 95 % interval of a parameter in the unit of the estimate, such as ``0.937 to 1.040``; may be empty."""
-    unit, error, interval = units.of_parameter(fit.units[name]), fit.standard_errors[name], fit.intervals95[name]
+    unit = units.choose_parameter_unit(fit.units[name])
+    error, interval = fit.standard_errors[name], fit.intervals95[name]
     if interval is None or not error:
         return ""
     low, high = (end / unit.size for end in interval)
-    return interval_text(low, high, error / unit.size, fit.parameters[name] / unit.size)
+    return format_interval(low, high, error / unit.size, fit.parameters[name] / unit.size)
 
 
-def shear_modulus_error(fit: Fit) -> float | None:
+def compute_shear_modulus_error(fit: Fit) -> float | None:
     """Return the standard error of the initial shear modulus, Pa, by linear propagation of the covariance.
 
     For specimens that differ the covariance of the mean material is used.
@@ -146,7 +147,7 @@ def shear_modulus_error(fit: Fit) -> float | None:
     Returns:
         The standard error; None if a parameter of the law has no error or differs between tests.
     """
-    law, material = find_law(fit.law), typical_material(fit)
+    law, material = find_law(fit.law), compute_representative_material(fit)
     values = {name: material.parameters[name] for name in law.parameters if name in material.parameters}
     if any(material.errors.get(name) is None for name in law.parameters):
         return None
@@ -164,23 +165,23 @@ def shear_modulus_error(fit: Fit) -> float | None:
     return math.sqrt(variance) if variance > 0 else None
 
 
-def format_moduli(fit: Fit, units: Units) -> tuple[str, str]:
+def format_initial_moduli(fit: Fit, units: ReportUnits) -> tuple[str, str]:
     """Return E0 and mu0 as text without unit, rounded to the precision of their standard errors."""
-    size, error = units.pressure.size, shear_modulus_error(fit)
+    size, error = units.pressure.size, compute_shear_modulus_error(fit)
     ratio = fit.E0 / fit.mu0 if fit.mu0 else 3.0
-    return (value_text(fit.E0 / size, error and abs(ratio) * error / size),
-            value_text(fit.mu0 / size, error and error / size))
+    return (format_value_rounded_by_error(fit.E0 / size, error and abs(ratio) * error / size),
+            format_value_rounded_by_error(fit.mu0 / size, error and error / size))
 
 
-def format_young_modulus(fit: Fit, units: Units) -> str:
+def format_young_modulus(fit: Fit, units: ReportUnits) -> str:
     """Return Young's modulus with its standard error, such as ``5.93 ± 0.14 kPa``."""
-    size, error = units.pressure.size, shear_modulus_error(fit)
-    return value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
+    size, error = units.pressure.size, compute_shear_modulus_error(fit)
+    return format_value_and_error(fit.E0 / size, error and abs(fit.E0 / fit.mu0) * error / size, units.pressure.name)
 
 
-def symbol_of(fit: Fit, name: str) -> str:
+def format_parameter_symbol(fit: Fit, name: str) -> str:
     """Return the symbol of a parameter as HTML; a tooltip gives the name in the model if the name differs."""
-    symbol = html_symbol(fit.symbols[name])
+    symbol = format_html_symbol(fit.symbols[name])
     return symbol if fit.symbols[name] == name else f'<span title="{escape(name)}">{symbol}</span>'
 
 
@@ -190,7 +191,8 @@ def format_stable_stretches(fit: Fit) -> str:
     return "nowhere" if nowhere else f"{fit.stable_from:.3g} to {fit.stable_to:.3g}"
 
 
-def group_remarks(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
+def group_fits_by_remarks(fits: Sequence[Fit],
+                          of: Callable[[Fit], Sequence[str]]) -> Iterator[tuple[tuple[Fit, ...], str]]:
     """Yield groups of fits with their common remarks, the largest group first.
 
     A remark that several laws share appears once.
@@ -214,30 +216,33 @@ def group_remarks(fits: Sequence[Fit], of: Callable[[Fit], Sequence[str]]) -> It
 def make_remark_list(fits: Sequence[Fit]) -> str:
     """Return the HTML list of stability statements and messages; common ones appear once."""
     lines = []
-    for having, words in group_remarks(fits, lambda fit: [*fit.message.split("; "), f"Drucker: {fit.stability}"]):
-        laws = "All laws" if 1 < len(having) == len(fits) else ", ".join(title_of(fit.law) for fit in having)
+    for having, words in group_fits_by_remarks(fits, lambda fit: [*fit.message.split("; "),
+                                                                  f"Drucker: {fit.stability}"]):
+        laws = "All laws" if 1 < len(having) == len(fits) else ", ".join(format_law_title(fit.law) for fit in having)
         warn = "" if any(fit.status == "converged" for fit in having) else ' class="bad"'
         lines.append(f"<li{warn}>{laws}: {escape(words)}</li>")
     return f"<ul>{''.join(lines)}</ul>"
 
 
-def make_parameter_tables(fits: Sequence[Fit], units: Units, figures: bool) -> list[str]:
+def make_parameter_tables(fits: Sequence[Fit], units: ReportUnits, figures: bool) -> list[str]:
     """Return the HTML tables of all parameters of each law: estimate, standard error, interval and its limit."""
     parts = []
     for fit in fits:
         png = draw_formula(fit.law) if figures else None
         formula = escape(fit.formula) if png is None else \
-            f'<img class="formula" width="{natural_width(png)}" src="{as_data_uri(png)}" alt="{escape(fit.formula)}">'
+            f'<img class="formula" width="{compute_formula_width(png)}" src="{make_png_data_uri(png)}" ' \
+            f'alt="{escape(fit.formula)}">'
         rows = []
         for name in fit.parameters:
             doubtful = ' <span class="bad">not determined</span>' if name in fit.not_identifiable else ""
-            rows.append([f"{symbol_of(fit, name)}{doubtful}", use_minus_signs(estimate_of(fit, name, units)),
-                         use_minus_signs(interval_of(fit, name, units)) or "-",
+            rows.append([f"{format_parameter_symbol(fit, name)}{doubtful}",
+                         use_minus_signs(format_parameter_estimate(fit, name, units)),
+                         use_minus_signs(format_parameter_interval(fit, name, units)) or "-",
                          escape(fit.interval_notes.get(name, "").replace(f"{name} ", ""))])
         columns = slice(None, None if any(row[3] for row in rows) else 3)
         labels = ["Parameter", "Value ± standard error", "95 % interval", "Limit of the interval"]
-        parts += [f"<h3>{title_of(fit.law)} <small>{formula}</small></h3>",
-                  html_table(labels[columns], [row[columns] for row in rows], text=(3,), narrow=True)]
+        parts += [f"<h3>{format_law_title(fit.law)} <small>{formula}</small></h3>",
+                  make_html_table(labels[columns], [row[columns] for row in rows], text=(3,), narrow=True)]
     return parts
 
 
@@ -245,36 +250,37 @@ def make_correlation_tables(fits: Sequence[Fit]) -> list[str]:
     """Return the HTML tables of the parameter correlations of each law with more than one free parameter."""
     parts = []
     for fit in fits:
-        free = free_parameters(fit)
+        free = list_free_parameters(fit)
         if len(free) < 2:
             continue
-        indices, symbols = [fit.covariance.order.index(name) for name in free], [symbol_of(fit, name) for name in free]
+        indices, symbols = [fit.covariance.order.index(name) for name in free], [format_parameter_symbol(fit, name)
+                                                                                 for name in free]
         rows = [[symbol, *(use_minus_signs(f"{fit.correlation[i][j]:.3f}") for j in indices)]
                 for symbol, i in zip(symbols, indices, strict=True)]
-        parts += [f"<h3>{title_of(fit.law)}</h3>", html_table(["", *symbols], rows, narrow=True)]
+        parts += [f"<h3>{format_law_title(fit.law)}</h3>", make_html_table(["", *symbols], rows, narrow=True)]
     return ["<h2>Correlation of the parameters</h2>", *parts] if parts else []
 
 
-def free_parameters(fit: Fit) -> list[str]:
+def list_free_parameters(fit: Fit) -> list[str]:
     """Return the names of the parameters that are neither fixed nor at a bound, in the order of the covariance."""
     return [name for name in fit.covariance.order if fit.standard_errors[name] not in (None, 0.0)]
 
 
-def make_nuisance_table(fit: Fit, travel: Unit, load: Unit) -> str:
+def make_nuisance_table(fit: Fit, travel: DisplayUnit, load: DisplayUnit) -> str:
     """Return the HTML table of contact offset and force zero of each recording, in these units."""
 
     def format_nuisance(value: float, error: float | None, size: float) -> str:
-        return use_minus_signs(value_and_error(value / size, error and error / size))
+        return use_minus_signs(format_value_and_error(value / size, error and error / size))
 
     rows = [[escape(n.replicate), format_nuisance(n.contact_offset_mm, n.contact_offset_error_mm, travel.size * 1e3),
              format_nuisance(n.zero_offset_N, n.zero_offset_error_N, load.size),
              f'<span class="bad">{escape(", ".join(n.on_bound))}</span>'] for n in fit.nuisances]
     bound = slice(None, None if any(n.on_bound for n in fit.nuisances) else 3)
-    labels = ["Recording", travel.label("Contact offset"), load.label("Zero"), "On its bound"]
-    return html_table(labels[bound], [row[bound] for row in rows], text=(3,), narrow=True)
+    labels = ["Recording", travel.format_axis_label("Contact offset"), load.format_axis_label("Zero"), "On its bound"]
+    return make_html_table(labels[bound], [row[bound] for row in rows], text=(3,), narrow=True)
 
 
 def make_recording_list(recordings: Iterable[MeasuredCurve]) -> str:
     """Return the HTML list of the recordings with file name, SHA-256 and number of points."""
-    return html_list(f"{escape(curve.file.name)} <small>SHA-256 <code>{escape(curve.sha256)}</code>, "
-                     f"{curve.force.size} points</small>" for curve in recordings)
+    return make_html_list(f"{escape(curve.file.name)} <small>SHA-256 <code>{escape(curve.sha256)}</code>, "
+                          f"{curve.force.size} points</small>" for curve in recordings)

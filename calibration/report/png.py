@@ -40,7 +40,7 @@ def render_png(figure: Any, dpi: float = 150) -> bytes:
     figure.set_dpi(dpi)
     try:
         canvas = FigureCanvasAgg(figure)
-        with _cache_text_measurements(figure):
+        with _cache_axis_measurements(figure):
             canvas.draw()
         picture = Image.fromarray(np.asarray(canvas.buffer_rgba())).convert("RGB")
     finally:
@@ -51,16 +51,17 @@ def render_png(figure: Any, dpi: float = 150) -> bytes:
 
 
 @contextmanager
-def _cache_text_measurements(figure: Any) -> Iterator[None]:
+def _cache_axis_measurements(figure: Any) -> Iterator[None]:
     """Replace the measuring methods of all axes by cached versions while the figure is drawn.
 
     The figure must not be changed by other code in the meantime.
     """
     replaced: list[tuple[Any, str]] = []
     for axes in figure.axes:
-        methods = {(axis, name): _cache_by_position(axes, getattr(axis, name)) for axis in (axes.xaxis, axes.yaxis)
+        methods = {(axis, name): _cache_by_frame_and_limits(axes, getattr(axis, name))
+                   for axis in (axes.xaxis, axes.yaxis)
                    for name in _CACHED_METHODS if hasattr(axis, name)}
-        methods[axes, "get_tightbbox"] = _cache_margin(axes)
+        methods[axes, "get_tightbbox"] = _cache_tight_bbox_margin(axes)
         for (artist, name), method in methods.items():
             vars(artist)[name] = method
             replaced.append((artist, name))
@@ -71,7 +72,7 @@ def _cache_text_measurements(figure: Any) -> Iterator[None]:
             del vars(artist)[name]
 
 
-def _cache_by_position(axes: Any, measure: Callable[..., Any]) -> Callable[..., Any]:
+def _cache_by_frame_and_limits(axes: Any, measure: Callable[..., Any]) -> Callable[..., Any]:
     """Return a version of an axis method that is evaluated again only if the frame or the limits have changed."""
     cache: dict[tuple, Any] = {}
     last_position: list[Any] = []
@@ -93,7 +94,7 @@ def _cache_by_position(axes: Any, measure: Callable[..., Any]) -> Callable[..., 
     return measure_or_reuse
 
 
-def _cache_margin(axes: Any) -> Callable[..., Any]:
+def _cache_tight_bbox_margin(axes: Any) -> Callable[..., Any]:
     """Return a version of `get_tightbbox` that reuses the margin between the frame and the outer box.
 
     The margin is measured again if the tick labels change or if the frame changes its size by `_MAX_SIZE_CHANGE`.

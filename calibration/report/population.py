@@ -10,13 +10,19 @@ from typing import NamedTuple
 import numpy as np
 
 from calibration.fit.fit import Fit
-from calibration.fit.population import describe_left_out
+from calibration.fit.population import describe_excluded_specimens
 from calibration.fit.population_records import PopulationStatement
-from calibration.report.drawing import COLOURS, Pictures, add_legend_above, new_panels, panels_per_row
-from calibration.report.page import html_table, title_of, use_minus_signs
-from calibration.report.rounding import NORMAL_95, error_text, interval_text, value_and_error
-from calibration.report.symbols import html_symbol, math_symbol
-from calibration.report.units import Unit, Units
+from calibration.report.drawing import (
+    COLOURS,
+    FigureEmbedder,
+    add_legend_above,
+    compute_panels_per_row,
+    create_panel_figure,
+)
+from calibration.report.page import format_law_title, make_html_table, use_minus_signs
+from calibration.report.rounding import NORMAL_95, format_error, format_interval, format_value_and_error
+from calibration.report.symbols import format_html_symbol, format_mathtext_symbol
+from calibration.report.units import DisplayUnit, ReportUnits
 
 
 class PopulationRow(NamedTuple):
@@ -33,7 +39,7 @@ class PopulationRow(NamedTuple):
     """
 
     symbol: str
-    unit: Unit
+    unit: DisplayUnit
     mean: str
     mean_interval: str
     spread: str
@@ -41,60 +47,62 @@ class PopulationRow(NamedTuple):
     next_specimen: str
 
 
-def format_population(fit: Fit, population: PopulationStatement, units: Units) -> Iterator[PopulationRow]:
+def iterate_population_rows(fit: Fit, population: PopulationStatement, units: ReportUnits) -> Iterator[PopulationRow]:
     """Yield the formatted statistics of each parameter of a population."""
     for k, path in enumerate(population.order):
         name = f"{path}@{population.specimens[0]}"
-        unit = units.of_parameter(fit.units[name])
+        unit = units.choose_parameter_unit(fit.units[name])
         mean, error, spread = (getattr(population, key)[k] / unit.size for key in ("mean", "mean_errors", "spread"))
         # Standard error of a standard deviation from n specimens: spread / sqrt(2 (n - 1)).
         spread_error = max(spread / np.sqrt(2 * (len(population.specimens) - 1)), 1e-3 * abs(mean))
-        intervals = [interval_text(low / unit.size, high / unit.size, precision, mean) for (low, high), precision in (
+        intervals = [format_interval(low / unit.size, high / unit.size, precision, mean) for (low, high), precision in (
             (population.mean_intervals[k], error), (population.spread_intervals[k], spread_error),
             (population.next_specimen[k], error))]
-        yield PopulationRow(fit.symbols[name].partition("@")[0], unit, value_and_error(mean, error, unit.name),
-                            intervals[0], f"{error_text(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
+        yield PopulationRow(fit.symbols[name].partition("@")[0], unit, format_value_and_error(mean, error, unit.name),
+                            intervals[0], f"{format_error(spread)} {unit.name}".rstrip(), intervals[1], intervals[2])
 
 
-def make_population_section(fits: Sequence[Fit], units: Units, pictures: Pictures) -> Iterator[str]:
+def make_population_section(fits: Sequence[Fit], units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
     """Yield the HTML of the section on the population of specimens; empty if no fit has a population."""
     having = [(fit, fit.population) for fit in fits if fit.population is not None]
     if not having:
         return
     yield "<h2>Specimens as a population</h2>"
-    yield html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "Next specimen, 95\u00a0%", "Specimens"], [
-        [title_of(fit.law), html_symbol(each.symbol), *map(use_minus_signs, (
+    yield make_html_table(["Law", "Parameter", "Mean", "95 %", "Spread", "95 %", "Next specimen, 95\u00a0%",
+                           "Specimens"], [
+        [format_law_title(fit.law), format_html_symbol(each.symbol), *map(use_minus_signs, (
             each.mean, each.mean_interval, each.spread, each.spread_interval, each.next_specimen)),
          str(len(found.specimens))]
-        for fit, found in having for each in format_population(fit, found, units)])
+        for fit, found in having for each in iterate_population_rows(fit, found, units)])
     for fit, _ in having:
         if fit.left_out_specimens:
-            others = escape(describe_left_out(fit.left_out_specimens))
-            yield f"<p>Not in the population of {title_of(fit.law)}: {others}.</p>"
+            others = escape(describe_excluded_specimens(fit.left_out_specimens))
+            yield f"<p>Not in the population of {format_law_title(fit.law)}: {others}.</p>"
     for fit, found in having:
-        yield pictures.show(f"population {fit.law}", partial(draw_population, fit, found, units),
-                            f"Parameters of the specimens of {fit.law}",
-                            f"{title_of(fit.law)}: separate fit of each specimen with its 95 % interval, and the "
-                            "estimate that also uses the other specimens (shrinkage towards the mean).")
+        yield pictures.embed_figure(f"population {fit.law}", partial(draw_population_figure, fit, found, units),
+                                    f"Parameters of the specimens of {fit.law}",
+                                    f"{format_law_title(fit.law)}: separate fit of each specimen with its 95 % "
+                                    "interval, and the estimate that also uses the other specimens (shrinkage towards "
+                                    "the mean).")
 
 
-def draw_population(fit: Fit, population: PopulationStatement, units: Units):
+def draw_population_figure(fit: Fit, population: PopulationStatement, units: ReportUnits):
     """Draw each parameter of each specimen: separate estimate, shrinkage estimate and mean of the population."""
     specimens = len(population.specimens)
-    rows = panels_per_row(len(population.order))
-    figure, grid = new_panels(rows, 1.5 + 0.3 * specimens)
+    rows = compute_panels_per_row(len(population.order))
+    figure, grid = create_panel_figure(rows, 1.5 + 0.3 * specimens)
     firsts = {sum(rows[:row]) for row in range(len(rows))}
     for k, axes in enumerate(grid):
-        _draw_parameter(axes, fit, population, k, units)
+        _draw_population_parameter(axes, fit, population, k, units)
         axes.set_yticks(range(specimens), population.specimens if k in firsts else [])
         axes.set_ylim(specimens - 0.5, -0.5)
     add_legend_above(figure)
     return figure
 
 
-def _draw_parameter(axes, fit: Fit, population: PopulationStatement, k: int, units: Units) -> None:
+def _draw_population_parameter(axes, fit: Fit, population: PopulationStatement, k: int, units: ReportUnits) -> None:
     name = f"{population.order[k]}@{population.specimens[0]}"
-    unit = units.of_parameter(fit.units[name])
+    unit = units.choose_parameter_unit(fit.units[name])
     rows = np.arange(len(population.specimens))
     axes.axvspan(*(end / unit.size for end in population.next_specimen[k]), color="0.93", lw=0,
                  label="95 % of further specimens")
@@ -106,4 +114,4 @@ def _draw_parameter(axes, fit: Fit, population: PopulationStatement, k: int, uni
                   label="specimen alone, 95 %")
     axes.plot(np.array(population.shrunken)[:, k] / unit.size, rows, "D", mfc="white", mec="0.2", ms=4, zorder=5,
               label="using the other specimens")
-    axes.set_xlabel(unit.label(math_symbol(fit.symbols[name].partition("@")[0])))
+    axes.set_xlabel(unit.format_axis_label(format_mathtext_symbol(fit.symbols[name].partition("@")[0])))

@@ -10,29 +10,34 @@ from html import escape
 from calibration.campaign.campaign import Campaign, Test
 from calibration.fit.curves import TestCurves
 from calibration.fit.fit import Fit, Prediction
-from calibration.fit.population import describe_left_out
+from calibration.fit.population import describe_excluded_specimens
 from calibration.fit.result import CalibrationResult
-from calibration.output_folder import picture_of_test
+from calibration.output_folder import make_test_figure_name
 from calibration.report.assumptions import list_assumptions
-from calibration.report.curve_figures import describe_region, draw_test, format_probability
-from calibration.report.drawing import Pictures, format_count
-from calibration.report.estimate_figures import draw_correlation, draw_profiles, draw_specimens, draw_windows
-from calibration.report.figures import draw_history, draw_predictions, draw_regions, format_percent
+from calibration.report.curve_figures import describe_region, draw_test_figure, format_p_value_text
+from calibration.report.drawing import FigureEmbedder, format_count
+from calibration.report.estimate_figures import (
+    draw_individual_parameters,
+    draw_parameter_correlation,
+    draw_profiles,
+    draw_window_fits,
+)
+from calibration.report.figures import draw_descent_history, draw_prediction_errors, draw_region_misfits, format_percent
 from calibration.report.layout import LAYOUT
 from calibration.report.page import (
-    estimate_of,
+    are_laws_ranked_by_prediction,
+    format_law_title,
+    format_parameter_estimate,
+    format_parameter_symbol,
     format_stable_stretches,
     format_young_modulus,
-    html_list,
-    html_page,
     make_correlation_tables,
+    make_html_list,
+    make_html_page,
     make_nuisance_table,
     make_parameter_tables,
     make_recording_list,
     make_remark_list,
-    ranked_by_prediction,
-    symbol_of,
-    title_of,
     use_minus_signs,
 )
 from calibration.report.population import make_population_section
@@ -45,8 +50,8 @@ from calibration.report.report_tables import (
     make_segment_test_table,
 )
 from calibration.report.segment_figures import make_segment_section
-from calibration.report.symbols import plain_symbol
-from calibration.report.units import Units
+from calibration.report.symbols import format_plain_symbol
+from calibration.report.units import ReportUnits
 from calibration.report.usability import make_usability_section
 from tissue_sim.laws import find_law
 
@@ -58,8 +63,8 @@ _NOTE = ("Displacement, strain, force and stress are positive under load. Tangen
          "residuals exceed the noise.")
 
 
-def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], methods: str,
-                pictures: Pictures | None) -> str:
+def build_report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], methods: str,
+                      pictures: FigureEmbedder | None) -> str:
     """Return the HTML report of one campaign.
 
     Args:
@@ -69,8 +74,8 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
         pictures: destination of the figures; None: summary and tables only.
     """
     campaign, analytical = result.campaign, result.campaign.fit.method == "analytical"
-    tests, units = {test.name: test for test in campaign.tests}, Units.of(result)
-    typical = Units.choose_typical_test(campaign.tests)
+    tests, units = {test.name: test for test in campaign.tests}, ReportUnits.choose_for_calibration(result)
+    typical = ReportUnits.choose_typical_test(campaign.tests)
     recordings = {c.test.name: c.measured for c in next(iter(curves.values()))}
     parts = [f'<p class="quiet">{format_count(sum(map(len, recordings.values())), "recording")} of '
              f"{format_count(len(campaign.tests), 'test')}, {format_count(len(result.fits), 'law')}; "
@@ -78,7 +83,7 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
              _format_summary(result, tests, units)]
     if pictures is not None:
         parts += _make_figure_sections(result, curves, units, pictures)
-    ranked_by = "prediction" if ranked_by_prediction(result.fits) else "BIC"
+    ranked_by = "prediction" if are_laws_ranked_by_prediction(result.fits) else "BIC"
     parts += [f"<h2>Ranking by {ranked_by}</h2>", make_ranking_table(result.fits, units),
               make_remark_list(result.fits), *make_usability_section(result.fits, result.failures, units),
               "<h2>Parameters</h2>", *make_parameter_tables(result.fits, units, pictures is not None)]
@@ -88,24 +93,25 @@ def report_page(result: CalibrationResult, curves: Mapping[str, Sequence[TestCur
         parts += ["<h2>Residuals by region</h2>", make_segment_test_table(result.fits, tests, units)]
     if not analytical:
         parts += ["<h2>Identifiability of the parameters</h2>", make_identifiability_table(result.fits, units)]
-    parts += make_correlation_tables([fit for fit in result.fits if pictures is None or not _is_drawn(fit, result)])
+    parts += make_correlation_tables([fit for fit in result.fits if pictures is None
+                                      or not _has_parameter_figures(fit, result)])
     if result.best.nuisances:
-        parts += [f"<h2>Contact offsets and zeros of {title_of(result.best.law)}</h2>",
-                  make_nuisance_table(result.best, units.travel_unit(typical), units.load_unit(typical))]
+        parts += [f"<h2>Contact offsets and zeros of {format_law_title(result.best.law)}</h2>",
+                  make_nuisance_table(result.best, units.get_displacement_unit(typical), units.get_load_unit(typical))]
     if any(fit.history for fit in result.fits):
         parts += ["<h2>Every solve</h2>", *(
-            f"<details><summary>{title_of(fit.law)}: {_format_effort(fit)}</summary>"
+            f"<details><summary>{format_law_title(fit.law)}: {_format_effort(fit)}</summary>"
             f"{make_history_table(fit, units)}</details>"
             for fit in result.fits if fit.history)]
     parts += make_segment_section(campaign, recordings, pictures)
-    parts += ["<h2>Assumptions</h2>", html_list(map(escape, list_assumptions(result, units))),
+    parts += ["<h2>Assumptions</h2>", make_html_list(map(escape, list_assumptions(result, units))),
               '<h2>Methods <small class="quiet">for a paper; also in methods.txt</small></h2>',
               f'<pre class="paste">{escape(methods)}</pre>', "<h2>Recordings</h2>",
               make_recording_list(curve for several in recordings.values() for curve in several)]
-    return html_page(f"Calibration of {campaign.name}", parts)
+    return make_html_page(f"Calibration of {campaign.name}", parts)
 
 
-def _format_summary(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> str:
+def _format_summary(result: CalibrationResult, tests: Mapping[str, Test], units: ReportUnits) -> str:
     """Return the summary as an HTML list: best law, its predictions, its misfits and undetermined parameters."""
     best = result.best
     rows = [("Law", [_format_best_law(best, units), escape(_replace_law_names_by_titles(result))])]
@@ -113,17 +119,18 @@ def _format_summary(result: CalibrationResult, tests: Mapping[str, Test], units:
     rows.append(("Predictions", predictions or ["No prediction: all tests were fitted. Add a second test, left out or "
                                                 "held out, to check the law on data that it was not fitted to."]))
     if best.regions:
-        rows.append(("Misfits", [*_misfit_sentences(best, tests, units)]
+        rows.append(("Misfits", [*_list_misfit_sentences(best, tests, units)]
                      or ["All regions of all tests agree with the law within chance."]))
     rows.append(("Undetermined", [*_list_undetermined_sentences(result.fits, units)]))
     items = (f"<dt>{term}</dt><dd>" + "<br>".join(lines) + "</dd>" for term, lines in rows)
     return f'<dl class="verdict">{"".join(items)}</dl>'
 
 
-def _format_best_law(fit: Fit, units: Units) -> str:
-    parts = [f"{symbol_of(fit, name)} = {use_minus_signs(estimate_of(fit, name, units))}" for name in fit.parameters]
+def _format_best_law(fit: Fit, units: ReportUnits) -> str:
+    parts = [f"{format_parameter_symbol(fit, name)} = {use_minus_signs(format_parameter_estimate(fit, name, units))}"
+             for name in fit.parameters]
     usable = "" if fit.status == "converged" else f' <span class="bad">{escape(fit.unusable or fit.message)}</span>'
-    return (f"<b>{title_of(fit.law)}</b>: {', '.join(parts)}; E<sub>0</sub> = "
+    return (f"<b>{format_law_title(fit.law)}</b>: {', '.join(parts)}; E<sub>0</sub> = "
             f"{use_minus_signs(format_young_modulus(fit, units))}, stable stretches "
             f"{format_stable_stretches(fit)}.{usable}")
 
@@ -136,47 +143,47 @@ def _replace_law_names_by_titles(result: CalibrationResult) -> str:
     return message
 
 
-def _format_prediction(prediction: Prediction, test: Test, units: Units) -> str:
+def _format_prediction(prediction: Prediction, test: Test, units: ReportUnits) -> str:
     how = "held out of every fit" if test.hold_out else f"fitted to {', '.join(prediction.fitted)} only"
     how += f", its specimen from the mean of {len(prediction.mean_of)} others" if prediction.mean_of else ""
     name = f"<b>{escape(prediction.test)}</b>, {escape(how)}: "
     if prediction.percent is None:
         return name + f'<span class="bad">no prediction: {escape(prediction.note)}</span>'
-    load, error = units.load_unit(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
-    size = "" if error is None else f"{load.text(error, 2)}, "
+    load, error = units.get_load_unit(test), prediction.RMSE_Pa if test.specimen is None else prediction.RMSE_N
+    size = "" if error is None else f"{load.format_quantity(error, 2)}, "
     expected = prediction.expected_N
-    chance = "" if expected is None else f" (expected by chance: {load.text(expected, 2)})"
+    chance = "" if expected is None else f" (expected by chance: {load.format_quantity(expected, 2)})"
     largest = "stress" if test.specimen is None else "force"
     return f"{name}{size}{format_percent(prediction.percent)} of the largest {largest}{chance}"
 
 
-def _misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _list_misfit_sentences(fit: Fit, tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
     bad = sorted((r for r in fit.regions if not r.adequate), key=lambda r: r.p)
     for r in bad[:LAYOUT.summary_misfits]:
         test = tests[r.test]
-        size = units.load_unit(test).text(r.misfit_N, 2)
+        size = units.get_load_unit(test).format_quantity(r.misfit_N, 2)
         yield (f"<b>{escape(r.test)}</b>, {escape(describe_region(r, test, units))}: {size} that the law does not "
-               f"explain ({escape(format_probability(r.p))})")
+               f"explain ({escape(format_p_value_text(r.p))})")
     if len(bad) > LAYOUT.summary_misfits:
         yield f"and {len(bad) - LAYOUT.summary_misfits} more regions, in the table below."
 
 
-def _list_undetermined_sentences(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+def _list_undetermined_sentences(fits: Sequence[Fit], units: ReportUnits) -> Iterator[str]:
     for i, fit in enumerate(fits):
         if fit.not_identifiable:
-            names = ", ".join(symbol_of(fit, name) for name in fit.not_identifiable)
-            remedy = "".join(f"; {escape(describe_suggestion(each, fit, units, plain_symbol))}"
+            names = ", ".join(format_parameter_symbol(fit, name) for name in fit.not_identifiable)
+            remedy = "".join(f"; {escape(describe_suggestion(each, fit, units, format_plain_symbol))}"
                              for each in fit.suggestions[:1])
-            yield f'<span class="bad">{names}</span> of {title_of(fit.law)} from these tests{remedy}.'
+            yield f'<span class="bad">{names}</span> of {format_law_title(fit.law)} from these tests{remedy}.'
         elif i == 0 and fit.left_out_specimens:
-            left_out = escape(describe_left_out(fit.left_out_specimens))
-            yield f'<span class="bad">The parameters of {left_out}</span> for {title_of(fit.law)}.'
+            left_out = escape(describe_excluded_specimens(fit.left_out_specimens))
+            yield f'<span class="bad">The parameters of {left_out}</span> for {format_law_title(fit.law)}.'
         elif i == 0:
-            yield f"These tests determine every parameter of {title_of(fit.law)}."
+            yield f"These tests determine every parameter of {format_law_title(fit.law)}."
 
 
-def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: Units,
-                          pictures: Pictures) -> Iterator[str]:
+def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequence[TestCurves]], units: ReportUnits,
+                          pictures: FigureEmbedder) -> Iterator[str]:
     campaign, fits = result.campaign, result.fits
     # Without an expected error by chance the figure shows no more than the table.
     if any(p.percent is not None and (p.expected_N is not None or p.fitted) for p in result.predictions):
@@ -185,63 +192,65 @@ def _make_figure_sections(result: CalibrationResult, curves: Mapping[str, Sequen
             "errors exceeds the mark and one in twenty exceeds twice the mark, more if the scatter is estimated from " \
             "few specimens."
         yield "<h2>Predictions of tests that were not fitted</h2>"
-        yield pictures.show("predictions", partial(draw_predictions, result.predictions, campaign.tests, units),
-                            "Errors of the predictions",
-                            "Each test is predicted by a fit to other tests. The black mark is the error expected by "
-                            "chance: noise, offsets, zeros and parameter errors. A larger error is due to the "
-                            f"law.{of_mean}")
+        yield pictures.embed_figure("predictions",
+                                    partial(draw_prediction_errors, result.predictions, campaign.tests, units),
+                                    "Errors of the predictions",
+                                    "Each test is predicted by a fit to other tests. The black mark is the error "
+                                    "expected by chance: noise, offsets, zeros and parameter errors. A larger error is "
+                                    f"due to the law.{of_mean}")
     yield "<h2>Recordings and laws</h2>"
     yield f'<p class="quiet">{_NOTE}</p>'
     for i, test in enumerate(campaign.tests):
         of_test = {law: several[i] for law, several in curves.items()}
         count = len(next(iter(of_test.values())).measured)
-        yield f"<h3>{escape(test.name)} <small>{escape(_describe_test(test, count))}</small></h3>"
-        yield pictures.show(picture_of_test(campaign, i), partial(draw_test, fits, of_test, units),
-                            f"Recordings, curves, prediction band and residuals of {test.name}")
+        yield f"<h3>{escape(test.name)} <small>{escape(_format_test_description(test, count))}</small></h3>"
+        yield pictures.embed_figure(make_test_figure_name(campaign, i), partial(draw_test_figure, fits, of_test, units),
+                                    f"Recordings, curves, prediction band and residuals of {test.name}")
     if any(fit.regions for fit in fits):
         yield "<h2>Misfit by region</h2>"
-        yield pictures.show("regions", partial(draw_regions, fits, campaign.tests, units),
-                            "Misfit of each law in each region of each test",
-                            "Root mean square of the misfit in each region and its probability by chance, adjusted for "
-                            "the number of regions (Holm); orange for p ≤ 0.05. Offsets, zeros and mesh error can "
-                            "compensate part of the misfit; the numbers do not include this compensation.")
+        yield pictures.embed_figure("regions", partial(draw_region_misfits, fits, campaign.tests, units),
+                                    "Misfit of each law in each region of each test",
+                                    "Root mean square of the misfit in each region and its probability by chance, "
+                                    "adjusted for the number of regions (Holm); orange for p ≤ 0.05. Offsets, zeros "
+                                    "and mesh error can compensate part of the misfit; the numbers do not include this "
+                                    "compensation.")
     yield from make_population_section(fits, units, pictures)
-    differing = "" if any(fit.population for fit in fits) else pictures.show(
-        "specimens", partial(draw_specimens, fits, units), "Parameters of each specimen",
+    differing = "" if any(fit.population for fit in fits) else pictures.embed_figure(
+        "specimens", partial(draw_individual_parameters, fits, units), "Parameters of each specimen",
         "Thick: ± one standard error; thin: 95 % interval.")
     if differing:
         yield f"<h2>Differences between specimens</h2>{differing}"
-    for fit in (fit for fit in fits if _is_drawn(fit, result)):
+    for fit in (fit for fit in fits if _has_parameter_figures(fit, result)):
         inside = "".join(_draw_estimate_figures(fit, campaign, units, pictures))
         if inside:
-            name = title_of(fit.law)
+            name = format_law_title(fit.law)
             yield f"<h2>How well {name} is determined</h2>{inside}" if fit is fits[0] else \
                 f"<details><summary>How well {name} is determined</summary>{inside}</details>"
     if any(fit.history for fit in fits):
         yield "<h2>Convergence</h2>"
-        yield pictures.show("convergence", partial(draw_history, fits),
-                            "Error and parameters at every solve of every start",
-                            "Error: sum of squares of the whitened residuals and priors. One line per start; one solve "
-                            "simulates all tests. At the change to the accurate mesh the error may rise, because the "
-                            "covariance of the fast mesh includes a larger mesh error.")
+        yield pictures.embed_figure("convergence", partial(draw_descent_history, fits),
+                                    "Error and parameters at every solve of every start",
+                                    "Error: sum of squares of the whitened residuals and priors. One line per start; "
+                                    "one solve simulates all tests. At the change to the accurate mesh the error may "
+                                    "rise, because the covariance of the fast mesh includes a larger mesh error.")
 
 
-def _is_drawn(fit: Fit, result: CalibrationResult) -> bool:
+def _has_parameter_figures(fit: Fit, result: CalibrationResult) -> bool:
     """Return whether the report draws the parameters of a fit: the best fit and all fits with profiles."""
     return fit is result.best or bool(fit.profiles)
 
 
-def _draw_estimate_figures(fit: Fit, campaign: Campaign, units: Units, pictures: Pictures) -> Iterator[str]:
+def _draw_estimate_figures(fit: Fit, campaign: Campaign, units: ReportUnits, pictures: FigureEmbedder) -> Iterator[str]:
     if fit.profiles:
         note = ("Increase of the sum of squares when one parameter is fixed and all others are fitted again. If the "
                 "profile differs from the dashed parabola, ± 2 standard errors are not a 95 % interval.")
-        yield pictures.show(f"profiles {fit.law}", partial(draw_profiles, fit, campaign.fit.bounds, units),
-                            f"Profile likelihoods of {fit.law}", note)
-    yield pictures.show(f"windows {fit.law}", partial(draw_windows, fit, units),
-                        f"Parameters of {fit.law} from parts of the strain",
-                        "Estimates from the first part of the strain of each test only, as with max_strain.")
-    yield pictures.show(f"correlation {fit.law}", partial(draw_correlation, fit, units),
-                        f"Correlation of the parameters of {fit.law}")
+        yield pictures.embed_figure(f"profiles {fit.law}", partial(draw_profiles, fit, campaign.fit.bounds, units),
+                                    f"Profile likelihoods of {fit.law}", note)
+    yield pictures.embed_figure(f"windows {fit.law}", partial(draw_window_fits, fit, units),
+                                f"Parameters of {fit.law} from parts of the strain",
+                                "Estimates from the first part of the strain of each test only, as with max_strain.")
+    yield pictures.embed_figure(f"correlation {fit.law}", partial(draw_parameter_correlation, fit, units),
+                                f"Correlation of the parameters of {fit.law}")
 
 
 def _format_effort(fit: Fit) -> str:
@@ -251,7 +260,7 @@ def _format_effort(fit: Fit) -> str:
             f"{format_count(fit.fem_solves, 'simulated test')}, {fit.cpu_s:.3g} s of processor time")
 
 
-def _describe_test(test: Test, count: int) -> str:
+def _format_test_description(test: Test, count: int) -> str:
     """Describe a test: ``needle indentation of phantom, flat tool of radius 8 mm, face bonded; 3 recordings``."""
     words = test.kind.name.replace("_", " ")
     if test.specimen is not None:

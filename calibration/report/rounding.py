@@ -34,14 +34,14 @@ _FORMAT = NumberFormat()
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
-def last_kept_place(error: float) -> int:
+def find_last_kept_power_of_ten(error: float) -> int:
     """Return the power of ten of the last digit to keep for this error (> 0), such as -2 for 0.12."""
     power = math.floor(math.log10(error))
     three = error / 10.0**(power - 2)
     return power if 354.5 <= three < 949.5 else power - 1 if three < 354.5 else power
 
 
-def value_and_error(value: float, error: float | None, unit: str = "", *, known: str = "") -> str:
+def format_value_and_error(value: float, error: float | None, unit: str = "", *, known: str = "") -> str:
     """Return a value with its error as text, such as ``0.988 ± 0.023 kPa`` or ``(4.6 ± 0.5) × 10⁻⁶``.
 
     Args:
@@ -53,19 +53,19 @@ def value_and_error(value: float, error: float | None, unit: str = "", *, known:
     end = f" {unit}" if unit else ""
     if not _is_usable_error(error):
         return f"{value:.{_FORMAT.digits}g}{end}{f' ({known})' if known else ''}"
-    place, power = last_kept_place(error), _common_power_of_ten(value, error)
-    both = f"{_round_to_place(value, place, power)} ± {_round_to_place(error, place, power)}"
+    place, power = find_last_kept_power_of_ten(error), _choose_common_power_of_ten(value, error)
+    both = f"{_scale_and_round(value, place, power)} ± {_scale_and_round(error, place, power)}"
     return f"({both}){_format_power_of_ten(power)}{end}" if power else f"{both}{end}"
 
 
-def value_text(value: float, error: float | None) -> str:
+def format_value_rounded_by_error(value: float, error: float | None) -> str:
     """Return a value rounded to the precision of its error; four significant digits without an error."""
-    if _is_usable_error(error) and not _common_power_of_ten(value, error):
-        return _round_to_place(value, last_kept_place(error), 0)
+    if _is_usable_error(error) and not _choose_common_power_of_ten(value, error):
+        return _scale_and_round(value, find_last_kept_power_of_ten(error), 0)
     return f"{value:.{_FORMAT.digits}g}"
 
 
-def interval_text(low: float, high: float, error: float | None, value: float = 0.0) -> str:
+def format_interval(low: float, high: float, error: float | None, value: float = 0.0) -> str:
     """Return an interval as text, such as ``0.937 to 1.040``, with the power of ten of the value.
 
     Args:
@@ -78,41 +78,43 @@ def interval_text(low: float, high: float, error: float | None, value: float = 0
     width = (high - low) / (2.0 * NORMAL_95)
     if not (_is_usable_error(error) and _is_usable_error(width)):
         return f"{low:.{_FORMAT.digits}g} to {high:.{_FORMAT.digits}g}"
-    place, power = last_kept_place(min(error, width)), _common_power_of_ten(value, error)
-    both = f"{_round_to_place(low, place, power)} to {_round_to_place(high, place, power)}"
+    place, power = find_last_kept_power_of_ten(min(error, width)), _choose_common_power_of_ten(value, error)
+    both = f"{_scale_and_round(low, place, power)} to {_scale_and_round(high, place, power)}"
     return f"({both}){_format_power_of_ten(power)}" if power else both
 
 
-def error_text(error: float) -> str:
+def format_error(error: float) -> str:
     """Return a rounded error as text, such as ``0.0053``."""
     is_plain = _is_usable_error(error) and _FORMAT.min_plain / 10 < error < _FORMAT.max_plain
-    return _round_to_place(error, last_kept_place(error), 0) if is_plain else f"{error:.2g}"
+    return _scale_and_round(error, find_last_kept_power_of_ten(error), 0) if is_plain else f"{error:.2g}"
 
 
-def gain_text(gain: float) -> str:
+def format_criterion_difference(gain: float) -> str:
     """Return the difference of an information criterion as text, such as ``24 964`` or ``−3.2``."""
     text = f"{gain:.2g}" if abs(gain) < 10 else f"{gain:,.0f}"
     return text.replace(",", "\u202f").replace("-", "−")
 
 
-def ratio_text(ratio: float) -> str:
+def format_odds_ratio(ratio: float) -> str:
     """Return odds as text, such as ``4.9``, ``48 600`` or ``> 10⁶``."""
-    return "> 10⁶" if ratio > 1e6 else gain_text(float(f"{ratio:.3g}")) if ratio >= 100 else f"{ratio:.2g}"
+    if ratio > 1e6:
+        return "> 10⁶"
+    return format_criterion_difference(float(f"{ratio:.3g}")) if ratio >= 100 else f"{ratio:.2g}"
 
 
 def _is_usable_error(error: float | None) -> TypeGuard[float]:
     return error is not None and error > 0 and math.isfinite(error)
 
 
-def _common_power_of_ten(value: float, error: float) -> int:
+def _choose_common_power_of_ten(value: float, error: float) -> int:
     """Return the power of ten that is factored out of value and error; 0 if none."""
     largest = max(abs(value), error)
-    if _FORMAT.min_plain <= largest < _FORMAT.max_plain and last_kept_place(error) > -7:
+    if _FORMAT.min_plain <= largest < _FORMAT.max_plain and find_last_kept_power_of_ten(error) > -7:
         return 0
     return math.floor(math.log10(largest))
 
 
-def _round_to_place(value: float, place: int, power: int) -> str:
+def _scale_and_round(value: float, place: int, power: int) -> str:
     """Return value / 10**power rounded to the decimal place 10**place."""
     scaled = round(value, -place) / 10.0**power + 0.0  # a rounded zero has no sign
     return f"{scaled:.{max(power - place, 0)}f}"

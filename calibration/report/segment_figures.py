@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calibration.output_folder import picture_of_test
-from calibration.report.drawing import Pictures, new_figure
+from calibration.output_folder import make_test_figure_name
+from calibration.report.drawing import FigureEmbedder, create_figure
 from calibration.report.layout import LAYOUT
-from calibration.report.page import html_list
+from calibration.report.page import make_html_list
 from tissue_sim.recording.contact import Contact
 
 if TYPE_CHECKING:
@@ -26,8 +26,8 @@ SPANS = {"approach": "#56B4E9", "preload": "#CC79A7", "preconditioning": "#E69F0
          "failure": "#D55E00"}
 
 
-def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None, segmentation: Segmentation,
-                  used: np.ndarray | None = None):
+def draw_segment_figure(displacement: np.ndarray, force: np.ndarray, time: np.ndarray | None,
+                        segmentation: Segmentation, used: np.ndarray | None = None):
     """Draw the segments of a recording over time, and a detail view of its contact.
 
     Args:
@@ -48,7 +48,7 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
     clock = travel if table else np.arange(force.size) if time is None else time
     contact = segmentation.contact
     has_detail = contact is not None and np.isfinite(contact.interval[1])
-    figure = new_figure(LAYOUT.width, LAYOUT.segment_height)
+    figure = create_figure(LAYOUT.width, LAYOUT.segment_height)
     over_time, detail = figure.subplots(1, 2, width_ratios=(1.6, 1)) if has_detail else (figure.subplots(), None)
     _draw_segment_spans(over_time, clock, segmentation)
     line, = over_time.plot(clock, load, color="0.15", lw=1.1, label=words[1])
@@ -57,17 +57,18 @@ def draw_segments(displacement: np.ndarray, force: np.ndarray, time: np.ndarray 
                        label="fitted", zorder=1.9)
     _mark_failure(over_time, clock, load, segmentation)
     if not table:
-        _draw_motion(over_time.twinx(), clock, travel, words[0])
+        _draw_displacement_over_time(over_time.twinx(), clock, travel, words[0])
     over_time.set(xlabel=words[0] if table else "sample" if time is None else "time [s]", ylabel=words[1],
                   xlim=(clock[0], max(clock[-1], clock[0] + 1e-9)))
     over_time.legend(loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=6, fontsize=8.5, borderaxespad=0.2)
     line.set_zorder(3)
     if detail is not None and contact is not None:
-        _draw_contact(detail, travel, load, np.arange(force.size) if time is None else time, contact, words, stressed)
+        _draw_contact_detail(detail, travel, load, np.arange(force.size) if time is None else time, contact, words,
+                             stressed)
     return figure
 
 
-def _draw_motion(axes, clock: np.ndarray, travel: np.ndarray, label: str) -> None:
+def _draw_displacement_over_time(axes, clock: np.ndarray, travel: np.ndarray, label: str) -> None:
     axes.plot(clock, travel, color="0.45", lw=1.0, ls=(0, (4, 2)))
     axes.set_ylabel(f"{label} (dashed)", color="0.4")
     axes.grid(visible=False)
@@ -90,8 +91,8 @@ def _mark_failure(axes, clock: np.ndarray, load: np.ndarray, segmentation: Segme
                   label=failure.mode)
 
 
-def _draw_contact(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray, contact: Contact,
-                  words: tuple[str, str], stressed: bool) -> None:
+def _draw_contact_detail(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray, contact: Contact,
+                         words: tuple[str, str], stressed: bool) -> None:
     scale, factor = (1.0, 1e-3) if stressed else (1e3, 1.0)
     position = scale * contact.displacement
     low, high = (scale * end for end in contact.interval)
@@ -114,7 +115,7 @@ def _draw_contact(axes, travel: np.ndarray, load: np.ndarray, clock: np.ndarray,
 
 
 def make_segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[MeasuredCurve]],
-                         pictures: Pictures | None) -> Iterator[str]:
+                         pictures: FigureEmbedder | None) -> Iterator[str]:
     """Yield the HTML of the section on segments: segments and fitted samples of each recording, one figure per test.
 
     The figure shows the first recording with a note, or the first recording if none has a note.
@@ -130,20 +131,20 @@ def make_segment_section(campaign: Campaign, recordings: Mapping[str, Sequence[M
         if not (curves := known.get(test)):
             continue
         yield f"<h3>{escape(test)}</h3>"
-        yield html_list(_describe_recording(curve) for curve in curves)
+        yield make_html_list(_describe_recording(curve) for curve in curves)
         if pictures is not None:
             drawn = next((curve for curve in curves if curve.notes), curves[0])
-            yield pictures.show(picture_of_test(campaign, number, "segments"), partial(_draw_recording_segments, drawn),
-                                f"Segments of {drawn.name}",
-                                f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a part is "
-                                "fitted.")
+            yield pictures.embed_figure(make_test_figure_name(campaign, number, "segments"),
+                                        partial(_draw_recording_segments, drawn), f"Segments of {drawn.name}",
+                                        f"{escape(drawn.name)}: raw recording; the fitted samples are blue if only a "
+                                        "part is fitted.")
 
 
 def _draw_recording_segments(curve: MeasuredCurve):
     whole = curve.whole
     assert whole is not None
-    return draw_segments(whole.displacement + whole.shift, whole.recorded_force, whole.time, whole.segmentation,
-                         whole.used)
+    return draw_segment_figure(whole.displacement + whole.shift, whole.recorded_force, whole.time, whole.segmentation,
+                               whole.used)
 
 
 def _describe_recording(curve: MeasuredCurve) -> str:

@@ -10,14 +10,14 @@ _GREEK = {"alpha": "α", "beta": "β", "gamma": "γ", "delta": "δ", "epsilon": 
 _PARTS = re.compile(r"([A-Za-z]+)_?(\d*)$")
 
 
-def html_symbol(symbol: str) -> str:
+def format_html_symbol(symbol: str) -> str:
     """Return a symbol as HTML, such as ``μ<sub>1</sub>``, with its specimen, test or recording in brackets."""
     name, index, owner = _split_symbol(symbol)
     letter = f"<i>{escape(_GREEK.get(name, name))}</i>" if index or name in _GREEK else escape(name)
     return letter + (f"<sub>{index}</sub>" if index else "") + (f" ({escape(owner)})" if owner else "")
 
 
-def math_symbol(symbol: str) -> str:
+def format_mathtext_symbol(symbol: str) -> str:
     """Return a symbol in mathtext for the labels of figures."""
     name, index, owner = _split_symbol(symbol)
     if not index and name not in _GREEK:
@@ -27,7 +27,7 @@ def math_symbol(symbol: str) -> str:
     return f"${letter}{index}$" + (f" ({owner})".replace("$", r"\$") if owner else "")
 
 
-def plain_symbol(symbol: str) -> str:
+def format_plain_symbol(symbol: str) -> str:
     """Return a symbol in plain text, such as ``μ1`` or ``C10 (A)``."""
     name, index, owner = _split_symbol(symbol)
     return f"{_GREEK.get(name, name)}{index}" + (f" ({owner})" if owner else "")

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from calibration.campaign.campaign import Test
-    from calibration.fit.fit import Fit, JitterStatement
+    from calibration.fit.fit import Fit, ReplicateJitterStatement
     from calibration.fit.result import CalibrationResult
 
 #: Unit -> its size in SI, largest first.
@@ -21,7 +21,7 @@ _RELATIVE_ERROR = 1e-2
 
 
 @dataclass(frozen=True)
-class Unit:
+class DisplayUnit:
     """Display unit of a quantity.
 
     Attributes:
@@ -32,17 +32,17 @@ class Unit:
     name: str
     size: float
 
-    def text(self, value: float, digits: int) -> str:
+    def format_quantity(self, value: float, digits: int) -> str:
         """Return a value (SI) in this unit with this many significant digits, such as ``0.047 N``."""
         return f"{float(f'{value / self.size:.{digits}g}'):g} {self.name}".rstrip()
 
-    def label(self, name: str) -> str:
+    def format_axis_label(self, name: str) -> str:
         """Return the label of an axis or column, such as ``force [N]``."""
         return f"{name} [{self.name}]" if self.name else name
 
 
 @dataclass(frozen=True)
-class Units:
+class ReportUnits:
     """Display units of one report.
 
     Attributes:
@@ -51,77 +51,79 @@ class Units:
         pressure: unit of stresses and moduli.
     """
 
-    length: Unit
-    force: Unit
-    pressure: Unit
+    length: DisplayUnit
+    force: DisplayUnit
+    pressure: DisplayUnit
 
     @classmethod
-    def of(cls, result: CalibrationResult) -> Units:
+    def choose_for_calibration(cls, result: CalibrationResult) -> ReportUnits:
         """Choose the units for a calibration.
 
         The pressure unit suits the shear modulus of the best law. Length and force are in mm and N, or in smaller units
         for small tests, such as 2 µm instead of 0.002 mm.
         """
-        return cls.of_fit(result.best)
+        return cls.choose_for_fit(result.best)
 
     @classmethod
-    def of_fit(cls, fit: Fit) -> Units:
+    def choose_for_fit(cls, fit: Fit) -> ReportUnits:
         """Choose the units for one fit; see `of`."""
         travel = max((region.end * 1e-3 for region in fit.regions), default=1e-3)
         force = 1.0 if fit.RMSE_N is None else fit.RMSE_N / _RELATIVE_ERROR
-        return cls.of_sizes(travel, force, fit.mu0)
+        return cls.choose_for_typical_sizes(travel, force, fit.mu0)
 
     @classmethod
-    def of_sizes(cls, travel: float, force: float, modulus: float) -> Units:
+    def choose_for_typical_sizes(cls, travel: float, force: float, modulus: float) -> ReportUnits:
         """Choose the units for typical displacements (m), forces (N) and moduli (Pa); see `of`."""
-        return cls(_choose_unit(_LENGTH_UNITS, 10 * travel), _choose_unit(_FORCE_UNITS, 10 * force),
-                   Unit(*pressure_unit(modulus)))
+        return cls(_choose_largest_fitting_unit(_LENGTH_UNITS, 10 * travel),
+                   _choose_largest_fitting_unit(_FORCE_UNITS, 10 * force), DisplayUnit(*choose_pressure_unit(modulus)))
 
-    def load_unit(self, test: Test) -> Unit:
+    def get_load_unit(self, test: Test) -> DisplayUnit:
         """Return the unit of force, or of stress for a test without specimen."""
         return self.pressure if test.specimen is None else self.force
 
-    def travel_unit(self, test: Test) -> Unit:
+    def get_displacement_unit(self, test: Test) -> DisplayUnit:
         """Return the unit of displacement, or of strain for a test without specimen."""
-        return Unit("", 1.0) if test.specimen is None else self.length
+        return DisplayUnit("", 1.0) if test.specimen is None else self.length
 
-    def format_scatter(self, jitter: JitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
+    def format_replicate_jitter(self, jitter: ReplicateJitterStatement, tests: Sequence[Test]) -> tuple[str, str]:
         """Return the scatter of contact point and force zero as text.
 
         The scatter is a length and a force, or a strain and a stress if no test has a specimen.
         """
         test = self.choose_typical_test(tests)
         contact = jitter.contact_mm * 1e-3
-        return self.travel_unit(test).text(contact, 2) + (" of strain" if test.specimen is None else ""), \
-            self.load_unit(test).text(jitter.zero_N, 2)
+        return self.get_displacement_unit(test).format_quantity(contact, 2) + (" of strain" if test.specimen is None
+                                                                               else ""), \
+            self.get_load_unit(test).format_quantity(jitter.zero_N, 2)
 
     @staticmethod
     def choose_typical_test(tests: Sequence[Test]) -> Test:
         """Return the test that decides the units of common quantities: the first with a specimen, else the first."""
         return next((test for test in tests if test.specimen is not None), tests[0])
 
-    def of_parameter(self, unit: str) -> Unit:
+    def choose_parameter_unit(self, unit: str) -> DisplayUnit:
         """Return the display unit of a parameter whose SI unit is `unit`."""
-        known = {"Pa": self.pressure, "N": self.force, "m": self.length, "1": Unit("", 1.0),
-                 "m/N": Unit("mm/N", 1e-3), "m2/s": Unit("mm²/s", 1e-6), "N s/m": Unit("N s/mm", 1e3),
-                 "1/m": Unit("1/mm", 1e3), "rad": Unit("°", math.pi / 180)}
-        return known.get(unit, Unit(unit, 1.0))
+        known = {"Pa": self.pressure, "N": self.force, "m": self.length, "1": DisplayUnit("", 1.0),
+                 "m/N": DisplayUnit("mm/N", 1e-3), "m2/s": DisplayUnit("mm²/s", 1e-6),
+                 "N s/m": DisplayUnit("N s/mm", 1e3),
+                 "1/m": DisplayUnit("1/mm", 1e3), "rad": DisplayUnit("°", math.pi / 180)}
+        return known.get(unit, DisplayUnit(unit, 1.0))
 
 
-def _choose_unit(units: Mapping[str, float], size: float) -> Unit:
+def _choose_largest_fitting_unit(units: Mapping[str, float], size: float) -> DisplayUnit:
     """Return the largest unit that is not larger than `size`; the smallest unit if all are larger."""
-    return Unit(*next((pair for pair in units.items() if size >= pair[1]), [*units.items()][-1]))
+    return DisplayUnit(*next((pair for pair in units.items() if size >= pair[1]), [*units.items()][-1]))
 
 
-def pressure_unit(pressure: float) -> tuple[str, float]:
+def choose_pressure_unit(pressure: float) -> tuple[str, float]:
     """Return the unit for a pressure in Pa and its size in Pa; Pa for zero and for values that are not finite."""
     # Round first: 999.999 Pa is written as 1 kPa.
     size = float(f"{abs(pressure):.4g}") if math.isfinite(pressure) else 0.0
-    unit = _choose_unit(PRESSURE_UNITS, size)
+    unit = _choose_largest_fitting_unit(PRESSURE_UNITS, size)
     return unit.name, unit.size
 
 
 def format_pressure(pressure: float, digits: int = 5) -> str:
     """Return a pressure in Pa as text in a suitable unit, such as ``'8.4296 kPa'`` for 8429.6."""
-    unit, factor = pressure_unit(pressure)
+    unit, factor = choose_pressure_unit(pressure)
     return f"{pressure / factor:.{digits}g} {unit}"

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from calibration.fit.fit import Fit
-from calibration.report.page import html_table, title_of, use_minus_signs
-from calibration.report.units import Units
+from calibration.report.page import format_law_title, make_html_table, use_minus_signs
+from calibration.report.units import ReportUnits
 
 #: Criterion -> the condition in words.
 CRITERIA = {
@@ -27,7 +27,7 @@ CRITERIA = {
 }
 
 
-def make_usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: Units) -> list[str]:
+def make_usability_section(fits: Sequence[Fit], failures: Mapping[str, str], units: ReportUnits) -> list[str]:
     """Return the HTML of the section on usable laws: criteria with reasons of failure, and alternative optima."""
     if not any(fit.clauses for fit in fits):
         return []
@@ -38,16 +38,18 @@ def make_usability_section(fits: Sequence[Fit], failures: Mapping[str, str], uni
         reasons = "<br>".join(
             f'<span class="bad">{escape(CRITERIA.get(clause.name, clause.name))}</span>: {escape(clause.reason)}'
             + (f"; {escape(clause.remedy)}" if clause.remedy else "") for clause in failed)
-        rows.append([title_of(fit.law), "usable" if not failed else escape(fit.status), reasons or "-", escape(held)])
-    rows += [[title_of(law), "no fit", escape(reason), "-"] for law, reason in failures.items()]
-    parts = ["<h2>Which laws are usable</h2>", html_table(["Law", "Status", "Fails", "Holds"], rows, text=(1, 2, 3))]
+        rows.append([format_law_title(fit.law), "usable" if not failed else escape(fit.status), reasons or "-",
+                     escape(held)])
+    rows += [[format_law_title(law), "no fit", escape(reason), "-"] for law, reason in failures.items()]
+    parts = ["<h2>Which laws are usable</h2>",
+             make_html_table(["Law", "Status", "Fails", "Holds"], rows, text=(1, 2, 3))]
     return [*parts, *(_make_alternatives_table(fit, units) for fit in fits if fit.alternatives)]
 
 
-def _make_alternatives_table(fit: Fit, units: Units) -> str:
+def _make_alternatives_table(fit: Fit, units: ReportUnits) -> str:
     """Return the HTML table of the alternative optima of a law and the tests that distinguish them."""
     def format_values(parameters: Mapping[str, float]) -> list[str]:
-        scales = [units.of_parameter(fit.units[name]) for name in parameters]
+        scales = [units.choose_parameter_unit(fit.units[name]) for name in parameters]
         return [use_minus_signs(f"{value / unit.size:.5g} {unit.name}".strip())
                 for value, unit in zip(parameters.values(), scales, strict=True)]
 
@@ -55,10 +57,10 @@ def _make_alternatives_table(fit: Fit, units: Units) -> str:
     rows: list[list[str | None]] = [[*format_values(fit.parameters), f"{fit.R2:.5f}", "reported", "-"]]
     for each in fit.alternatives:
         stress = (f"{each.alternative_stress_Pa / pressure.size:.4g} {pressure.name} instead of "
-                  f"{each.stress_Pa / pressure.size:.4g} {pressure.name}{each.times}")
+                  f"{each.stress_Pa / pressure.size:.4g} {pressure.name}{each.stress_ratio_text}")
         rows.append([*format_values(each.parameters), f"{each.R2:.5f}", escape(each.separated_by),
                      use_minus_signs(stress)])
     labels = [*(escape(fit.symbols[name]) for name in fit.parameters), "R²", "Distinguished by",
               "Nominal stress there"]
-    return (f"<h3>{title_of(fit.law)}: parameters that fit equally well</h3>"
-            + html_table(labels, rows, text=(len(labels) - 2, len(labels) - 1)))
+    return (f"<h3>{format_law_title(fit.law)}: parameters that fit equally well</h3>"
+            + make_html_table(labels, rows, text=(len(labels) - 2, len(labels) - 1)))

@@ -10,11 +10,11 @@ import numpy as np
 
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves
-from calibration.report.units import Unit, Units
+from calibration.report.units import DisplayUnit, ReportUnits
 
 
 @dataclass(frozen=True)
-class TangentSettings:
+class LocalSlopeSettings:
     """Settings of the local slopes (tangents) of a curve.
 
     Attributes:
@@ -34,13 +34,13 @@ class TangentSettings:
 
 
 #: Settings of the tangents in the reports.
-TANGENTS = TangentSettings()
+TANGENTS = LocalSlopeSettings()
 #: Prefixes of the labels of segments whose tangents are drawn.
 _LOADING = ("ramp", "approach", "reload")
 
 
 @dataclass(frozen=True, eq=False)
-class Trace:
+class CurveTrace:
     """Measured or computed curve of a test in SI units; see `TestCurves` for tests without a specimen.
 
     Attributes:
@@ -58,11 +58,11 @@ class Trace:
     band: np.ndarray | None = None
 
     @classmethod
-    def of(cls, measured: MeasuredCurve) -> Trace:
+    def from_recording(cls, measured: MeasuredCurve) -> CurveTrace:
         """Return the curve of a recording."""
         return cls(measured.time, measured.displacement, measured.force, measured.segment)
 
-    def runs(self) -> Iterator[tuple[str, int, int]]:
+    def iterate_segments(self) -> Iterator[tuple[str, int, int]]:
         """Yield (label, first sample, sample after the last) of each segment; without labels one ``ramp``."""
         if self.segment is None:
             yield "ramp", 0, self.force.size
@@ -77,8 +77,8 @@ Lines = Iterator[tuple[np.ndarray, np.ndarray, np.ndarray | None]]
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """Content of one panel.
+class PanelView:
+    """Panel of a figure: labels of the axes, and the function that converts a curve to lines in the panel.
 
     Attributes:
         title: title of the panel.
@@ -93,14 +93,14 @@ class View:
     title: str
     x: str
     y: str
-    lines: Callable[[Trace], Lines]
+    lines: Callable[[CurveTrace], Lines]
     own: bool = False
     log: bool = False
     rates: bool = False
 
 
-def list_views(best: TestCurves, units: Units) -> list[View]:
-    """Return the views of a test.
+def list_panel_views(best: TestCurves, units: ReportUnits) -> list[PanelView]:
+    """Return the panels in which the curves of a test are drawn.
 
     - Force against displacement, for tests with a specimen.
     - Nominal stress against strain, if grips or plates load the entire cross-section.
@@ -108,25 +108,30 @@ def list_views(best: TestCurves, units: Units) -> list[View]:
     - Load against time, and load in holds against the logarithm of time, for timed tests.
     """
     test, found = best.test, []
-    x, load, area = units.travel_unit(test), units.load_unit(test), _find_loaded_area(best)
-    curve, x_label, history = _LoadCurve(x, load), x.label("displacement"), _LoadHistory(load)
+    x, load, area = units.get_displacement_unit(test), units.get_load_unit(test), _find_loaded_area(best)
+    curve, x_label, history = _LoadDisplacementView(x, load), x.format_axis_label("displacement"), _LoadTimeView(load)
     if test.specimen is not None:
-        found.append(View("Force and displacement", x_label, load.label("force"), curve.lines))
+        found.append(PanelView("Force and displacement", x_label, load.format_axis_label("force"), curve.iterate_lines))
     if area is not None:
         height = 1.0 if test.specimen is None else test.specimen.height
-        curve = _LoadCurve(Unit("", height), Unit(units.pressure.name, units.pressure.size * area))
+        curve = _LoadDisplacementView(DisplayUnit("", height),
+                                      DisplayUnit(units.pressure.name, units.pressure.size * area))
         x_label = test.kind.strain_name
-        found.append(View("Stress and strain", x_label, units.pressure.label("nominal stress"), curve.lines))
-    tangent = replace(curve, window=_tangent_half_width(best.measured, curve))
+        found.append(PanelView("Stress and strain", x_label, units.pressure.format_axis_label("nominal stress"),
+                               curve.iterate_lines))
+    tangent = replace(curve, window=_choose_tangent_half_width(best.measured, curve))
     words, rate = ("tangent modulus", curve.y.name) if area is not None else \
         ("stiffness", f"{curve.y.name}/{curve.x.name}")
-    found.append(View(words.capitalize(), x_label, f"{words} [{rate}]", tangent.tangents, own=True, rates=True))
-    if is_timed(best.measured):
-        name = load.label("nominal stress" if test.specimen is None else "force")
-        found.append(View("Load over time", "time [s]", name, history.lines))
-        if any(label.startswith("hold") for label, _, _ in Trace.of(best.measured[0]).runs()):
-            found.append(View("Relaxation in holds", "time since the start of the hold [s]", name, history.holds,
-                              own=True, log=True))
+    found.append(PanelView(words.capitalize(), x_label, f"{words} [{rate}]", tangent.iterate_tangents, own=True,
+                           rates=True))
+    if is_drawn_over_time(best.measured):
+        name = load.format_axis_label("nominal stress" if test.specimen is None else "force")
+        found.append(PanelView("Load over time", "time [s]", name, history.iterate_lines))
+        if any(label.startswith("hold") for label, _,
+               _ in CurveTrace.from_recording(best.measured[0]).iterate_segments()):
+            found.append(PanelView("Relaxation in holds", "time since the start of the hold [s]", name,
+                                   history.iterate_holds,
+                                   own=True, log=True))
     return found
 
 
@@ -143,12 +148,12 @@ def _find_loaded_area(curves: TestCurves) -> float | None:
     return test.specimen.area if whole and test.specimen.is_prism else curves.area
 
 
-def is_timed(recordings: Sequence[MeasuredCurve]) -> bool:
+def is_drawn_over_time(recordings: Sequence[MeasuredCurve]) -> bool:
     """Return whether a test has several segments and time, so that it must be drawn over time."""
     return all(m.time is not None and m.segment is not None and np.unique(m.segment).size > 1 for m in recordings)
 
 
-def compute_law_trace(curves: TestCurves, own: bool = False) -> Trace | None:
+def compute_law_curve(curves: TestCurves, own: bool = False) -> CurveTrace | None:
     """Return the curve of a law.
 
     For a timed test the curve is evaluated at the samples of the first recording, otherwise along the model's motion.
@@ -161,15 +166,15 @@ def compute_law_trace(curves: TestCurves, own: bool = False) -> Trace | None:
         The curve; None if model and recording have no common time.
     """
     first = curves.measured[0]
-    if own and is_timed(curves.measured):
-        return replace(Trace.of(first), force=curves.fitted[0])
-    if not is_timed(curves.measured):
-        return Trace(curves.time, curves.displacement, curves.force, None, curves.band)
-    values = interpolate_law(curves, first)
-    return None if values is None else replace(Trace.of(first), force=values[:, 0], band=values[:, 1])
+    if own and is_drawn_over_time(curves.measured):
+        return replace(CurveTrace.from_recording(first), force=curves.fitted[0])
+    if not is_drawn_over_time(curves.measured):
+        return CurveTrace(curves.time, curves.displacement, curves.force, None, curves.band)
+    values = interpolate_law_at_samples(curves, first)
+    return None if values is None else replace(CurveTrace.from_recording(first), force=values[:, 0], band=values[:, 1])
 
 
-def interpolate_law(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
+def interpolate_law_at_samples(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray | None:
     """Interpolate a law to the samples of a recording, over time if both have time, otherwise over displacement.
 
     Returns:
@@ -189,7 +194,7 @@ def interpolate_law(curves: TestCurves, measured: MeasuredCurve) -> np.ndarray |
 
 
 @dataclass(frozen=True)
-class _LoadCurve:
+class _LoadDisplacementView:
     """Load against displacement, or stress against strain.
 
     Attributes:
@@ -198,40 +203,40 @@ class _LoadCurve:
         window: half width of the window of a tangent, in units of x.
     """
 
-    x: Unit
-    y: Unit
+    x: DisplayUnit
+    y: DisplayUnit
     window: float = 0.0
 
-    def lines(self, trace: Trace) -> Lines:
+    def iterate_lines(self, trace: CurveTrace) -> Lines:
         band = None if trace.band is None else trace.band / self.y.size
         yield trace.displacement / self.x.size, trace.force / self.y.size, band
 
-    def tangents(self, trace: Trace) -> Lines:
+    def iterate_tangents(self, trace: CurveTrace) -> Lines:
         """Yield the local slopes of each loading segment; the window is the same for all traces."""
-        (x, y, _), = self.lines(trace)
-        for label, first, after in trace.runs():
+        (x, y, _), = self.iterate_lines(trace)
+        for label, first, after in trace.iterate_segments():
             if label.startswith(_LOADING) and after - first >= TANGENTS.min_samples:
                 yield (*compute_local_slopes(x[first:after], y[first:after], self.window), None)
 
 
 @dataclass(frozen=True)
-class _LoadHistory:
+class _LoadTimeView:
     """Load against time.
 
     Attributes:
         y: unit of the load.
     """
 
-    y: Unit
+    y: DisplayUnit
 
-    def lines(self, trace: Trace) -> Lines:
+    def iterate_lines(self, trace: CurveTrace) -> Lines:
         assert trace.time is not None
         yield trace.time, trace.force / self.y.size, None if trace.band is None else trace.band / self.y.size
 
-    def holds(self, trace: Trace) -> Lines:
+    def iterate_holds(self, trace: CurveTrace) -> Lines:
         """Yield the load in each hold against the time since the start of the hold."""
         assert trace.time is not None
-        for label, first, after in trace.runs():
+        for label, first, after in trace.iterate_segments():
             start = max(first - 1, 0)
             if label.startswith("hold") and after - first > 1:
                 since = trace.time[start:after] - trace.time[start]
@@ -240,16 +245,17 @@ class _LoadHistory:
                 yield since[resolved], trace.force[start:after][resolved] / self.y.size, None
 
 
-def _tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _LoadCurve) -> float:
+def _choose_tangent_half_width(recordings: Sequence[MeasuredCurve], curve: _LoadDisplacementView) -> float:
     """Return the half width h of the tangent window for the allowed noise of a slope.
 
     The slope of a line through n samples over a width of 2 h has the standard deviation s sqrt(3 / n) / h, where s is
     the noise of a sample.
     """
     first = recordings[0]
-    (x, y, _), = curve.lines(Trace.of(first))
+    (x, y, _), = curve.iterate_lines(CurveTrace.from_recording(first))
     reach, secant = np.ptp(x) or 1.0, np.ptp(y) or 1.0
-    loading = sum(after - start for label, start, after in Trace.of(first).runs() if label.startswith(_LOADING))
+    loading = sum(after - start for label, start,
+                  after in CurveTrace.from_recording(first).iterate_segments() if label.startswith(_LOADING))
     allowed = TANGENTS.max_noise * secant / reach
     noise, density = first.noise.deviation / curve.y.size, max(loading, 1) / reach
     window = (noise * np.sqrt(1.5 / density) / allowed)**(2 / 3)

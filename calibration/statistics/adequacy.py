@@ -11,7 +11,7 @@ from scipy import special
 
 @dataclass(frozen=True)
 class ScoreTestSettings:
-    """Numerical limits of score tests.
+    """Numerical limits of Rao's score tests.
 
     Attributes:
         min_free_fraction: smallest fraction of a mode's squared norm outside the span of the design for which the mode
@@ -28,8 +28,8 @@ SCORE_TEST = ScoreTestSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Misfit:
-    """Result of a score test in one region.
+class RegionScoreTest:
+    """Result of Rao's score test for a smooth misfit in one region.
 
     Attributes:
         statistic: test statistic; chi-square distributed if the model is correct.
@@ -45,7 +45,7 @@ class Misfit:
     amplitudes: np.ndarray
 
 
-def score_test(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> Misfit:
+def compute_rao_score_test(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> RegionScoreTest:
     """Compute Rao's score test for modes that the model lacks, at the optimum of the fit.
 
     With r = residual, A = design, M = modes, the score is S = M'r, its information is I = M'M - M'A (A'A)^-1 A'M, and
@@ -61,7 +61,7 @@ def score_test(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> M
     left, sizes, right = np.linalg.svd(modes, full_matrices=False)
     kept = sizes > SCORE_TEST.rank_tolerance * sizes.max(initial=0.0)
     left, sizes, right = left[:, kept], sizes[kept], right[kept]
-    fitted = orthonormal_basis(design)
+    fitted = compute_orthonormal_basis(design)
     free = left - fitted @ (fitted.T @ left)
     fractions, axes = np.linalg.eigh(free.T @ free)
     testable = fractions > SCORE_TEST.min_free_fraction
@@ -70,10 +70,10 @@ def score_test(residual: np.ndarray, design: np.ndarray, modes: np.ndarray) -> M
     score = axes.T @ (free.T @ residual)
     statistic, freedom = float(np.sum(score**2 / fractions)), int(fractions.size)
     p = float(special.chdtrc(freedom, statistic)) if freedom else 1.0
-    return Misfit(statistic, freedom, p, -right.T @ ((axes @ (score / fractions)) / sizes))
+    return RegionScoreTest(statistic, freedom, p, -right.T @ ((axes @ (score / fractions)) / sizes))
 
 
-def cosine_modes(position: np.ndarray, count: int) -> np.ndarray:
+def make_cosine_modes(position: np.ndarray, count: int) -> np.ndarray:
     """Return the cosine modes cos(k pi x) for k = 0 to count - 1, shape (n, count).
 
     Args:
@@ -83,7 +83,7 @@ def cosine_modes(position: np.ndarray, count: int) -> np.ndarray:
     return np.cos(np.pi * np.outer(position, np.arange(count)))
 
 
-def adjust_holm(p_values: Sequence[float] | np.ndarray) -> np.ndarray:
+def adjust_p_values_by_holm(p_values: Sequence[float] | np.ndarray) -> np.ndarray:
     """Adjust p values for multiple tests by Holm's step-down method.
 
     With p_(1) <= ... <= p_(n), the adjusted value of p_(i) is the maximum of min((n - j + 1) p_(j), 1) over j <= i.
@@ -104,7 +104,7 @@ def adjust_holm(p_values: Sequence[float] | np.ndarray) -> np.ndarray:
     return adjusted
 
 
-def orthonormal_basis(design: np.ndarray) -> np.ndarray:
+def compute_orthonormal_basis(design: np.ndarray) -> np.ndarray:
     """Return an orthonormal basis of the column space of a matrix, shape (N, rank).
 
     Args:

@@ -10,7 +10,7 @@ from scipy import special
 
 
 @dataclass(frozen=True)
-class BandSettings:
+class PredictionBandSettings:
     """Settings of prediction bands.
 
     Attributes:
@@ -25,7 +25,7 @@ class BandSettings:
     draws: int = 2000
 
 
-_SETTINGS = BandSettings()
+_SETTINGS = PredictionBandSettings()
 #: Degrees of freedom at which quantiles of Student's t are tabulated.
 _FREEDOMS = np.geomspace(1.0, 1e6, 200)
 #: Degrees of freedom of a known variance.
@@ -33,7 +33,7 @@ KNOWN_VARIANCE = np.inf
 
 
 @dataclass(frozen=True, eq=False)
-class Scatter:
+class ScatterComponent:
     """Component of the scatter between recordings: columns times standard normal numbers with an estimated scale.
 
     Attributes:
@@ -50,8 +50,8 @@ class Scatter:
         return np.sum(self.columns**2, axis=1)
 
 
-def prediction_bands(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.ndarray,
-                     samples: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def compute_prediction_bands(bias: np.ndarray, scatters: Sequence[ScatterComponent], noise: np.ndarray,
+                             samples: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
     """Compute the half widths of the pointwise and the simultaneous 95 % prediction band about a curve.
 
     A new sample is curve + bias + sum of scatters + noise. Let q_i be the 97.5 % quantile of Student's t with the
@@ -87,11 +87,11 @@ def prediction_bands(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.nd
         wide = special.stdtr(freedom, middle - shift) - special.stdtr(freedom, -middle - shift) >= _SETTINGS.level
         low, high = np.where(wide, low, middle), np.where(wide, middle, high)
     half = high * deviation
-    return half, half * _simultaneous_factor(bias, scatters, noise, samples, half)
+    return half, half * _compute_simultaneous_band_factor(bias, scatters, noise, samples, half)
 
 
-def _simultaneous_factor(bias: np.ndarray, scatters: Sequence[Scatter], noise: np.ndarray, samples: float,
-                         half: np.ndarray) -> float:
+def _compute_simultaneous_band_factor(bias: np.ndarray, scatters: Sequence[ScatterComponent], noise: np.ndarray,
+                                      samples: float, half: np.ndarray) -> float:
     """Return the factor by which the pointwise band widens so that it contains 95 % of whole recordings; at least 1."""
     generator = np.random.default_rng(0)
     smooth = np.tile(bias, (_SETTINGS.draws, 1))

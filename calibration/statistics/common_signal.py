@@ -56,7 +56,7 @@ class CommonSignal:
     waves: float = 0.0
 
 
-def variance_ratio(residuals: np.ndarray) -> tuple[float, int, int]:
+def compute_variance_ratio(residuals: np.ndarray) -> tuple[float, int, int]:
     """Compute the F ratio of one-way analysis of variance: squared mean over recordings against their scatter.
 
     F = R sum_j m_j^2 / (sum_ij (r_ij - m_j)^2 / (R - 1)), with the mean m_j over R recordings. Its expectation is 1
@@ -88,18 +88,19 @@ def find_common_signal(residuals: np.ndarray, segments: Sequence[slice]) -> Comm
 
     Source: Fisher, Proc. R. Soc. A 125 (1929) 54 (test of a periodogram), here with the measured scatter.
     """
-    ratio, *freedom = variance_ratio(residuals)
+    ratio, *freedom = compute_variance_ratio(residuals)
     whole = slice(0, residuals.shape[1])
     ranges = [whole, *segments] if len(segments) > 1 else [whole]
-    found = [CommonSignal(float(special.fdtrc(*freedom, ratio)), 0, whole.stop - 1), *_make_window_signals(residuals),
-             *(wave for each in ranges for wave in _make_wave_signals(residuals, each))]
+    found = [CommonSignal(float(special.fdtrc(*freedom, ratio)), 0, whole.stop - 1),
+             *_find_best_window_signal(residuals),
+             *(wave for each in ranges for wave in _find_best_wave_signal(residuals, each))]
     best = min(found, key=lambda each: each.p)
     specific = [each for each in found[1:] if len(found) * each.p < _SETTINGS.significance]
     reported = min(specific, key=lambda each: (each.p, -each.waves)) if specific else best
     return replace(reported, p=min(len(found) * best.p, 1.0))
 
 
-def _make_window_signals(residuals: np.ndarray) -> list[CommonSignal]:
+def _find_best_window_signal(residuals: np.ndarray) -> list[CommonSignal]:
     """Return the most significant window among windows of dyadic widths that overlap by half; empty for few samples."""
     count, size = residuals.shape
     totals = np.concatenate([np.zeros((count, 1)), np.cumsum(residuals, axis=1)], axis=1)
@@ -118,7 +119,7 @@ def _make_window_signals(residuals: np.ndarray) -> list[CommonSignal]:
     return [CommonSignal(min(tried * best[0], 1.0), best[1], best[2])] if tried else []
 
 
-def _make_wave_signals(residuals: np.ndarray, segment: slice) -> list[CommonSignal]:
+def _find_best_wave_signal(residuals: np.ndarray, segment: slice) -> list[CommonSignal]:
     """Return the most significant frequency of a segment, with a p value corrected for the number of frequencies.
 
     The list is empty for a short segment.

@@ -10,8 +10,8 @@ from scipy.optimize import minimize
 
 
 @dataclass(frozen=True)
-class JitterSettings:
-    """Settings of the search for the jitter.
+class JitterEstimateSettings:
+    """Settings of the search for the jitter (scatter of contact point and force zero between replicates).
 
     Attributes:
         rank_tolerance: smallest relative eigenvalue for which a direction of the fixed effects counts as independent.
@@ -30,12 +30,12 @@ class JitterSettings:
     gain: float = 1e-6
 
 
-_SETTINGS = JitterSettings()
+_SETTINGS = JitterEstimateSettings()
 
 
 @dataclass(frozen=True)
-class Jitter:
-    """Standard deviations between the replicates of a test.
+class ReplicateJitter:
+    """Jitter: standard deviations of contact point and force zero between the replicates of a test.
 
     Attributes:
         contact: standard deviation of the displacement at first contact, m.
@@ -68,7 +68,7 @@ class WhitenedReplicate:
 
 
 def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: float | None = None,
-                    zero: float | None = None) -> Jitter:
+                    zero: float | None = None) -> ReplicateJitter:
     """Estimate the jitter by restricted maximum likelihood (REML) in a linear mixed-effects model.
 
     The model of the residuals of a test has fixed effects (the parameters, and an offset and a zero of the whole test)
@@ -92,32 +92,33 @@ def estimate_jitter(tests: Sequence[Sequence[WhitenedReplicate]], *, contact: fl
     Source: Patterson and Thompson, Biometrika 58 (1971) 545.
     """
     if contact is not None and zero is not None:
-        return Jitter(contact, zero, None)
+        return ReplicateJitter(contact, zero, None)
     freedom = sum(len(test) - 1 for test in tests if test)
     if not freedom:
-        return Jitter(contact or 0.0, zero or 0.0, 0)
+        return ReplicateJitter(contact or 0.0, zero or 0.0, 0)
     repeated = [test for test in tests if len(test) > 1]
     grams = [_GramMatrices(test) for test in repeated]
     fixed = _remove_dependent_effects(grams)
     unknown = [kind for kind, stated in enumerate((contact, zero)) if stated is None]
 
-    def insert_stated(values: np.ndarray) -> np.ndarray:
+    def insert_stated_values(values: np.ndarray) -> np.ndarray:
         result = np.broadcast_to([contact or 0.0, zero or 0.0], (*values.shape[:-1], 2)).copy()
         result[..., unknown] = values
         return result
 
-    def criterion(values: np.ndarray) -> np.ndarray:
-        return _evaluate_criterion(grams, fixed, insert_stated(values))
+    def evaluate_reml_criterion(values: np.ndarray) -> np.ndarray:
+        return _evaluate_criterion(grams, fixed, insert_stated_values(values))
 
     ranges = [_find_search_range(repeated, kind) for kind in unknown]
-    best, lowest = np.zeros(len(unknown)), float(criterion(np.zeros(len(unknown))))
+    best, lowest = np.zeros(len(unknown)), float(evaluate_reml_criterion(np.zeros(len(unknown))))
     # A standard deviation may be 0, where its logarithm is infinite: each subset of nonzero ones is minimised.
     for present in [[0]] if len(unknown) == 1 else [[0], [1], [0, 1]]:
-        value, candidate = _minimise(criterion, len(unknown), present, [ranges[k] for k in present])
+        value, candidate = _minimise_over_log_deviations(evaluate_reml_criterion, len(unknown), present,
+                                                         [ranges[k] for k in present])
         if value < lowest - _SETTINGS.gain:
             best, lowest = candidate, value
-    found = insert_stated(best)
-    return Jitter(float(found[0]), float(found[1]), freedom)
+    found = insert_stated_values(best)
+    return ReplicateJitter(float(found[0]), float(found[1]), freedom)
 
 
 class _GramMatrices:
@@ -221,8 +222,8 @@ def _find_search_range(tests: Sequence[Sequence[WhitenedReplicate]], kind: int) 
     return _SETTINGS.smallest * error, _SETTINGS.largest * (offset + largest_error)
 
 
-def _minimise(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
-              ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
+def _minimise_over_log_deviations(criterion: Callable[[np.ndarray], np.ndarray], size: int, present: list[int],
+                                  ranges: list[tuple[float, float]]) -> tuple[float, np.ndarray]:
     """Minimise the criterion over the logarithms of nonzero standard deviations: grid search, then L-BFGS-B.
 
     Args:

@@ -36,7 +36,7 @@ _PROBABILITIES = (np.arange(400) + 0.5) / 400
 
 
 @dataclass(frozen=True, eq=False)
-class Population:
+class PopulationEstimate:
     """Estimated population of p parameters from n specimens.
 
     Attributes:
@@ -78,7 +78,7 @@ class Population:
 
 
 def estimate_population(order: Sequence[str], specimens: Sequence[str], estimates: np.ndarray,
-                        covariances: np.ndarray, common: np.ndarray | None = None) -> Population:
+                        covariances: np.ndarray, common: np.ndarray | None = None) -> PopulationEstimate:
     """Estimate the population of specimens that were fitted individually.
 
     With the weights Omega_i = (W + V_i)^-1 the mean is m = (sum Omega_i)^-1 sum Omega_i x_i. The shrinkage estimate of
@@ -102,8 +102,8 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     x, V = np.array(estimates, dtype=float), np.array(covariances, dtype=float)
     n, p = len(specimens), len(order)
     if n < POPULATION.min_specimens:
-        raise InputError(f"the scatter between specimens requires at least {POPULATION.min_specimens} specimens; got "
-                         f"{n}", field="specimen")
+        raise InputError(f"a population must have at least {POPULATION.min_specimens} specimens; got {n}. Add "
+                         "specimens, or fit the specimens without a population", field="specimen")
     if x.shape != (n, p) or V.shape != (n, p, p):
         raise InputError(f"estimates and covariances must have the shapes {(n, p)} and {(n, p, p)}; got {x.shape} and "
                          f"{V.shape}", field="estimates")
@@ -135,7 +135,7 @@ def estimate_population(order: Sequence[str], specimens: Sequence[str], estimate
     shrunken_variances = np.diagonal(W - gain @ W + remainder @ mean_covariance @ remainder.transpose(0, 2, 1)
                                      + common_error @ common_error.transpose(0, 2, 1), axis1=1, axis2=2)
     both = scale[:, None]
-    return Population(
+    return PopulationEstimate(
         tuple(order), tuple(specimens), x * scale, np.sqrt(variances + np.sum(shared**2, axis=2)) * scale, mean * scale,
         (mean_covariance + together) * np.outer(scale, scale), mean_intervals * both, moved * both,
         W * np.outer(scale, scale), spread * scale, spread_intervals * both, next_specimen * both, shrunken * scale,
@@ -154,7 +154,7 @@ def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
     p = x.shape[1]
     lower = np.tril_indices(p)
 
-    def minus_twice_log_likelihood(entries):
+    def evaluate_minus_twice_log_likelihood(entries):
         root = np.zeros((p, p))
         root[lower] = entries
         total = np.linalg.inv(root @ root.T + V)
@@ -168,7 +168,7 @@ def _estimate_between_covariance(x: np.ndarray, V: np.ndarray) -> np.ndarray:
 
     scatter = np.cov(x, rowvar=False).reshape(p, p) + V.mean(axis=0)
     start = np.linalg.cholesky(scatter)[lower]
-    found = optimize.minimize(minus_twice_log_likelihood, start, jac=True, method="L-BFGS-B",
+    found = optimize.minimize(evaluate_minus_twice_log_likelihood, start, jac=True, method="L-BFGS-B",
                               options={"ftol": 1e-13, "gtol": 1e-9, "maxiter": 1000})
     root = np.zeros((p, p))
     root[lower] = found.x
@@ -189,8 +189,10 @@ def _compute_intervals(x: np.ndarray, v: np.ndarray, together: float):
     """
     low, high = (1 - POPULATION.level) / 2, (1 + POPULATION.level) / 2
     # Q decreases with the spread, so the upper quantile of Q gives the lower end.
-    ends = tuple(_find_spread(x, v, float(special.chdtri(x.size - 1, 1 - level))) for level in (high, low))
-    spread = np.array([_find_spread(x, v, statistic) for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
+    ends = tuple(_solve_spread_for_q_statistic(x, v, float(special.chdtri(x.size - 1, 1 - level)))
+                 for level in (high, low))
+    spread = np.array([_solve_spread_for_q_statistic(x, v, statistic)
+                       for statistic in special.chdtri(x.size - 1, 1 - _PROBABILITIES)])
     weight = 1.0 / (v + spread[:, None]**2)
     centre, variance = weight @ x / weight.sum(axis=1), 1.0 / weight.sum(axis=1) + together
     mean, following = (tuple(_compute_mixture_quantile(centre, np.sqrt(variances), level) for level in (low, high))
@@ -211,7 +213,7 @@ def _compute_mixture_quantile(centres: np.ndarray, deviations: np.ndarray, level
                                  centres.min() - reach, centres.max() + reach))
 
 
-def _find_spread(x: np.ndarray, v: np.ndarray, statistic: float) -> float:
+def _solve_spread_for_q_statistic(x: np.ndarray, v: np.ndarray, statistic: float) -> float:
     """Return the spread s at which the statistic Q(s) of `_compute_intervals` has a value; 0 if Q(0) is smaller.
 
     Args:
@@ -219,12 +221,13 @@ def _find_spread(x: np.ndarray, v: np.ndarray, statistic: float) -> float:
         v: variances of the estimates, shape (n,).
         statistic: value of Q.
     """
-    def squares(variance: float) -> float:
+    def evaluate_q_statistic(variance: float) -> float:
         weight = 1.0 / (v + variance)
         return float(np.sum(weight * (x - np.sum(weight * x) / np.sum(weight))**2))
 
-    if squares(0.0) <= statistic:
+    if evaluate_q_statistic(0.0) <= statistic:
         return 0.0
     # Upper bound: Q(s) <= sum (x_i - mean(x))^2 / s^2.
     top = float(np.sum((x - x.mean())**2)) / statistic
-    return float(np.sqrt(optimize.brentq(lambda variance: squares(variance) - statistic, 0.0, top, xtol=1e-14 * top)))
+    return float(np.sqrt(optimize.brentq(lambda variance: evaluate_q_statistic(variance) - statistic, 0.0, top,
+                                         xtol=1e-14 * top)))

@@ -12,8 +12,8 @@ from calibration.statistics.adequacy import SCORE_TEST
 
 
 @dataclass(frozen=True)
-class DirectionSettings:
-    """Settings of score tests of many alternatives.
+class ScoreTestSimulationSettings:
+    """Settings of the simulated p values of score tests of many alternative effects.
 
     Attributes:
         min_free_fraction: smallest fraction of the length of a change outside the span of the fit for which the change
@@ -27,11 +27,11 @@ class DirectionSettings:
     seed: int = 1
 
 
-DIRECTIONS = DirectionSettings()
+DIRECTIONS = ScoreTestSimulationSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Direction:
+class EffectDirection:
     """Change of the whitened residuals by an effect, projected onto the orthogonal complement of the fitted space.
 
     Attributes:
@@ -47,18 +47,18 @@ class Direction:
     positive: bool
 
     @property
-    def freedom(self) -> int:
-        """Number of degrees of freedom q."""
+    def degrees_of_freedom(self) -> int:
+        """Number q of degrees of freedom of the score test: the rank of the change of the residuals."""
         return int(self.basis.shape[1])
 
     @classmethod
-    def project(cls, columns: np.ndarray, fitted: np.ndarray, *, positive: bool) -> Direction:
+    def from_whitened_change(cls, columns: np.ndarray, fitted: np.ndarray, *, positive: bool) -> EffectDirection:
         """Return the direction of whitened changes of the model.
 
         Args:
             columns: changes, zero in the rows of priors, shape (N, q).
             fitted: orthonormal basis of the fitted space including nuisances and priors, shape (N, k).
-            positive: see `Direction`.
+            positive: see `EffectDirection`.
         """
         free = columns - fitted @ (fitted.T @ columns)
         length = float(np.linalg.norm(columns))
@@ -70,7 +70,7 @@ class Direction:
                            SCORE_TEST.rank_tolerance * sizes.max(initial=0.0), 1e-12)
         return cls(left[:, kept], length, float(np.linalg.norm(sizes[kept])), positive)
 
-    def score(self, residual: np.ndarray) -> np.ndarray:
+    def compute_score(self, residual: np.ndarray) -> np.ndarray:
         """Return the score: components of data minus model along the basis, standard normal without the effect.
 
         Args:
@@ -81,8 +81,8 @@ class Direction:
         """
         return -(self.basis.T @ residual)
 
-    def p_value(self, score: np.ndarray) -> np.ndarray:
-        """Return the p value of a score for this direction alone.
+    def compute_p_value(self, score: np.ndarray) -> np.ndarray:
+        """Return the p value of a score for this direction alone, without correction for the other directions.
 
         The p value is that of a one-sided normal test for a positive effect with q = 1, otherwise of a chi-square test
         with q degrees of freedom.
@@ -93,15 +93,15 @@ class Direction:
         Returns:
             P values, shape (...).
         """
-        if not self.freedom:
+        if not self.degrees_of_freedom:
             return np.ones(score.shape[:-1])
-        if self.positive and self.freedom == 1:
+        if self.positive and self.degrees_of_freedom == 1:
             return special.ndtr(-score[..., 0])
-        return special.chdtrc(self.freedom, np.sum(score**2, axis=-1))
+        return special.chdtrc(self.degrees_of_freedom, np.sum(score**2, axis=-1))
 
 
-def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.ndarray], *, seed: int = DIRECTIONS.seed,
-                        draws: int = DIRECTIONS.draws) -> np.ndarray:
+def compute_familywise_p_values(directions: Sequence[EffectDirection], scores: Sequence[np.ndarray], *,
+                                seed: int = DIRECTIONS.seed, draws: int = DIRECTIONS.draws) -> np.ndarray:
     """Compute family-wise p values by simulation of the minimum p value (Westfall and Young).
 
     Without effects the scores of all directions are jointly normal with mean 0 and covariance B'B, where B contains all
@@ -131,16 +131,17 @@ def familywise_p_values(directions: Sequence[Direction], scores: Sequence[np.nda
     sizes, axes = np.linalg.eigh(stacked.T @ stacked)
     root = axes * np.sqrt(np.maximum(sizes, 0.0))
     drawn = np.random.default_rng(seed).standard_normal((draws, sizes.size)) @ root.T
-    ends = np.cumsum([0, *(direction.freedom for direction in directions)])
-    smallest = np.min([direction.p_value(drawn[:, first:last]) for direction, first, last in zip(
+    ends = np.cumsum([0, *(direction.degrees_of_freedom for direction in directions)])
+    smallest = np.min([direction.compute_p_value(drawn[:, first:last]) for direction, first, last in zip(
         directions, ends[:-1], ends[1:], strict=True)], axis=0)
-    observed = np.array([float(direction.p_value(score)) for direction, score in zip(directions, scores, strict=True)])
+    observed = np.array([float(direction.compute_p_value(score)) for direction,
+                         score in zip(directions, scores, strict=True)])
     below = np.searchsorted(np.sort(smallest), observed, side="right")
     return (below + 1) / (draws + 1)
 
 
-def largest_cosine(one: Direction, other: Direction) -> float:
+def compute_largest_principal_cosine(one: EffectDirection, other: EffectDirection) -> float:
     """Return the cosine of the smallest principal angle between two directions, 0 to 1; 1: indistinguishable."""
-    if not (one.freedom and other.freedom):
+    if not (one.degrees_of_freedom and other.degrees_of_freedom):
         return 0.0
     return float(np.linalg.svd(one.basis.T @ other.basis, compute_uv=False)[0])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.polynomial.legendre import legvander
 
-from calibration.statistics.statistics import quantisation_step
+from calibration.statistics.statistics import find_quantisation_step
 from tissue_sim.errors import InputError
 
 #: One recording: force, N, shape (n,); time, s, shape (n,), or None; labels of the segments, shape (n,), or None.
@@ -16,8 +16,8 @@ Signal = tuple[np.ndarray, np.ndarray | None, Sequence | np.ndarray | None]
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
-    """Settings of the noise estimate.
+class SensorNoiseSettings:
+    """Settings of the estimate of the noise of a force sensor.
 
     Attributes:
         max_degree: highest polynomial degree of a segment's trend; a relaxation 100 times shorter than its hold needs
@@ -42,7 +42,7 @@ class NoiseSettings:
     min_samples: int = 4
 
 
-_SETTINGS = NoiseSettings()
+_SETTINGS = SensorNoiseSettings()
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class SensorNoise:
                              field="correlation_time")
 
 
-def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> np.ndarray:
+def whiten_columns(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> np.ndarray:
     """Multiply columns by L^-1, where L L' is the covariance of the noise (Cholesky factor), in O(n) operations.
 
     The noise is an Ornstein-Uhlenbeck process. With rho_i = exp(-(t_i - t_{i-1}) / tau), row i of the result is
@@ -92,7 +92,7 @@ def whiten(columns: np.ndarray, time: np.ndarray | None, noise: SensorNoise) -> 
     if not noise.correlation_time:
         return columns / noise.deviation
     spread_time = spread_time_stamps(time, columns.shape[0])
-    correlation, deviation = _autoregression_coefficients(spread_time, noise.correlation_time)
+    correlation, deviation = _compute_autoregression_coefficients(spread_time, noise.correlation_time)
     return _compute_innovations(columns, correlation, deviation) / noise.deviation
 
 
@@ -115,7 +115,7 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
             estimated then. None: it is estimated.
 
     Raises:
-        InputError: no segment has `NoiseSettings.min_samples` samples, or a stated value is out of range.
+        InputError: no segment has `SensorNoiseSettings.min_samples` samples, or a stated value is out of range.
 
     Source: Patterson and Thompson, Biometrika 58 (1971) 545 (restricted likelihood); Schwarz, Annals of Statistics 6
         (1978) 461; Bennett, Bell System Technical Journal 27 (1948) 446 (rounding).
@@ -132,9 +132,9 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
         tau = _refine_correlation_time(pieces, degrees, tau)
     if deviation is not None:
         return replace(checked, correlation_time=tau)
-    squares, freedom, _ = _restricted_likelihood(pieces, degrees, tau)
+    squares, freedom, _ = _compute_restricted_likelihood_terms(pieces, degrees, tau)
     level = float(np.sqrt(squares / freedom))
-    step = max(quantisation_step(np.asarray(force, dtype=float)) for force, _, _ in recordings)
+    step = max(find_quantisation_step(np.asarray(force, dtype=float)) for force, _, _ in recordings)
     rounding = step / float(np.sqrt(12.0))
     floor = max(_SETTINGS.floor, *(_SETTINGS.relative_floor * float(np.abs(force).max())
                                    for force, _, _ in recordings))
@@ -144,8 +144,8 @@ def estimate_shared_noise(recordings: Sequence[Signal], *, deviation: float | No
 
 
 @dataclass(frozen=True, eq=False)
-class _Piece:
-    """Segment of a recording.
+class _RecordingSegment:
+    """Segment of a recording whose force is modelled as a polynomial trend in time plus noise.
 
     Attributes:
         columns: Legendre polynomials of the trend, and the force as the last column, shape (n, degrees + 2).
@@ -155,7 +155,7 @@ class _Piece:
     columns: np.ndarray
     time: np.ndarray
 
-    def factorise(self, tau: float) -> tuple[np.ndarray, float]:
+    def factorise_whitened_columns(self, tau: float) -> tuple[np.ndarray, float]:
         """Return R of the QR decomposition of the whitened columns, and log det of the correlation matrix.
 
         Leading blocks of R are those of trends of lower degree.
@@ -165,13 +165,14 @@ class _Piece:
         """
         if not tau:
             return np.asarray(np.linalg.qr(self.columns, mode="r")), 0.0
-        correlation, deviation = _autoregression_coefficients(self.time, tau)
+        correlation, deviation = _compute_autoregression_coefficients(self.time, tau)
         whitened = np.asarray(np.linalg.qr(_compute_innovations(self.columns, correlation, deviation), mode="r"))
         return whitened, 2.0 * float(np.log(deviation).sum())
 
 
-def _split_segments(force: np.ndarray, time: np.ndarray | None, segment: Sequence | np.ndarray | None) -> list[_Piece]:
-    """Split a recording into its segments with at least `NoiseSettings.min_samples` samples."""
+def _split_segments(force: np.ndarray, time: np.ndarray | None,
+                    segment: Sequence | np.ndarray | None) -> list[_RecordingSegment]:
+    """Split a recording into its segments with at least `SensorNoiseSettings.min_samples` samples."""
     force = np.asarray(force, dtype=float)
     time = spread_time_stamps(time, force.size)
     starts = [0] if segment is None else [0, *(np.flatnonzero(np.asarray(segment)[1:] != np.asarray(segment)[:-1]) + 1)]
@@ -182,11 +183,11 @@ def _split_segments(force: np.ndarray, time: np.ndarray | None, segment: Sequenc
         t = time[first:last]
         degree = min(_SETTINGS.max_degree, (last - first) // _SETTINGS.samples_per_degree)
         basis = legvander(2.0 * (t - t[0]) / (t[-1] - t[0]) - 1.0, degree)
-        pieces.append(_Piece(np.column_stack([basis, force[first:last]]), t))
+        pieces.append(_RecordingSegment(np.column_stack([basis, force[first:last]]), t))
     return pieces
 
 
-def _select_correlation_time(pieces: list[_Piece], stated: float | None) -> tuple[float, list[int]]:
+def _select_correlation_time(pieces: list[_RecordingSegment], stated: float | None) -> tuple[float, list[int]]:
     """Return the correlation time and the degree of each segment's trend with the smallest BIC.
 
     Args:
@@ -202,10 +203,10 @@ def _select_correlation_time(pieces: list[_Piece], stated: float | None) -> tupl
         candidates += list(np.geomspace(shortest, longest, _SETTINGS.grid)) if longest > shortest else []
     best: tuple[float, float, list] = (np.inf, 0.0, [])
     for tau in candidates:
-        triangles, logarithms = zip(*(piece.factorise(tau) for piece in pieces), strict=True)
+        triangles, logarithms = zip(*(piece.factorise_whitened_columns(tau) for piece in pieces), strict=True)
         # Sums of squared residuals of each segment for the degrees 0, 1, 2, ...
         squares = [np.cumsum(R[:, -1][::-1]**2)[::-1][1:] for R in triangles]
-        degrees = _select_degrees(squares, samples)
+        degrees = _select_trend_degrees(squares, samples)
         total = sum(part[k] for part, k in zip(squares, degrees, strict=True))
         terms = sum(degrees) + (1 if tau and stated is None else 0)
         variance = max(total / samples, _SETTINGS.floor**2)
@@ -215,7 +216,7 @@ def _select_correlation_time(pieces: list[_Piece], stated: float | None) -> tupl
     return best[1], best[2]
 
 
-def _select_degrees(squares: list[np.ndarray], samples: int) -> list[int]:
+def _select_trend_degrees(squares: list[np.ndarray], samples: int) -> list[int]:
     """Return the degree of each segment's trend with the smallest BIC, by fixed-point iteration from the highest.
 
     Args:
@@ -234,7 +235,8 @@ def _select_degrees(squares: list[np.ndarray], samples: int) -> list[int]:
         degrees = lower
 
 
-def _restricted_likelihood(pieces: list[_Piece], degrees: list[int], tau: float) -> tuple[float, int, float]:
+def _compute_restricted_likelihood_terms(pieces: list[_RecordingSegment], degrees: list[int],
+                                         tau: float) -> tuple[float, int, float]:
     """Return the terms of -2 log restricted likelihood: residual sum of squares, degrees of freedom, log determinants.
 
     Args:
@@ -244,7 +246,7 @@ def _restricted_likelihood(pieces: list[_Piece], degrees: list[int], tau: float)
     """
     squares, freedom, logarithm = 0.0, 0, 0.0
     for piece, degree in zip(pieces, degrees, strict=True):
-        R, own = piece.factorise(tau)
+        R, own = piece.factorise_whitened_columns(tau)
         fixed = degree + 1
         squares += float(R[fixed:, -1] @ R[fixed:, -1])
         freedom += piece.time.size - fixed
@@ -252,18 +254,19 @@ def _restricted_likelihood(pieces: list[_Piece], degrees: list[int], tau: float)
     return squares, freedom, logarithm
 
 
-def _refine_correlation_time(pieces: list[_Piece], degrees: list[int], tau: float) -> float:
+def _refine_correlation_time(pieces: list[_RecordingSegment], degrees: list[int], tau: float) -> float:
     """Return the correlation time that maximises the restricted likelihood near a first guess, s."""
     # Import on use: errors in input files are reported before scipy.optimize is loaded.
     from scipy.optimize import minimize_scalar
 
-    def criterion(logarithm: float) -> float:
-        squares, freedom, determinants = _restricted_likelihood(pieces, degrees, float(np.exp(logarithm)))
+    def evaluate_likelihood_criterion(logarithm: float) -> float:
+        squares, freedom, determinants = _compute_restricted_likelihood_terms(pieces, degrees, float(np.exp(logarithm)))
         return freedom * np.log(max(squares / freedom, _SETTINGS.floor**2)) + determinants
 
     # The first guess maximises the likelihood, whose optimum is below that of the restricted likelihood.
     bounds = (np.log(tau / 2.0), np.log(3.0 * tau))
-    return float(np.exp(minimize_scalar(criterion, bounds=bounds, method="bounded", options={"xatol": 1e-3}).x))
+    return float(np.exp(minimize_scalar(evaluate_likelihood_criterion, bounds=bounds, method="bounded",
+                                        options={"xatol": 1e-3}).x))
 
 
 def spread_time_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
@@ -290,7 +293,7 @@ def spread_time_stamps(time: np.ndarray | None, samples: int) -> np.ndarray:
     return np.interp(np.arange(samples), [*first, samples], [*time[first], end])
 
 
-def _autoregression_coefficients(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
+def _compute_autoregression_coefficients(time: np.ndarray, tau: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the correlation of each sample with its predecessor, and the relative deviation of its innovation.
 
     The correlation is rho = exp(-lag / tau), 0 for the first sample; the deviation is sqrt(1 - rho^2).

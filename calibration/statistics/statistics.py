@@ -34,7 +34,7 @@ NOISE_RATIOS = NoiseRatioLimits()
 Interpolations: TypeAlias = "Sequence[csr_array | None]"
 
 
-def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> float:
+def estimate_white_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> float:
     """Estimate the standard deviation of white noise on a smooth curve from pseudo-residuals.
 
     A pseudo-residual is the deviation of a sample from the straight line through its neighbours, normalised to the
@@ -62,7 +62,7 @@ def estimate_noise(samples: np.ndarray, abscissa: np.ndarray | None = None) -> f
     return float(max(min(deviations), 1e-9 * np.abs(samples).max(), np.finfo(float).tiny))
 
 
-def quantisation_step(samples: np.ndarray) -> float:
+def find_quantisation_step(samples: np.ndarray) -> float:
     """Return the quantisation step of a signal, in the unit of the samples; 0 if no step is found.
 
     The step is the smallest repeated difference, if all differences are integer multiples of it and more than one
@@ -86,7 +86,7 @@ def quantisation_step(samples: np.ndarray) -> float:
     return step if np.abs(multiples - whole).max() < 1e-3 and np.unique(whole).size > 1 else 0.0
 
 
-def pooled_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
+def compute_pooled_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
     """Return the root mean square of the samples' standard deviations.
 
     Args:
@@ -96,7 +96,7 @@ def pooled_noise(noise: np.ndarray, replicate: np.ndarray) -> float:
     return float(np.sqrt(np.mean(np.asarray(noise)[replicate]**2)))
 
 
-def effective_samples(interpolation: csr_array | None, points: int) -> tuple[float, float]:
+def compute_effective_samples(interpolation: csr_array | None, points: int) -> tuple[float, float]:
     """Return the effective number of independent samples of interpolated points, and their relative noise variance.
 
     Interpolated points are correlated, and interpolation reduces the variance of the noise. With the interpolation
@@ -115,8 +115,8 @@ def effective_samples(interpolation: csr_array | None, points: int) -> tuple[flo
     return trace**2 / float(covariance.multiply(covariance).sum()), trace / points
 
 
-def chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
-               interpolations: Interpolations | None = None) -> tuple[float, float]:
+def compute_chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
+                       interpolations: Interpolations | None = None) -> tuple[float, float]:
     """Return chi-square of the residuals and the effective number of independent samples.
 
     Args:
@@ -128,13 +128,13 @@ def chi_square(residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray,
     total = samples = 0.0
     for i, deviation in enumerate(noise):
         part = residual[replicate == i]
-        count, variance = effective_samples(None if interpolations is None else interpolations[i], part.size)
+        count, variance = compute_effective_samples(None if interpolations is None else interpolations[i], part.size)
         total += float(part @ part) / (deviation**2 * variance) * count / part.size
         samples += count
     return float(total), float(samples)
 
 
-def information_criteria(squares: float, samples: float, unknowns: int) -> tuple[float, float]:
+def compute_information_criteria(squares: float, samples: float, unknowns: int) -> tuple[float, float]:
     """Return AIC = chi-square + 2 k and BIC = chi-square + k ln n for known noise.
 
     Args:
@@ -147,7 +147,7 @@ def information_criteria(squares: float, samples: float, unknowns: int) -> tuple
     return squares + 2.0 * unknowns, squares + unknowns * float(np.log(samples))
 
 
-def r_squared(data: np.ndarray, residual: np.ndarray) -> float:
+def compute_r_squared(data: np.ndarray, residual: np.ndarray) -> float:
     """Return the coefficient of determination R^2 = 1 - sum r^2 / sum (y - mean(y))^2.
 
     Args:
@@ -157,7 +157,7 @@ def r_squared(data: np.ndarray, residual: np.ndarray) -> float:
     return 1.0 - float(residual @ residual / np.sum((data - data.mean())**2))
 
 
-def correlation_matrix(covariance: np.ndarray) -> np.ndarray:
+def compute_correlation_matrix(covariance: np.ndarray) -> np.ndarray:
     """Return the correlation matrix of a covariance matrix; off-diagonal entries of unknowns with variance 0 are 0."""
     deviation = np.sqrt(np.clip(np.diag(covariance), 0.0, None))
     outer = np.outer(deviation, deviation)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, special
 
-from calibration.statistics.statistics import Interpolations, chi_square, pooled_noise
+from calibration.statistics.statistics import Interpolations, compute_chi_square, compute_pooled_noise
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ COVARIANCE = CovarianceSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Uncertainty:
+class ParameterUncertainty:
     """Covariance of the free unknowns and related quantities; unknowns on a bound count as fixed.
 
     Attributes:
@@ -45,7 +45,7 @@ class Uncertainty:
         quantile: half widths of the 95 % intervals in standard errors, shape (k,).
         inflation: factor of all variances because the residuals exceed the noise, at least 1.
         ratio: root mean square of the residuals in units of their noise.
-        criteria: chi-square and effective number of samples for `information_criteria`.
+        criteria: chi-square and effective number of samples for `compute_information_criteria`.
         sizes: scale of each unknown, SI, shape (k,).
         information: Fisher information of the unknowns in units of `sizes`, shape (k, k).
     """
@@ -62,10 +62,11 @@ class Uncertainty:
     information: np.ndarray
 
 
-def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray, noise: np.ndarray | float,
-                        prior_precision: np.ndarray, jitter: np.ndarray | None = None,
-                        interpolations: Interpolations | None = None, on_bound: np.ndarray | None = None,
-                        repeats: float = 1.0) -> Uncertainty:
+def compute_sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: np.ndarray,
+                                noise: np.ndarray | float,
+                                prior_precision: np.ndarray, jitter: np.ndarray | None = None,
+                                interpolations: Interpolations | None = None, on_bound: np.ndarray | None = None,
+                                repeats: float = 1.0) -> ParameterUncertainty:
     """Compute the cluster-robust sandwich covariance of an unweighted least-squares estimate with priors.
 
     At the minimum, cov = A^-1 M A^-1 with A = J'J + s^2 P, where J is the Jacobian, P the diagonal prior precision, s
@@ -95,14 +96,14 @@ def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: n
     unknowns, count = jacobian.shape[1], int(replicate.max()) + 1
     noise = np.broadcast_to(np.asarray(noise, dtype=float), count)
     parts = [replicate == i for i in range(count)]
-    weight = pooled_noise(noise, replicate)**2
-    squares, samples = chi_square(residual, replicate, noise, interpolations)
+    weight = compute_pooled_noise(noise, replicate)**2
+    squares, samples = compute_chi_square(residual, replicate, noise, interpolations)
     freedom = max(samples - unknowns, 1.0)
     basis, quantile, deviations = "noise", special.ndtri(0.975), noise
     if squares > COVARIANCE.residual_ratio**2 * freedom:
         basis, quantile = "residuals", special.stdtrit(freedom, 0.975)
-        own = np.array([chi_square(residual[part], np.zeros(part.sum(), int), noise[i:i + 1],
-                                   None if interpolations is None else interpolations[i:i + 1])
+        own = np.array([compute_chi_square(residual[part], np.zeros(part.sum(), int), noise[i:i + 1],
+                                           None if interpolations is None else interpolations[i:i + 1])
                         for i, part in enumerate(parts)])
         deviations = noise * np.sqrt(repeats * np.maximum(own[:, 0] / own[:, 1] * samples / freedom, 1.0))
     spread = weight**2 * np.diag(prior_precision)
@@ -119,12 +120,12 @@ def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: n
     # A unit diagonal makes the condition number independent of the units of the unknowns.
     scale = np.sqrt(np.diag(hessian))
     scale = np.where(scale > 0, scale, 1.0)
-    root, singular = inverse_root(hessian / np.outer(scale, scale))
+    root, singular = compute_pseudo_inverse_root(hessian / np.outer(scale, scale))
     root = root / scale[:, None]
     spread = root.T @ spread @ root
     if jitter is None and count >= COVARIANCE.min_replicates and root.shape[1]:
         scores = _compute_replicate_scores(jacobian, residual, parts) @ root
-        spread = _select_larger_variance(count / (count - 1) * scores.T @ scores, spread)
+        spread = _combine_larger_principal_variances(count / (count - 1) * scores.T @ scores, spread)
         basis, quantile = "replicates", special.stdtrit(count - 1, 0.975)
     # The product of a factor with its transpose is symmetric and positive semidefinite in floating point.
     weights, axes = np.linalg.eigh(spread)
@@ -135,11 +136,12 @@ def sandwich_covariance(jacobian: np.ndarray, residual: np.ndarray, replicate: n
     information[np.ix_(inside, inside)] = hessian / weight
     errors = np.where(on_bound, np.nan, np.sqrt(np.clip(np.diag(covariance), 0.0, None)))
     errors[inside] = np.where(singular, np.inf, errors[inside])
-    return Uncertainty(covariance, errors, on_bound, basis, np.full(inside.size, quantile), 1.0,
-                       float(np.sqrt(squares / samples)), (squares, samples), np.ones(inside.size), information)
+    return ParameterUncertainty(covariance, errors, on_bound, basis, np.full(inside.size, quantile), 1.0,
+                                float(np.sqrt(squares / samples)), (squares, samples), np.ones(inside.size),
+                                information)
 
 
-def inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_pseudo_inverse_root(hessian: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return a root of the pseudo-inverse of a scaled Hessian, and the unknowns in undetermined directions.
 
     Args:
@@ -167,7 +169,7 @@ def _compute_replicate_scores(jacobian: np.ndarray, residual: np.ndarray, parts:
     return scores - weights * scores.sum(axis=0)
 
 
-def _select_larger_variance(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+def _combine_larger_principal_variances(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Return a matrix with the larger of two variances in each of their common (generalised) principal directions.
 
     Args:

@@ -59,7 +59,7 @@ class DaskCluster:
         self._executor = self._client.get_executor(pure=False)
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
-        """Start a task and return its future."""
+        """Send a task to the cluster and return its future."""
         # Packed as bytes: dask searches plain arguments for its tasks and futures.
         return self._executor.submit(run_packed, pack(function, arguments))
 

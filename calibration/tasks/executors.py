@@ -25,7 +25,7 @@ OnDone = Callable[[int, Any], None]
 
 @dataclass(frozen=True)
 class Workers:
-    """Selection of the workers that run tasks.
+    """Selection of the workers that run tasks: local processes or a dask cluster.
 
     Attributes:
         count: number of worker processes; 1: tasks run serially in this process.
@@ -46,7 +46,7 @@ class Workers:
                              "them", field="dask")
 
 
-class Tasks:
+class TaskExecutor:
     """Executor that runs tasks serially in this process.
 
     Attributes:
@@ -83,14 +83,14 @@ class Tasks:
 
 
 @contextmanager
-def open_tasks(workers: Workers) -> Iterator[Tasks]:
+def open_tasks(workers: Workers) -> Iterator[TaskExecutor]:
     """Open an executor for tasks; all its processes end with the block or with this process.
 
     Raises:
         InputError: the cluster does not answer, or its package is missing.
     """
     if workers.dask is None and workers.count == 1:
-        yield Tasks()
+        yield TaskExecutor()
         return
     executor: ProcessPool | DaskCluster
     if workers.dask is not None:
@@ -101,12 +101,12 @@ def open_tasks(workers: Workers) -> Iterator[Tasks]:
         from calibration.tasks.process_pool import ProcessPool
         executor = ProcessPool(workers.count)
     try:
-        yield _ParallelTasks(executor)
+        yield _ParallelTaskExecutor(executor)
     finally:
         executor.close()
 
 
-class _ParallelTasks(Tasks):
+class _ParallelTaskExecutor(TaskExecutor):
     parallel = True
 
     def __init__(self, executor: ProcessPool | DaskCluster):
@@ -116,7 +116,7 @@ class _ParallelTasks(Tasks):
         results: dict[int, Any] = {}
         failures: dict[int, BaseException] = {}
         try:
-            self._run_until_failure(function, arguments, on_done, results, failures)
+            self._run_until_first_failure(function, arguments, on_done, results, failures)
         except BaseException:
             # Ctrl-C, an error of on_done, or failed workers: running tasks are abandoned.
             self._executor.stop()
@@ -125,7 +125,7 @@ class _ParallelTasks(Tasks):
             raise failures[min(failures)]
         return [results[index] for index in range(len(arguments))]
 
-    def _run_until_failure(self, function, arguments, on_done, results, failures):
+    def _run_until_first_failure(self, function, arguments, on_done, results, failures):
         """Run the tasks until all are finished or one raises an exception; then start no further ones.
 
         Args:
@@ -147,14 +147,14 @@ class _ParallelTasks(Tasks):
         lost: list[int] = []
         running: dict[Future, int] = {}
 
-        def start_task(index: int) -> None:
+        def start_next_task(index: int) -> None:
             running[executor.submit(function, arguments[index])] = index
 
         while running or ((waiting or suspects) and not failures):
             while waiting and not failures and len(running) < executor.capacity:
-                start_task(waiting.popleft())
+                start_next_task(waiting.popleft())
             if not running:
-                start_task(suspects.popleft())
+                start_next_task(suspects.popleft())
             done, _ = wait(running, timeout=_LONGEST_WAIT, return_when=FIRST_COMPLETED)
             for future in done:
                 index = running.pop(future)

@@ -38,7 +38,7 @@ class ProcessPool:
         self._executor: ProcessPoolExecutor | None = None
 
     def submit(self, function: Callable[..., Any], arguments: tuple) -> Future:
-        """Start a task and return its future.
+        """Send a task to a worker process and return its future.
 
         Raises:
             WorkerError: the processes end before they accept a task.
@@ -59,7 +59,7 @@ class ProcessPool:
         # all processes must inherit the same environment.
         self._executor._safe_to_dynamically_spawn_children = False  # type: ignore[attr-defined]
         try:
-            with _hold_start_conditions():
+            with _worker_start_environment():
                 first = self._executor.submit(os.getpid)
             first.result()
             return self._executor
@@ -85,7 +85,7 @@ class ProcessPool:
 
 
 @contextlib.contextmanager
-def _hold_start_conditions() -> Iterator[None]:
+def _worker_start_environment() -> Iterator[None]:
     """Set the environment for starting processes: one native thread, and Ctrl-C handled by the parent only."""
     before = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))

@@ -9,7 +9,7 @@ import numpy as np
 
 import tissue_sim as ts
 from calibration.diagnosis.diagnosis import Diagnosis, EffectParameter
-from calibration.diagnosis.words import describe_effect, join_words, number_in_words
+from calibration.diagnosis.words import describe_effect, describe_parameter, join_as_enumeration
 from calibration.effects.catalogue import CATALOGUE
 from tissue_sim.experiment.interfaces import AS_TOOL
 from tissue_sim.parameters import parameters
@@ -53,8 +53,8 @@ class HiddenEffect:
             return "nothing"
         known = {path.removeprefix("material."): each
                  for path, each in parameters(self.apply_to(self.tests[0], models[self.tests[0]])).items()}
-        numbers = [number_in_words(EffectParameter(path=path, symbol=known[path].symbol, value=value,
-                                                   unit=known[path].declaration.unit))
+        numbers = [describe_parameter(EffectParameter(path=path, symbol=known[path].symbol, value=value,
+                                                      unit=known[path].declaration.unit))
                    for path, value in self.values.items()]
         return f"{CATALOGUE[self.name].title} ({', '.join(numbers)})"
 
@@ -132,7 +132,7 @@ def judge_diagnosis(hidden: HiddenEffect, diagnosis: Diagnosis) -> tuple[bool, s
     """
     named = [each.name for each in diagnosis.effects]
     candidates = [name.partition("@")[0] for name in diagnosis.indistinguishable]
-    found = join_words([describe_effect(each) for each in diagnosis.effects])
+    found = join_as_enumeration([describe_effect(each) for each in diagnosis.effects])
     if not hidden.name:
         right = diagnosis.verdict == "NONE"
         return right, "Nothing was hidden, and nothing was found." if right else \

@@ -21,7 +21,7 @@ from tissue_sim.parameters import parameters, to_keys
 from tissue_sim.rig.file import write_rig
 
 if TYPE_CHECKING:
-    from calibration.fit.fit import Fit, Iteration
+    from calibration.fit.fit import DescentIteration, Fit
 
 #: Name of the file in the folder of a calibration to which the progress of the fit is written.
 PROGRESS_FILE = "progress.json"
@@ -118,7 +118,7 @@ def calibrate_files(folder: str, request: CalibrationRequest) -> CalibrationResu
         status["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
         write_status()
 
-    def listen(_campaign: str, _law: str, iteration: Iteration) -> None:
+    def listen(_campaign: str, _law: str, iteration: DescentIteration) -> None:
         status.update(solves=status["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
         write_status()
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from calibration.statistics.common_signal import find_common_signal, variance_ratio
+from calibration.statistics.common_signal import compute_variance_ratio, find_common_signal
 
 SEGMENTS = [slice(0, 160), slice(160, 400), slice(400, 560)]
 TIME = np.arange(560) / 4.0
@@ -34,7 +34,7 @@ def test_a_wave_is_found_with_its_period():
     found = find_common_signal(left, SEGMENTS)
     assert found.p < 1e-6 and (found.first, found.last) == (0, 559)
     assert (TIME[-1] - TIME[0]) / found.waves == pytest.approx(17.5, rel=0.05)
-    ratio, *_ = variance_ratio(left)
+    ratio, *_ = compute_variance_ratio(left)
     assert ratio < 1.6
 
 

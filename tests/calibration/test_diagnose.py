@@ -9,16 +9,16 @@ from msgspec.structs import replace
 
 import calibration
 import tissue_sim as ts
-from calibration.campaign_diagnosis import diagnose_campaign, read_for_diagnosis
+from calibration.campaign_diagnosis import diagnose_campaign, read_campaign_for_diagnosis
 from calibration.diagnosis.diagnosis import CandidateStatement, EffectParameter, NextExperiment
-from calibration.diagnosis.words import format_diagnosis_message
+from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
-from calibration.report.diagnosis_page import diagnosis_page
-from calibration.report.diagnosis_tables import describe_sizes, number_in_words
-from calibration.report.drawing import Pictures
-from calibration.report.units import Unit, Units
+from calibration.report.diagnosis_page import build_diagnosis_page
+from calibration.report.diagnosis_tables import format_detectable_sizes, format_fitted_parameter
+from calibration.report.drawing import FigureEmbedder
+from calibration.report.units import DisplayUnit, ReportUnits
 from calibration.tasks.executors import Workers, open_tasks
 
 CAMPAIGN = """
@@ -46,7 +46,7 @@ correlation_time_s = 0
 contact_jitter_mm = 0.02
 zero_jitter_N = 0.005
 """
-UNITS = Units(Unit("mm", 1e-3), Unit("N", 1.0), Unit("kPa", 1e3))
+UNITS = ReportUnits(DisplayUnit("mm", 1e-3), DisplayUnit("N", 1.0), DisplayUnit("kPa", 1e3))
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -79,7 +79,7 @@ def campaign(tmp_path_factory):
 @pytest.fixture(scope="module")
 def diagnosed(campaign, two_effects):
     """The parts of a diagnosis of it, and its recordings."""
-    asked, measured = read_for_diagnosis(campaign)
+    asked, measured = read_campaign_for_diagnosis(campaign)
     with open_tasks(Workers()) as tasks:
         return diagnose_campaign(asked, measured, RunContext(asked.name, tasks)), measured
 
@@ -117,7 +117,7 @@ method = "inverse_fem"
 laws = ["neo_hooke"]
 bulk_ratio = 1000.0
 """, encoding="utf-8")
-    campaign, measured = read_for_diagnosis(path)
+    campaign, measured = read_campaign_for_diagnosis(path)
     with open_tasks(Workers()) as tasks:
         found = diagnose_campaign(campaign, measured, RunContext("preload", tasks)).diagnosis
     assert found.verdict == "NONE" and all(region.adequate_before for region in found.regions)
@@ -127,7 +127,7 @@ bulk_ratio = 1000.0
 
 def test_a_gap_in_no_region_is_described_by_the_scores():
     gaps = 0.01, None, 0.01
-    words = format_diagnosis_message("UNKNOWN", [], [], [], gaps, 0, scored=["zero offset (8.1 standard deviations)"])
+    words = summarise_diagnosis("UNKNOWN", [], [], [], gaps, 0, scored=["zero offset (8.1 standard deviations)"])
     assert ": ." not in words and "of every region are within the noise" in words and "zero offset (8.1" in words
 
 
@@ -180,7 +180,7 @@ def test_several_campaigns_have_folders_and_are_read_back(campaign, tmp_path):
     again = calibration.diagnose([campaign, other], tmp_path)
     assert all(result.resumed for result in again)
     assert [result.diagnosis for result in again] == [result.diagnosis for result in results]
-    with pytest.raises(ts.InputError, match="the results of other work"):
+    with pytest.raises(ts.InputError, match="it contains results of other campaigns"):
         calibration.diagnose([campaign, other], tmp_path, law="reduced_polynomial_2")
     with pytest.raises(ts.InputError, match="got 'plain' twice"):
         calibration.diagnose([campaign, campaign], tmp_path / "twice")
@@ -218,9 +218,10 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
     effects = parts.proposals.effects
 
     def page(pictures=None, **changes):
-        return diagnosis_page(replace(parts.diagnosis, **changes), parts.before, None, effects, measured, pictures)
+        return build_diagnosis_page(replace(parts.diagnosis, **changes), parts.before, None, effects, measured,
+                                    pictures)
 
-    plain = page(Pictures(tmp_path))
+    plain = page(FigureEmbedder(tmp_path))
     assert next(iter(summary(plain))) == "No effect missing" and summary(plain)["Where"] == "Every region agrees."
     assert plain.count("data:image/png") == 2, "one test that was fitted, and the regions; no candidate to draw"
     statements = [CandidateStatement(name="viscoelasticity", effect="viscoelasticity", category="tissue",
@@ -231,7 +232,7 @@ def test_pages_of_verdicts(diagnosed, tmp_path):
                                      delta_BIC=66.0, evidence_ratio=7.4, on_bound=["c"]),
                   CandidateStatement(name="tilt@later", effect="tilt", category="geometry", title="tilt of a face",
                                      testable=False, reason="no face <is> flat")]
-    several = page(Pictures(tmp_path), verdict="SET", message="One of two.", candidates=statements,
+    several = page(FigureEmbedder(tmp_path), verdict="SET", message="One of two.", candidates=statements,
                    indistinguishable=["viscoelasticity", "machine_compliance"],
                    next_experiment=[NextExperiment(sentence="hold it", separates=["viscoelasticity"], deviations=12.3)])
     words = summary(several)
@@ -260,9 +261,9 @@ def test_sizes_are_in_units_that_people_use(path, unit, absent, value, words):
     candidate = CandidateStatement(name="x", effect="x", category="rig", title="x", testable=True,
                                    seen_from={path: value}, symbols={path: "c"}, units={path: unit},
                                    absent={path: absent})
-    assert describe_sizes(candidate, UNITS) == words
+    assert format_detectable_sizes(candidate, UNITS) == words
 
 
 def test_numbers_do_not_break():
     number = EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2.04e-5, standard_error=3.1e-7)
-    assert number_in_words(number, UNITS) == "c\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"
+    assert format_fitted_parameter(number, UNITS) == "c\u00a0=\u00a00.02040\u00a0±\u00a00.00031\u00a0mm/N"

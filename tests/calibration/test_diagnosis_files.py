@@ -12,7 +12,7 @@ from virtual_campaign import PLATES, diagnosed_plates
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.planned import read_planned
-from calibration.diagnosis.design import compute_design
+from calibration.diagnosis.design import compute_experiment_design
 from calibration.diagnosis.diagnosis import (
     CandidateStatement,
     EffectParameter,
@@ -20,15 +20,15 @@ from calibration.diagnosis.diagnosis import (
     HeldOutPrediction,
     SegmentMisfit,
 )
-from calibration.diagnosis.evidence import jitter_upper_limit, make_whole_recording_campaign
+from calibration.diagnosis.evidence import compute_jitter_upper_limit, make_whole_recording_campaign
 from calibration.diagnosis.next_experiment import vary_existing_tests
-from calibration.diagnosis.words import format_diagnosis_message
+from calibration.diagnosis.words import summarise_diagnosis
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.plate_friction import PlateFriction
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.viscoelasticity import Viscoelasticity
 from calibration.fit.run_context import RunContext
-from calibration.report.additions import to_toml, write_additions
+from calibration.report.additions import format_toml, write_effect_files
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import InputError
 
@@ -51,7 +51,7 @@ def diagnose(folder, **hidden):
     found = diagnosed_plates(folder, **hidden)
     out = folder / "out"
     out.mkdir()
-    return write_additions(found.diagnosis, found.after, out), found, out
+    return write_effect_files(found.diagnosis, found.after, out), found, out
 
 
 @pytest.fixture(scope="module")
@@ -88,9 +88,9 @@ def test_one_term_is_not_enough_for_two(relaxing):
     problem, names = found.after.problem, found.after.problem.space.free
     truth = {"C10": 1404.9, "viscoelastic.terms[0].g": 0.15, "viscoelastic.terms[0].tau": 40.0,
              "viscoelastic.terms[1].g": 0.1, "viscoelastic.terms[1].tau": 4.0}
-    worse = problem.evaluate(np.array([truth[name] for name in names])).error - found.after.estimate.error
+    worse = problem.evaluate(np.array([truth[name] for name in names])).sum_of_squares - found.after.estimate.error
     assert 0 <= worse < chi2.isf(1e-4, len(names)), "the truth is among what the data allow"
-    assert found.after.adequate and not found.before.adequate
+    assert found.after.has_adequate_residuals and not found.before.has_adequate_residuals
 
 
 def test_provenance_says_which_diagnosis(drifting):
@@ -115,7 +115,7 @@ def test_the_campaign_with_it_is_fitted_again(which, path, request):
     again = load_campaign(out / diagnosis.files["campaign"])
     after = next(number for effect in diagnosis.effects for number in effect.parameters if number.path == path)
     assert again.fit.start[path] == pytest.approx(after.value)
-    assert again.fit.start["C10"] == pytest.approx(found.after.values["C10"])
+    assert again.fit.start["C10"] == pytest.approx(found.after.parameter_values["C10"])
     assert [len(test.recordings) for test in again.tests] == [3]
 
 
@@ -143,12 +143,12 @@ def test_few_recordings_do_not_prove_that_nothing_scatters(drifting):
     problem, theta = found.before.problem, found.before.estimate.theta
     noise = found.before.campaign.noise
     problem.jitter = replace(problem.jitter, contact=0.0, zero=0.0)
-    problem.reset_nuisances()
-    larger = jitter_upper_limit(problem, theta, noise)
+    problem.rebuild_nuisance_columns()
+    larger = compute_jitter_upper_limit(problem, theta, noise)
     assert 0 < larger.zero < 0.03 and larger.contact > 0
-    assert jitter_upper_limit(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
+    assert compute_jitter_upper_limit(problem, theta, replace(noise, zero_jitter=0.0)).zero == 0.0
     problem.jitter = replace(problem.jitter, zero=0.02)
-    assert 0.02 < jitter_upper_limit(problem, theta, noise).zero < 0.08
+    assert 0.02 < compute_jitter_upper_limit(problem, theta, noise).zero < 0.08
 
 
 def test_plans_change_one_thing(drifting):
@@ -161,14 +161,16 @@ def test_a_plan_needs_no_recording(tmp_path):
     (tmp_path / "plan.toml").write_text(PLAN + "[noise]\nforce_N = 0.01\n", encoding="utf-8")
     campaign = make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     with open_tasks(Workers()) as tasks:
-        found = compute_design(campaign, read_planned(campaign, replicates=3, samples=121), RunContext("plan", tasks))
+        found = compute_experiment_design(campaign, read_planned(campaign, replicates=3, samples=121),
+                                          RunContext("plan", tasks))
     rows = {row.name: row for row in found.candidates}
     assert rows["viscoelasticity"].testable and rows["viscoelasticity"].seen_from["viscoelastic.terms[0].g"] < 0.02
     assert 0 < found.standard_errors["C10"] < 20 and [test.recordings for test in found.tests] == [3]
     shorter = make_whole_recording_campaign(load_campaign(tmp_path / "plan.toml", planned=True))
     shorter = replace(shorter, tests=(replace(shorter.tests[0], protocol="ramp 3mm @0.2mm/s"),))
     with open_tasks(Workers()) as tasks:
-        ramp = compute_design(shorter, read_planned(shorter, replicates=3, samples=121), RunContext("plan", tasks))
+        ramp = compute_experiment_design(shorter, read_planned(shorter, replicates=3, samples=121),
+                                         RunContext("plan", tasks))
     row = next(row for row in ramp.candidates if row.name == "viscoelasticity")
     assert not row.testable or row.seen_from["viscoelastic.terms[0].g"] > 3 * rows["viscoelasticity"].seen_from[
         "viscoelastic.terms[0].g"], "a ramp alone says little of relaxation"
@@ -190,7 +192,7 @@ def test_toml_is_read_back():
     content = {"specimen": [{"name": "a b", "radius_mm": 20.0}], "test": [{"recordings": ["x\\y.csv", 'q".csv'],
                "hold_out": True, "columns": {"Kraft (N)": "force"}}],
                "fit": {"laws": ["neo_hooke"], "start": {"viscoelastic.terms[0].g": 0.1, "C10": 1e3}}, "noise": {}}
-    assert tomllib.loads(to_toml(content)) == content
+    assert tomllib.loads(format_toml(content)) == content
 
 
 def test_sentences():
@@ -199,26 +201,26 @@ def test_sentences():
                            sentence="plates hold: the force falls by 0.1 N, the model's by nothing")
     compliance = FoundEffect(name="machine_compliance", category="rig", title="machine compliance", parameters=[
         EffectParameter(path="rig.compliance", symbol="c", unit="m/N", value=2e-5, standard_error=1e-6, absent=0.0)])
-    named = format_diagnosis_message("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
+    named = summarise_diagnosis("NAMED", [compliance], ["machine compliance"], [region], (0.1, 0.01, 0.02), 3)
     assert named == ("Machine compliance (c = 0.02 ± 0.001 mm/N) was missing. The misfit falls from 0.1 to 0.01 N "
                      "(5 to 0.5 of the noise).")
-    several = format_diagnosis_message("SET", [compliance], ["machine compliance", "height"], [region],
-                                       (0.1, 0.01, 0.02), 3)
+    several = summarise_diagnosis("SET", [compliance], ["machine compliance", "height"], [region],
+                                  (0.1, 0.01, 0.02), 3)
     assert several.startswith("Machine compliance or height is missing, and these tests cannot distinguish them")
     softening = CandidateStatement(name="softening", effect="softening", category="tissue", title="softening",
                                    testable=True, explained_percent=49.0)
-    unknown = format_diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
+    unknown = summarise_diagnosis("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=softening)
     assert "the force falls by 0.1 N" in unknown and "Softening comes nearest and explains 49 % of it." in unknown
     train = CandidateStatement(
         name="machine_compliance", effect="machine_compliance", category="rig", title="machine compliance",
         testable=True, explained_percent=100.0, separated_by="pressing on steel", parameters=[EffectParameter(
             path="rig.compliance", symbol="c", unit="m/N", value=2e-3, standard_error=1e-6, absent=0.0, bound=2e-3)])
-    bounded = format_diagnosis_message("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
+    bounded = summarise_diagnosis("UNKNOWN", [], [], [region], (0.1, None, 0.02), 3, nearest=train)
     assert ("Machine compliance comes nearest and explains 100 % of it, but its fit ended on a bound, c = 2 mm/N, the "
             "largest that a fit may take. A value on a bound is not reliable, so the effect was not named. Either its "
             "size exceeds the bound, which a separate measurement would show (here: pressing on steel), or another "
             "effect changes the forces in the same way.") in bounded
     worse = [HeldOutPrediction(name="later", kind="test", before_N=0.1, after_N=0.2)]
-    assert "predicted worse" in format_diagnosis_message("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3,
-                                                         worse)
-    assert format_diagnosis_message("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")
+    assert "predicted worse" in summarise_diagnosis("NAMED", [compliance], [], [region], (0.1, 0.01, 0.02), 3,
+                                                    worse)
+    assert summarise_diagnosis("NONE", [], [], [], (0.0, None, 0.02), 3).startswith("Nothing is missing")

@@ -9,15 +9,15 @@ from scipy.interpolate import CubicSpline
 import calibration
 import tissue_sim as ts
 from calibration.diagnosis import duration
-from calibration.diagnosis.duration import describe_duration, estimate_simulation_seconds
+from calibration.diagnosis.duration import describe_expected_duration, estimate_simulation_seconds
 from calibration.diagnosis.evidence import make_whole_recording_campaign
 from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.fit.campaign_problem import build_problem
+from calibration.fit.campaign_problem import build_generalised_problem
 from calibration.fit.run_context import RunContext
-from calibration.forward.meshes import MESHES, Meshes
+from calibration.forward.meshes import MESHES, SolverMeshes
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.tasks.executors import Tasks
+from calibration.tasks.executors import TaskExecutor
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
 
@@ -50,7 +50,7 @@ def glued(tmp_path, monkeypatch):
     """A glued cube on two orders of one mesh of 64 elements, with a load train that takes up a sixth of the way."""
     monkeypatch.setitem(RESOLUTIONS, "coarse", Resolution(HEX8P0, 0.6, 2.5, 3.8, 2))
     monkeypatch.setitem(RESOLUTIONS, "coarse, second order", Resolution(HEX27P1, 0.6, 2.5, 3.8, 2))
-    monkeypatch.setitem(MESHES, "solid", Meshes("coarse", "coarse, second order", error_factor=3.0, slow=True))
+    monkeypatch.setitem(MESHES, "solid", SolverMeshes("coarse", "coarse, second order", error_factor=3.0, slow=True))
     monkeypatch.setattr("calibration.diagnosis.proposals.CATALOGUE", {
         "viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance})
     experiment = ts.KINDS["bonded_compression"].experiment(
@@ -88,7 +88,7 @@ def test_it_says_what_it_tries_and_how_long_to_expect(glued, tmp_path, monkeypat
 @pytest.mark.slow
 def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     campaign = make_whole_recording_campaign(calibration.load_campaign(glued))
-    problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), SimulationCache())
+    problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured(campaign), SimulationCache())
     seconds = estimate_simulation_seconds(problem)
     assert list(seconds) == ["glued"] and seconds["glued"] > 0.0
     problem.tests = tuple(replace(test, solver="axisymmetric") for test in problem.tests)
@@ -99,16 +99,16 @@ def test_on_the_axis_there_is_nothing_to_wait_for(glued):
     ({}, ""), ({"plates": 0.1}, ""), ({"plates": 0.2, "glued": 1.0}, "expect up to 6 minutes on one processor"),
     ({"plates": 3.0}, "expect 2 to 15 minutes on one processor")])
 def test_what_to_expect_in_words(seconds, words):
-    said = describe_duration(seconds)
+    said = describe_expected_duration(seconds)
     assert said.startswith(words) and bool(said) == bool(words)
 
 
 def test_parallel_tasks_have_no_single_name():
     """Several run at a time; one after the other the one that runs is named."""
     for parallel, expected in ((False, ["c: fits: a", "c: fits: b", "c: fits"]), (True, ["c: fits"] * 3)):
-        tasks = Tasks()
+        tasks = TaskExecutor()
         tasks.parallel = parallel
         said: list[str] = []
         context = RunContext("c", tasks, lambda sentence, *counts, said=said: said.append(sentence))
-        assert context.run_all(abs, [(-1,), (2,)], "fits", names=["a", "b"]) == [1, 2]
+        assert context.run_task_for_all(abs, [(-1,), (2,)], "fits", names=["a", "b"]) == [1, 2]
         assert said == expected

@@ -13,26 +13,26 @@ from calibration.campaign.campaign import Test as CampaignTest
 from calibration.campaign.measured import MeasuredCurve
 from calibration.fit.curves import TestCurves as CurvesOfTest
 from calibration.fit.fit import (
-    Direction,
+    DescentIteration,
     Fit,
-    Iteration,
-    JitterStatement,
-    MeshCorrection,
+    MeshCorrectionSummary,
     Nuisance,
     Prediction,
-    Profile,
-    Region,
-    SensorStatement,
-    Suggestion,
+    ProfileLikelihood,
+    RegionMisfitTest,
+    ReplicateJitterStatement,
+    SensorNoiseStatement,
+    SuggestedTest,
+    WeakDirection,
 )
-from calibration.fit.population_records import Covariance
+from calibration.fit.population_records import ParameterCovariance
 from calibration.fit.result import CalibrationResult
 from calibration.report import curve_figures, estimate_figures, figures
-from calibration.report.drawing import Pictures
+from calibration.report.drawing import FigureEmbedder
 from calibration.report.methods import write_methods_text
 from calibration.report.png import render_png
-from calibration.report.report import report_page
-from calibration.report.units import Units
+from calibration.report.report import build_report_page
+from calibration.report.units import ReportUnits
 from calibration.statistics.sensor_noise import SensorNoise
 from tissue_sim import KINDS, Specimen, find_law
 
@@ -134,7 +134,7 @@ def profile_of(value, error, low=None, skew=0.0):
         values, notes = [low, *(v for v in values if v > low)], [f"low: bound {low:g}"]
     values = sorted({*values, value})
     rises = [((v - value) / error) ** 2 * (1 + skew * (v - value) / error) for v in values]
-    return Profile(values=values, rises=rises, level=LEVEL, notes=notes)
+    return ProfileLikelihood(values=values, rises=rises, level=LEVEL, notes=notes)
 
 
 def history_of(parameters, starts, rng):
@@ -144,7 +144,7 @@ def history_of(parameters, starts, rng):
         for run in range(1, int(rng.integers(4, 8)) + 1):
             left = {name: far * 0.25 ** (run - 1) for name, far in away.items()}
             error = 3610.0 * (1 + sum(far**2 for far in left.values()) * 30) + 0.1 * start
-            steps.append(Iteration(start=start, run=run, parameters={
+            steps.append(DescentIteration(start=start, run=run, parameters={
                 name: value * np.exp(left[name]) if value else 900.0 * max(left[name], 0.0)
                 for name, value in parameters.items()}, error=error,
                 RMSE_N=0.02 * np.sqrt(error / 3610), corrected=run > 3 and start == 1))
@@ -152,8 +152,9 @@ def history_of(parameters, starts, rng):
 
 
 def regions(*rows):
-    return [Region(test=test, segment=segment, start=start, end=end, p=p, statistic=9.1, freedom=5, misfit_N=misfit,
-                   largest_N=-1.7 * misfit, at=end, adequate=p > 0.05)
+    return [RegionMisfitTest(test=test, segment=segment, start=start, end=end, p=p, statistic=9.1, freedom=5,
+                             misfit_N=misfit,
+                             largest_N=-1.7 * misfit, at=end, adequate=p > 0.05)
             for (test, segment, start, end), (p, misfit) in zip(PLACES, rows, strict=True)]
 
 
@@ -171,7 +172,7 @@ def make_fit(law, parameters, covariance, **changes):
         "law": law, "formula": find_law(law).formula(), "parameters": parameters,
         "symbols": {name: name for name in order}, "units": {name: find_law(law).units[name] for name in order},
         "standard_errors": {name: float(s) or None for name, s in zip(order, deviation, strict=True)},
-        "covariance": Covariance(order=order, matrix=matrix.tolist()),
+        "covariance": ParameterCovariance(order=order, matrix=matrix.tolist()),
         "correlation": np.divide(matrix, whole, out=np.eye(len(order)), where=whole > 0).tolist(),
         "covariance_from": "noise", "not_identifiable": [], "on_bound": [],
         "intervals95": {name: (parameters[name] - 1.96 * s, parameters[name] + 1.96 * s) if s else None
@@ -191,12 +192,12 @@ def campaign():
     near = {"C10": (4.1**2, -0.82 * 4.1 * 24.0), "C20": (-0.82 * 4.1 * 24.0, 24.0**2)}
     mooney = {"C10": 1467.0, "C01": 0.0}
     bound = {"C10": (3.0**2, 0.0), "C01": (0.0, 0.0)}
-    jitter = JitterStatement(contact_mm=0.028, zero_N=0.0094, freedom=6)
-    mesh = [MeshCorrection(test="needle", largest_percent=0.62, remainder_percent=0.06, refreshes=2)]
+    jitter = ReplicateJitterStatement(contact_mm=0.028, zero_N=0.0094, freedom=6)
+    mesh = [MeshCorrectionSummary(test="needle", largest_percent=0.62, remainder_percent=0.06, refreshes=2)]
     best = make_fit(
         "reduced_polynomial_2", polynomial, near, not_identifiable=[], condition=38.0, left_out=1.31, jitter=jitter,
         mesh=mesh, profiles={"C10": profile_of(1406.2, 4.1, skew=0.02), "C20": profile_of(688.0, 24.0, skew=0.06)},
-        directions=[Direction(shares={"C10": -0.08, "C20": 0.997}, relative_error=0.035)],
+        directions=[WeakDirection(shares={"C10": -0.08, "C20": 0.997}, relative_error=0.035)],
         history=history_of(polynomial, 20, rng),
         regions=regions((0.62, 0.0021), (0.9, 0.0012), (0.31, 0.003), (0.21, 0.012), (3e-11, 0.047), (4e-7, 0.058),
                         (0.44, 1.1)),
@@ -210,7 +211,7 @@ def campaign():
         profiles={"C10": profile_of(1467.0, 3.0), "C01": profile_of(0.0, 28.0, low=0.0)},
         regions=regions((1e-4, 0.011), (1e-9, 0.03), (0.0, 0.09), (1e-8, 0.03), (0.04, 0.021), (4e-7, 0.05),
                         (1e-5, 91.0)),
-        suggestions=[Suggestion(test="bonded compression to 10 mm", standard_errors={"C10": 2.0, "C01": 6.5})])
+        suggestions=[SuggestedTest(test="bonded compression to 10 mm", standard_errors={"C10": 2.0, "C01": 6.5})])
     predictions = []
     for law, factor in (("reduced_polynomial_2", 1.0), ("mooney_rivlin", 4.6)):
         for name, percent, newton, pascal in (("plates", 0.9, 0.068, None), ("needle", 1.7, 0.036, None),
@@ -221,8 +222,8 @@ def campaign():
                 percent=percent * factor, expected_N=newton and 0.031, fitted=left))
     settings = FitSettings(("reduced_polynomial_2", "mooney_rivlin"), method="inverse_fem", bounds={"C01": (0.0, 1e5)})
     told = Campaign(Path("study.toml"), {"phantom": SPECIMEN}, TESTS, settings, Noise(), "ab" * 32)
-    noise = tuple(SensorStatement(test=t.name, deviation_N=8.0 if t is STRIP else NOISE, correlation_time_s=0.0,
-                                  source="estimated") for t in TESTS)
+    noise = tuple(SensorNoiseStatement(test=t.name, deviation_N=8.0 if t is STRIP else NOISE, correlation_time_s=0.0,
+                                       source="estimated") for t in TESTS)
     result = CalibrationResult(
         told, (best, second), tuple(predictions), "Best by prediction of the tests left out: reduced_polynomial_2.",
         Path("out"), "cd" * 32, noise=noise)
@@ -245,8 +246,8 @@ def closes(page):
 def written(campaign, tmp_path, figures=True):
     result, curves = campaign
     measured = {c.test.name: c.measured for c in next(iter(curves.values()))}
-    methods = write_methods_text(result, measured, Units.of(result))
-    return report_page(result, curves, methods, Pictures(tmp_path, "svg") if figures else None)
+    methods = write_methods_text(result, measured, ReportUnits.choose_for_calibration(result))
+    return build_report_page(result, curves, methods, FigureEmbedder(tmp_path, "svg") if figures else None)
 
 
 def texts_of(axes):
@@ -255,7 +256,8 @@ def texts_of(axes):
 
 def one_test(campaign, test):
     result, curves = campaign
-    return result.fits, {law: several[TESTS.index(test)] for law, several in curves.items()}, Units.of(result)
+    return result.fits, {law: several[TESTS.index(test)] for law,
+                         several in curves.items()}, ReportUnits.choose_for_calibration(result)
 
 
 @pytest.mark.slow
@@ -315,7 +317,7 @@ def test_the_report_of_a_single_test_states_that_there_is_no_prediction(campaign
 
 def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
     fits, curves, units = one_test(campaign, PLATES)
-    png = render_png(curve_figures.draw_test(fits, curves, units))
+    png = render_png(curve_figures.draw_test_figure(fits, curves, units))
     assert png[:8] == b"\x89PNG\r\n\x1a\n" and int.from_bytes(png[16:20], "big") >= 1200
 
     def longer(c):
@@ -323,14 +325,14 @@ def test_pictures_are_sharp_at_1200_pixels_and_thin_large_recordings(campaign):
                         force=np.repeat(m.force, 100)) for m in c.measured]
         return replace(c, measured=tuple(many), fitted=tuple(np.repeat(f, 100) for f in c.fitted))
 
-    many = render_png(curve_figures.draw_test(fits, {law: longer(c) for law, c in curves.items()}, units))
+    many = render_png(curve_figures.draw_test_figure(fits, {law: longer(c) for law, c in curves.items()}, units))
     assert len(many) < 1.5 * len(png)
 
 
 def test_band_and_residuals_of_a_ramp(campaign):
     fits, curves, units = one_test(campaign, PLATES)
     best = curves["reduced_polynomial_2"]
-    shown = curve_figures.draw_test(fits, curves, units)
+    shown = curve_figures.draw_test_figure(fits, curves, units)
     force, stress, tangent, band, residual = shown.axes
     assert force.get_xlabel() == "displacement [mm]" and force.get_ylabel() == "force [N]"
     assert [t.get_text() for t in shown.legends[0].get_texts()][:4] == [
@@ -357,7 +359,7 @@ def test_band_and_residuals_of_a_ramp(campaign):
 
 
 def test_a_test_that_holds_is_drawn_against_time_with_its_misfits_where_they_are(campaign):
-    residual = next(axes for axes in curve_figures.draw_test(*one_test(campaign, NEEDLE)).axes if axes.texts)
+    residual = next(axes for axes in curve_figures.draw_test_figure(*one_test(campaign, NEEDLE)).axes if axes.texts)
     assert residual.get_xlabel() == "time [s]"
     assert texts_of(residual) == ["0.047 N", "0.058 N"]
     spans = [patch.get_extents().transformed(residual.transData.inverted()).intervalx
@@ -367,7 +369,7 @@ def test_a_test_that_holds_is_drawn_against_time_with_its_misfits_where_they_are
 
 
 def test_a_test_without_specimen_is_drawn_as_stress_and_strain(campaign):
-    force, *_ = curve_figures.draw_test(*one_test(campaign, STRIP)).axes
+    force, *_ = curve_figures.draw_test_figure(*one_test(campaign, STRIP)).axes
     assert force.get_xlabel() == "nominal strain" and force.get_ylabel() == "nominal stress [kPa]"
     law = next(line for line in force.lines if line.get_label() == "Reduced polynomial N = 2")
     assert law.get_ydata()[-1] == pytest.approx(1e-3 * force_of(STRIP, campaign[0].best.parameters, 0.3))
@@ -376,7 +378,7 @@ def test_a_test_without_specimen_is_drawn_as_stress_and_strain(campaign):
 @pytest.mark.parametrize("correlation_time", [0.0, 0.3, 2.0])
 def test_noise_of_a_mean_is_that_of_the_dense_covariance(correlation_time):
     step, counts = 0.1, np.array([1, 2, 7, 40])
-    found = curve_figures.compute_deviation_of_mean(counts, step, correlation_time)
+    found = curve_figures.compute_standard_deviation_of_mean(counts, step, correlation_time)
     for n, deviation in zip(counts, found, strict=True):
         lag = step * np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
         dense = np.exp(-lag / correlation_time) if correlation_time else np.eye(n)
@@ -385,7 +387,7 @@ def test_noise_of_a_mean_is_that_of_the_dense_covariance(correlation_time):
 
 def test_regions_turn_orange_where_the_misfit_is_significant(campaign):
     result, _ = campaign
-    axes = figures.draw_regions(result.fits, TESTS, Units.of(result)).axes[0]
+    axes = figures.draw_region_misfits(result.fits, TESTS, ReportUnits.choose_for_calibration(result)).axes[0]
     assert "0.0021 N,  p = 0.62" in texts_of(axes) and "0.091 kPa,  p = 1e-5" in texts_of(axes)
     assert {"plates", "needle", "strip", "hold at 10 mm", "ramp from 3.3 to 6.7 mm"} <= set(texts_of(axes))
     red, _, blue, _ = np.array([patch.get_facecolor()[0] for patch in axes.collections]).T
@@ -397,18 +399,21 @@ def test_predictions_are_as_long_as_their_error_and_marked_where_chance_ends(cam
     result, _ = campaign
     lost = Prediction(test="bonded", law="neo_hooke", RMSE_N=None, RMSE_Pa=None, percent=None,
                       note="stopped at 7 mm")
-    axes = figures.draw_predictions([*result.predictions, lost], TESTS, Units.of(result)).axes[0]
+    axes = figures.draw_prediction_errors([*result.predictions, lost], TESTS,
+                                          ReportUnits.choose_for_calibration(result)).axes[0]
     assert [bar.get_width() for bar in axes.patches] == pytest.approx([p.percent for p in result.predictions])
     assert axes.lines[0].get_xdata()[0] == pytest.approx(0.9 * 0.031 / 0.068)
     assert any("none (stopped at 7 mm)" in words for words in texts_of(axes))
     far = msgspec.structs.replace(result.predictions[-1], percent=900.0)
-    axes = figures.draw_predictions([*result.predictions[:-1], far], TESTS, Units.of(result)).axes[0]
+    axes = figures.draw_prediction_errors([*result.predictions[:-1], far], TESTS,
+                                          ReportUnits.choose_for_calibration(result)).axes[0]
     assert axes.get_xlim()[1] < 20 and any(words.startswith("▸ 900\u00a0%") for words in texts_of(axes))
 
 
 def test_profiles_show_interval_quadratic_and_bound(campaign):
     result, _ = campaign
-    free, bound = estimate_figures.draw_profiles(result.fits[1], result.campaign.fit.bounds, Units.of(result)).axes
+    free, bound = estimate_figures.draw_profiles(result.fits[1], result.campaign.fit.bounds,
+                                                 ReportUnits.choose_for_calibration(result)).axes
     lines = {line.get_label(): line for line in free.lines}
     x, y = lines["quadratic"].get_data()
     assert np.interp(1.467 + 1.959964 * 0.003, x, y) == pytest.approx(LEVEL, rel=1e-3)
@@ -425,17 +430,17 @@ def test_profiles_show_interval_quadratic_and_bound(campaign):
 
 
 def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(campaign):
-    (best, second), units = campaign[0].fits, Units.of(campaign[0])
-    matrix, region, _ = estimate_figures.draw_correlation(best, units).axes
+    (best, second), units = campaign[0].fits, ReportUnits.choose_for_calibration(campaign[0])
+    matrix, region, _ = estimate_figures.draw_parameter_correlation(best, units).axes
     assert texts_of(matrix) == ["1", "−0.82", "−0.82", "1"]
     outer = region.patches[0].get_xy()
     reach = np.sqrt(5.991465)  # 95 % quantile of chi-square with two degrees of freedom
     assert outer.max(axis=0) == pytest.approx([1.4062 + reach * 4.1e-3, 0.688 + reach * 24e-3], rel=1e-4)
-    assert estimate_figures.draw_correlation(second, units) is None
+    assert estimate_figures.draw_parameter_correlation(second, units) is None
     three = make_fit("reduced_polynomial_3", {"C10": 1.0, "C20": 2.0, "C30": 3.0},
                      {name: tuple(row) for name, row in zip(("C10", "C20", "C30"), np.eye(3), strict=True)},
-                     directions=[Direction(shares={"C10": 0.1, "C20": -0.7, "C30": 0.7}, relative_error=0.6)])
-    weak = estimate_figures.draw_correlation(three, units)
+                     directions=[WeakDirection(shares={"C10": 0.1, "C20": -0.7, "C30": 0.7}, relative_error=0.6)])
+    weak = estimate_figures.draw_parameter_correlation(three, units)
     bars = weak.axes[1]
     assert [bar.get_width() for bar in bars.patches] == pytest.approx([0.1, -0.7, 0.7])
     assert weak.legends[0].get_texts()[0].get_text() == "known to ± 60 %"
@@ -443,11 +448,11 @@ def test_correlation_of_two_has_an_ellipse_and_of_three_its_weak_directions(camp
 
 def test_history_has_every_start_and_the_chosen_one_is_bold(campaign):
     result, _ = campaign
-    assert figures.best_start_number(result.best) == 1
+    assert figures.find_best_start_number(result.best) == 1
     lower = msgspec.structs.replace(result.best.history[-1], start=21, run=1, error=1.0)
     uncorrected = msgspec.structs.replace(result.best, history=[*result.best.history, lower])
-    assert figures.best_start_number(uncorrected) == 1
-    shown = figures.draw_history(result.fits)
+    assert figures.find_best_start_number(uncorrected) == 1
+    shown = figures.draw_descent_history(result.fits)
     above = next(ax for ax in shown.axes if ax.get_title() == "Reduced polynomial N = 2")
     assert above.get_yscale() == "log"
     bold = [line for line in above.lines if line.get_linewidth() == 2.4]

@@ -5,8 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calibration.statistics.jitter import Jitter, WhitenedReplicate, estimate_jitter
-from calibration.statistics.sensor_noise import SensorNoise, whiten
+from calibration.statistics.jitter import ReplicateJitter, WhitenedReplicate, estimate_jitter
+from calibration.statistics.sensor_noise import SensorNoise, whiten_columns
 from tissue_sim.rig.noise import generate_sensor_noise
 
 #: Jitter of the contact, m.
@@ -28,7 +28,7 @@ def replicate(curve, rng, contact=CONTACT, zero=ZERO, samples=101, shift=None, n
     residual = sign * (columns[:, 0] * rng.normal(0.0, contact) + rng.normal(0.0, zero) + shared * columns[:, 4]
                        + generate_sensor_noise(samples, noise.deviation, int(rng.integers(2**31)), time=time,
                                                correlation_time=noise.correlation_time))
-    white = whiten(np.column_stack([columns, residual]), time, noise)
+    white = whiten_columns(np.column_stack([columns, residual]), time, noise)
     return WhitenedReplicate(white[:, 5], white[:, 0], white[:, 1], white[:, 2:4], white[:, 4:5])
 
 
@@ -117,7 +117,7 @@ def test_it_is_the_maximum_of_the_dense_likelihood(seed):
 
 def test_what_is_stated_is_held():
     tests = campaign(1)
-    assert estimate_jitter(tests, contact=1e-5, zero=0.0) == Jitter(1e-5, 0.0, None)
+    assert estimate_jitter(tests, contact=1e-5, zero=0.0) == ReplicateJitter(1e-5, 0.0, None)
     held = estimate_jitter(tests, zero=ZERO)
     assert held.zero == ZERO
     assert held.freedom == 6
@@ -128,9 +128,9 @@ def test_what_is_stated_is_held():
 
 def test_no_replicates_say_nothing():
     single = [[test[0]] for test in campaign(2)]
-    assert estimate_jitter(single) == Jitter(0.0, 0.0, 0)
-    assert estimate_jitter(single, contact=3e-5) == Jitter(3e-5, 0.0, 0)
-    assert estimate_jitter([]) == Jitter(0.0, 0.0, 0)
+    assert estimate_jitter(single) == ReplicateJitter(0.0, 0.0, 0)
+    assert estimate_jitter(single, contact=3e-5) == ReplicateJitter(3e-5, 0.0, 0)
+    assert estimate_jitter([]) == ReplicateJitter(0.0, 0.0, 0)
 
 
 def test_a_misfit_that_all_replicates_share_is_not_jitter():

@@ -12,7 +12,7 @@ from calibration.effects.displacement_gain import DisplacementGain
 from calibration.effects.sensor_drift import SensorDrift
 from calibration.effects.step_loss import StepLoss
 from calibration.effects.viscoelasticity import Viscoelasticity
-from calibration.statistics.scores import Direction
+from calibration.statistics.scores import EffectDirection
 
 
 @pytest.fixture(autouse=True)
@@ -51,15 +51,15 @@ def test_two_that_act_in_different_places_are_both_named(tmp_path):
     assert values["viscoelastic.terms[0].g"] == pytest.approx(0.12, rel=0.1)
     assert values["rig.step_loss"] == pytest.approx(0.08e-3, rel=0.2)
     assert values["rig.step_loss_depth"] == pytest.approx(1.28e-3, abs=0.1e-3)
-    assert found.after.adequate and not found.before.adequate
+    assert found.after.has_adequate_residuals and not found.before.has_adequate_residuals
 
 
 def fitted(name, axis, strength, gain=50.0):
     """A fit whose effect changes the data along an axis."""
-    direction = Direction(np.asarray(axis, dtype=float)[:, None], 1.0, 1.0, False)
+    direction = EffectDirection(np.asarray(axis, dtype=float)[:, None], 1.0, 1.0, False)
     candidate = SimpleNamespace(name=name)
-    proposal = SimpleNamespace(candidate=candidate, direction=direction, strength=strength)
-    return SimpleNamespace(name=name, gain=gain, proposal=proposal)
+    proposal = SimpleNamespace(candidate=candidate, direction=direction, signed_score=strength)
+    return SimpleNamespace(candidate_name=name, gain=gain, proposal=proposal)
 
 
 @pytest.mark.parametrize(("axis", "alone", "second_alone", "rival", "needed"), [
@@ -72,6 +72,6 @@ def fitted(name, axis, strength, gain=50.0):
 def test_two_need_each_other(axis, alone, second_alone, rival, needed, monkeypatch):
     first, second = fitted("first", [1, 0, 0], 8.0), fitted("second", axis, second_alone)
     plain = fitted("second", axis, alone).proposal
-    monkeypatch.setattr("calibration.diagnosis.pairs.rescore", lambda proposal, evidence: plain)
+    monkeypatch.setattr("calibration.diagnosis.pairs.recompute_candidate_score", lambda proposal, evidence: plain)
     good = [first] if rival is None else [first, fitted("second", axis, alone, gain=rival)]
     assert _are_both_required(first, second, good, None) is needed

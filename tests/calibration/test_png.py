@@ -8,7 +8,7 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from matplotlib.image import imread
 
-from calibration.report.drawing import STYLE, add_legend_above, new_panels
+from calibration.report.drawing import STYLE, add_legend_above, create_panel_figure
 from calibration.report.png import render_png
 
 DEPTH = np.linspace(0.0, 10.0, 60)
@@ -16,7 +16,7 @@ DEPTH = np.linspace(0.0, 10.0, 60)
 
 def shared():
     """Wide and narrow numbers, a legend above, residuals that share an axis, aligned labels."""
-    figure, axes = new_panels([3, 2], 3.0)
+    figure, axes = create_panel_figure([3, 2], 3.0)
     for number, each in enumerate(axes):
         each.plot(DEPTH, 10.0 ** (number - 2) * DEPTH**2, label=f"law {number}")
         each.set(xlabel="displacement [mm]", ylabel="model − data [N]", title=f"panel {number}")
@@ -27,7 +27,7 @@ def shared():
 
 
 def logarithmic():
-    figure, axes = new_panels([2], 3.0)
+    figure, axes = create_panel_figure([2], 3.0)
     axes[0].loglog(1.0 + DEPTH, np.exp(DEPTH))
     axes[1].semilogx(1.0 + DEPTH, 1e-5 * DEPTH)
     figure.suptitle("both ways")

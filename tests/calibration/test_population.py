@@ -96,7 +96,7 @@ def test_intervals_hold_the_truth():
 
 
 def test_too_few_specimens_and_undetermined_parameters_are_refused():
-    with pytest.raises(InputError, match="requires at least 2 specimens; got 1"):
+    with pytest.raises(InputError, match="a population must have at least 2 specimens; got 1"):
         alone([1.0], [1.0])
     with pytest.raises(InputError, match="the fit of 1 must determine a; got no finite estimate"):
         alone([1.0, 2.0], [1.0, np.inf])

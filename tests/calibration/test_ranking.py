@@ -67,7 +67,7 @@ def test_a_law_on_its_bound_is_named_and_not_the_best(tmp_path):
                    '[fit]\nlaws = ["reduced_polynomial_2", "neo_hooke"]\n[fit.bounds]\nC20 = [0.0, 600.0]\n')
     result = fit(tmp_path, text)
     assert [one.law for one in result.fits] == ["neo_hooke", "reduced_polynomial_2"]
-    assert result.fits[1].BIC < result.best.BIC and result.fits[1].held == ["C20"]
+    assert result.fits[1].BIC < result.best.BIC and result.fits[1].parameters_on_bounds == ["C20"]
     assert "reduced_polynomial_2 (held by the bounds of C20)" in result.message
     alone = fit(tmp_path, text.replace(', "neo_hooke"', ""))
     assert alone.best.law == "reduced_polynomial_2" and "is held by the bounds of C20" in alone.message

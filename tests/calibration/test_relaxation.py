@@ -154,7 +154,7 @@ def test_the_page_shows_the_hold_against_time(fit_relaxation):
 
 @pytest.mark.parametrize(("run", "message"), [
     (lambda fit: fit(recording().select(slice(0, 6)), "neo_hooke", 3),
-     "neo_hooke has 7 parameters and the tests only 6 points"),
+     "the tests must have more samples than the 7 parameters of neo_hooke; got 6"),
     (lambda fit: fit(recording(), "neo_hooke", 5), "1 to 4 terms; got 5|at most 4"),
     (lambda fit: fit(ts.Recording({"time": TIME, "force": STRETCH}), "neo_hooke"), "needs"),
     (lambda fit: fit(recording().with_channels(time=0 * TIME), "neo_hooke"), "the time must increase"),

@@ -5,15 +5,15 @@ from types import SimpleNamespace
 import pytest
 
 from calibration.report.page import (
-    format_moduli,
+    compute_shear_modulus_error,
+    format_initial_moduli,
     format_young_modulus,
-    group_remarks,
-    shear_modulus_error,
+    group_fits_by_remarks,
     use_minus_signs,
 )
-from calibration.report.rounding import error_text, interval_text, ratio_text, value_and_error
-from calibration.report.symbols import html_symbol, math_symbol, plain_symbol
-from calibration.report.units import Units
+from calibration.report.rounding import format_error, format_interval, format_odds_ratio, format_value_and_error
+from calibration.report.symbols import format_html_symbol, format_mathtext_symbol, format_plain_symbol
+from calibration.report.units import ReportUnits
 
 
 @pytest.mark.parametrize(("value", "error", "text"), [
@@ -24,20 +24,20 @@ from calibration.report.units import Units
     (-0.0699, 0.018, "-0.070 ± 0.018"), (-0.0003, 0.007, "0.000 ± 0.007"),
     (6e-7, 1.1e-6, "(0.6 ± 1.1) × 10⁻⁶"), (1.23e7, 3e4, "(1.2300 ± 0.0030) × 10⁷")])
 def test_an_error_leaves_one_or_two_digits(value, error, text):
-    assert value_and_error(value, error) == text
+    assert format_value_and_error(value, error) == text
 
 
 def test_without_an_error_four_digits_stay_and_a_reason_stands_there():
-    assert value_and_error(1.234567, None, "kPa", known="on its bound") == "1.235 kPa (on its bound)"
-    assert value_and_error(1.234567, 0.0, "s", known="fixed") == "1.235 s (fixed)"
+    assert format_value_and_error(1.234567, None, "kPa", known="on its bound") == "1.235 kPa (on its bound)"
+    assert format_value_and_error(1.234567, 0.0, "s", known="fixed") == "1.235 s (fixed)"
 
 
 def test_an_interval_ends_where_the_error_does_or_where_its_own_width_does():
-    assert interval_text(0.9372, 1.0401, 0.0231, 0.988) == "0.937 to 1.040"
+    assert format_interval(0.9372, 1.0401, 0.0231, 0.988) == "0.937 to 1.040"
     # A share that nothing determines, cut by its bounds 0 and 1.
-    assert interval_text(1e-6, 1.0, 331.0, 0.0) == "0.00 to 1.00"
-    assert interval_text(1.0, 2.0, None) == "1 to 2"
-    assert error_text(0.00531) == "0.005" and error_text(0.012) == "0.012" and error_text(3e-7) == "3e-07"
+    assert format_interval(1e-6, 1.0, 331.0, 0.0) == "0.00 to 1.00"
+    assert format_interval(1.0, 2.0, None) == "1 to 2"
+    assert format_error(0.00531) == "0.005" and format_error(0.012) == "0.012" and format_error(3e-7) == "3e-07"
 
 
 def test_the_error_of_a_modulus_follows_from_the_covariance():
@@ -48,18 +48,19 @@ def test_the_error_of_a_modulus_follows_from_the_covariance():
         standard_errors=dict.fromkeys(("mu1", "alpha1", "mu2", "alpha2"), 1.0), covariance=SimpleNamespace(
             order=["mu1", "alpha1", "mu2", "alpha2"],
             matrix=[[100.0, 3.0, -90.0, 0.0], [3.0, 1.0, 0.0, 0.0], [-90.0, 0.0, 144.0, 0.0], [0.0, 0.0, 0.0, 1.0]]))
-    assert shear_modulus_error(ogden) == pytest.approx((100 + 144 - 180)**0.5)
-    units = Units.of(SimpleNamespace(best=SimpleNamespace(mu0=800.0, RMSE_N=None, regions=[])))
+    assert compute_shear_modulus_error(ogden) == pytest.approx((100 + 144 - 180)**0.5)
+    units = ReportUnits.choose_for_calibration(SimpleNamespace(best=SimpleNamespace(mu0=800.0, RMSE_N=None,
+                                                                                    regions=[])))
     assert format_young_modulus(ogden, units) == "2400 ± 24 Pa"
-    assert format_moduli(ogden, units) == ("2400", "800")
+    assert format_initial_moduli(ogden, units) == ("2400", "800")
     ogden.standard_errors["mu2"] = None
-    assert shear_modulus_error(ogden) is None and format_moduli(ogden, units) == ("2400", "800")
+    assert compute_shear_modulus_error(ogden) is None and format_initial_moduli(ogden, units) == ("2400", "800")
 
 
 def test_symbols():
-    assert html_symbol("mu1@cast <A>") == "<i>μ</i><sub>1</sub> (cast &lt;A&gt;)"
-    assert math_symbol("tau2") == r"$\tau_{2}$" and math_symbol("C10@A") == "$C_{10}$ (A)"
-    assert plain_symbol("alpha1@B") == "α1 (B)" and plain_symbol("rig.compliance") == "rig.compliance"
+    assert format_html_symbol("mu1@cast <A>") == "<i>μ</i><sub>1</sub> (cast &lt;A&gt;)"
+    assert format_mathtext_symbol("tau2") == r"$\tau_{2}$" and format_mathtext_symbol("C10@A") == "$C_{10}$ (A)"
+    assert format_plain_symbol("alpha1@B") == "α1 (B)" and format_plain_symbol("rig.compliance") == "rig.compliance"
 
 
 def test_minus_signs_are_those_of_numbers():
@@ -71,20 +72,21 @@ def test_minus_signs_are_those_of_numbers():
     (800.0, 4e-9, 2e-3, ("Pa", "µN", "µm")), (2.1e6, 2e-4, 0.4, ("MPa", "mN", "mm"))])
 def test_one_unit_of_each_quantity(mu0, RMSE, end, names):
     best = SimpleNamespace(mu0=mu0, RMSE_N=RMSE, regions=[SimpleNamespace(end=end)])
-    units = Units.of(SimpleNamespace(best=best))
+    units = ReportUnits.choose_for_calibration(SimpleNamespace(best=best))
     assert (units.pressure.name, units.force.name, units.length.name) == names
-    assert units.of_parameter("Pa") is units.pressure and units.of_parameter("1").name == ""
-    assert units.force.label("force") == f"force [{names[1]}]"
+    assert units.choose_parameter_unit("Pa") is units.pressure and units.choose_parameter_unit("1").name == ""
+    assert units.force.format_axis_label("force") == f"force [{names[1]}]"
 
 
 def test_what_laws_share_is_said_once():
     fits = [SimpleNamespace(law=law, warnings=warnings) for law, warnings in (
         ("a", ["assumed", "far off"]), ("b", ["assumed", "on a bound"]), ("c", ["assumed", "far off"]))]
-    told = [([fit.law for fit in having], words) for having, words in group_remarks(fits, lambda fit: fit.warnings)]
+    told = [([fit.law for fit in having], words) for having,
+            words in group_fits_by_remarks(fits, lambda fit: fit.warnings)]
     assert told == [(["a", "b", "c"], "assumed"), (["a", "c"], "far off"), (["b"], "on a bound")]
 
 
 @pytest.mark.parametrize(("ratio", "text"), [(1.26, "1.3"), (12.93, "13"), (338.2, "338"), (48644.0, "48\u202f600"),
                                              (3e7, "> 10⁶")])
 def test_odds_have_few_digits(ratio, text):
-    assert ratio_text(ratio) == text
+    assert format_odds_ratio(ratio) == text

@@ -7,8 +7,8 @@ import pytest
 
 import tissue_sim as ts
 from calibration import calibrate
-from calibration.report.curve_figures import draw_test
-from calibration.report.drawing import panels_per_row
+from calibration.report.curve_figures import draw_test_figure
+from calibration.report.drawing import compute_panels_per_row
 from calibration.report.views import compute_local_slopes
 from tissue_sim.errors import InputError
 
@@ -60,7 +60,7 @@ def test_local_slopes_are_those_of_the_curve():
 
 @pytest.mark.parametrize(("count", "rows"), [(1, [1]), (3, [3]), (4, [2, 2]), (5, [3, 2]), (7, [3, 2, 2])])
 def test_panels_are_spread_evenly(count, rows):
-    assert panels_per_row(count) == rows
+    assert compute_panels_per_row(count) == rows
 
 
 @pytest.mark.slow
@@ -68,10 +68,10 @@ def test_pictures_are_files_beside_the_report_and_are_made_when_asked_for_later(
     drawn = []
 
     def draw(*arguments):
-        drawn.append(draw_test(*arguments))
+        drawn.append(draw_test_figure(*arguments))
         return drawn[-1]
 
-    monkeypatch.setattr("calibration.report.report.draw_test", draw)
+    monkeypatch.setattr("calibration.report.report.draw_test_figure", draw)
     out = tmp_path / "out"
     calibrate([campaign], out)
     assert not list(out.glob("report_*"))

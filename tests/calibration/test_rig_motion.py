@@ -9,16 +9,16 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.parameter_space import ParameterSpace
 from calibration.diagnosis.evidence import make_whole_recording_campaign
-from calibration.fit.campaign_problem import build_problem
-from calibration.fit.problem import Problem
-from calibration.fit.trust_region import descend
+from calibration.fit.campaign_problem import build_generalised_problem
+from calibration.fit.problem import GeneralisedProblem
+from calibration.fit.trust_region import minimise_from_start
 from calibration.forward.contract import InfeasibleError
-from calibration.forward.forms import mesh_uncertainty
+from calibration.forward.forms import compute_mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS, FINEST_MESH_ERRORS
-from calibration.forward.motion import Loading
-from calibration.forward.rig_motion import AlignedCurve, PositionCurve
+from calibration.forward.motion import MonotonicLoading
+from calibration.forward.rig_motion import AlignedCurve, ForcePositionCurve
 from calibration.forward.simulation_cache import SimulationCache
-from calibration.statistics.jitter import Jitter
+from calibration.statistics.jitter import ReplicateJitter
 
 #: Specimen.
 SPECIMEN = ts.Specimen(0.020, 0.030)
@@ -68,13 +68,13 @@ def study(folder, kind="lubricated_compression", tool="", start="", fixed="", de
     path.write_text(CAMPAIGN.format(kind=kind, tool=tool, start=start, fixed=fixed), encoding="utf-8")
     campaign = make_whole_recording_campaign(calibration.load_campaign(path))
     solves = SimulationCache()
-    problem = build_problem("neo_hooke", campaign, calibration.read_measured(campaign), solves)
+    problem = build_generalised_problem("neo_hooke", campaign, calibration.read_measured(campaign), solves)
     return problem.tests[0], problem.space, solves
 
 
 def evaluated(test, space, solves, values, offset=0.0):
     theta = np.array([{"C10": C10, **values}[name] for name in space.free])
-    return test.evaluate(test.solve(space, theta, solves), 0, offset)
+    return test.evaluate_force(test.solve(space, theta, solves), 0, offset)
 
 
 @pytest.mark.parametrize(("kind", "tool"), [("lubricated_compression", ""), ("bonded_compression", ""), (
@@ -173,13 +173,13 @@ def test_adhesion_is_not_proportional_to_the_modulus(tmp_path):
 def test_descent_does_not_simulate_its_start_again(tmp_path):
     """The conversion of unknowns to scaled variables and back changes the last digit."""
     test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
-    problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
+    problem = GeneralisedProblem(space, (test,), solves, ReplicateJitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": C10}.get(name, 0.06131956364938239) for name in space.free])
-    variables = problem.variables(start)
+    variables = problem.make_descent_variables(start)
     assert not np.array_equal(variables.to_unknowns(variables.from_unknowns(start)), start)
     problem.evaluate(start)
     counted = solves.counts.total()
-    end = descend(problem, start, corrected=True, enough=1e30)
+    end = minimise_from_start(problem, start, corrected=True, enough=1e30)
     assert solves.counts.total() == counted and np.array_equal(end.theta, start)
 
 
@@ -187,11 +187,11 @@ def test_descent_does_not_simulate_its_start_again(tmp_path):
 def test_stalled_descent_ends_at_its_best_point(tmp_path):
     """A descent ends after a given number of solves without a sufficient decrease."""
     test, space, solves = study(tmp_path, start=', "experiment.friction" = 0.05')
-    problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
+    problem = GeneralisedProblem(space, (test,), solves, ReplicateJitter(0.0, 0.005, None), (0.0,))
     start = np.array([{"C10": 0.9 * C10}.get(name, 0.06) for name in space.free])
-    whole = descend(problem, start, corrected=True, enough=0.0)
+    whole = minimise_from_start(problem, start, corrected=True, enough=0.0)
     assert len(whole.history) > 6
-    short = descend(problem, start, corrected=True, enough=0.0, stalled=(2, 0.1))
+    short = minimise_from_start(problem, start, corrected=True, enough=0.0, stalled=(2, 0.1))
     errors = [each.error for each in short.history]
     assert len(errors) < len(whole.history) and short.error == min(errors) and short.converged
     assert min(errors[:-2]) - min(errors) < 0.1 < min(errors[:-3]) - min(errors)
@@ -220,9 +220,9 @@ def test_viscoelastic_material_requires_the_whole_motion(tmp_path):
 def test_snapping_load_train_is_infeasible():
     """A force that falls faster than the load train unloads has no equilibrium."""
     depth = np.linspace(0.0, 1e-3, 21)
-    falls = PositionCurve.interpolate(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
+    falls = ForcePositionCurve.make_interpolant(depth, (1e3 * depth * np.cos(3e3 * depth))[:, None], holds=False)
     with pytest.raises(InfeasibleError, match="no equilibrium position"):
-        AlignedCurve(falls, np.linspace(0, 1e-3, 30), 0.05).positions(0.0)
+        AlignedCurve(falls, np.linspace(0, 1e-3, 30), 0.05).compute_tool_positions(0.0)
 
 
 @pytest.mark.slow
@@ -238,13 +238,13 @@ def test_mesh_correction_depends_on_tool_position(tmp_path, corners):
     depth = 1e-3 * np.interp(time, *corners)
     test, space, solves = study(tmp_path, "bonded_compression", depth=depth, time=time)
     before = evaluated(test, space, solves, {})[0]
-    test.update_correction(space, np.array([C10]), solves)
+    test.update_mesh_correction(space, np.array([C10]), solves)
     knots, more = test.position_correction
     inside = depth > 0
     expected = np.where(inside, np.interp(np.maximum(depth, 0), knots, more), 0.0)
     gained = evaluated(test, space, solves, {})[0] - before
     assert np.abs(gained - expected)[inside].max() < 0.02 * np.abs(more).max() + 1e-12
-    test.drop_correction()
+    test.remove_mesh_correction()
     assert evaluated(test, space, solves, {})[0] == pytest.approx(before)
 
 
@@ -280,9 +280,9 @@ def test_separation_depends_on_the_true_tool_position(tmp_path):
 
 def test_descent_that_reaches_a_bound_ends_on_it(tmp_path):
     test, space, solves = study(tmp_path, start=', "rig.compliance" = 0.01', fixed="[fit.bounds]\nC10 = [1e2, 1402.0]")
-    problem = Problem(space, (test,), solves, Jitter(0.0, 0.005, None), (0.0,))
-    end = descend(problem, np.array([{"C10": 1350.0}.get(name, 1e-6) for name in space.free]), corrected=True,
-                  enough=0.1, tolerance=2e-5)
+    problem = GeneralisedProblem(space, (test,), solves, ReplicateJitter(0.0, 0.005, None), (0.0,))
+    end = minimise_from_start(problem, np.array([{"C10": 1350.0}.get(name, 1e-6) for name in space.free]),
+                              corrected=True, enough=0.1, tolerance=2e-5)
     assert end.theta[list(space.free).index("C10")] == 1402.0
 
 
@@ -292,45 +292,47 @@ def test_descent_that_reaches_a_bound_ends_on_it(tmp_path):
 def test_finest_mesh_reduces_the_error_of_the_accurate_mesh(tmp_path, kind, tool):
     """The error of the accurate mesh is computed once and corrected afterwards, which reduces the uncertainty."""
     test, space, solves = study(tmp_path, kind, tool)
-    test.update_correction(space, np.array([C10]), solves)
+    test.update_mesh_correction(space, np.array([C10]), solves)
     assert solves.counts["test", "finest"] == 1
     knots, more = test.position_correction
-    finest, *_ = test._simulate(space, {"C10": C10}, solves, Loading(knots, 1e-3), "finest", rigid=True)
-    fast, *_ = test._simulate(space, {"C10": C10}, solves, Loading(knots, 1e-3), "fast", rigid=True)
+    loading = MonotonicLoading(knots, 1e-3)
+    finest, *_ = test._simulate_or_load_motion(space, {"C10": C10}, solves, loading, "finest", rigid=True)
+    fast, *_ = test._simulate_or_load_motion(space, {"C10": C10}, solves, loading, "fast", rigid=True)
     assert more == pytest.approx(finest - fast, abs=2e-5 * finest.max())
     shape = "plate" if not tool else "flat"
-    assert FINEST_MESH_ERRORS[shape] <= mesh_uncertainty(test, ACCURATE_MESH_ERRORS) < ACCURATE_MESH_ERRORS[shape]
+    uncertainty = compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS)
+    assert FINEST_MESH_ERRORS[shape] <= uncertainty < ACCURATE_MESH_ERRORS[shape]
     # The relative correction is the same at other parameters.
     solves.counts.clear()
-    test.update_correction(space, np.array([1.1 * C10]), solves)
+    test.update_mesh_correction(space, np.array([1.1 * C10]), solves)
     assert not solves.counts["test", "finest"]
     assert test.position_correction[1] == pytest.approx(1.1 * more, abs=1e-6 * finest.max())
 
 
 def test_failed_finest_mesh_leaves_the_uncertainty_of_the_accurate_mesh(tmp_path, monkeypatch):
     test, space, solves = study(tmp_path, "bonded_compression")
-    simulate = test._simulate
+    simulate = test._simulate_or_load_motion
 
     def failing(space, values, solves, motion, resolution, *others, **named):
         if resolution == "finest":
             raise InfeasibleError("no")
         return simulate(space, values, solves, motion, resolution, *others, **named)
 
-    monkeypatch.setattr(test, "_simulate", failing)
-    test.update_correction(space, np.array([C10]), solves)
-    assert mesh_uncertainty(test, ACCURATE_MESH_ERRORS) == ACCURATE_MESH_ERRORS["plate"]
-    assert test.mesh_error.factor(DEPTH) == pytest.approx(1.0)
+    monkeypatch.setattr(test, "_simulate_or_load_motion", failing)
+    test.update_mesh_correction(space, np.array([C10]), solves)
+    assert compute_mesh_uncertainty(test, ACCURATE_MESH_ERRORS) == ACCURATE_MESH_ERRORS["plate"]
+    assert test.mesh_error.compute_correction_factor(DEPTH) == pytest.approx(1.0)
 
 
 def test_puncture_occurs_at_a_true_depth(tmp_path):
-    """A contact offset moves the drop to other samples, also in `forces_at_offsets`."""
+    """A contact offset moves the drop to other samples, also in `compute_forces_at_offsets`."""
     test, space, solves = study(tmp_path, "needle_indentation", 'tool = "flat"\ntool_radius_mm = 4.0',
                                 fixed='fixed = { "puncture.drop" = 0.2, "puncture.depth_mm" = 2.0 }')
     answer = test.solve(space, np.array([C10]), solves)
     offsets = np.array([-0.1e-3, 0.0, 0.1e-3])
-    scanned = test.forces_at_offsets(answer, 0, offsets)
+    scanned = test.compute_forces_at_offsets(answer, 0, offsets)
     for column, offset in zip(scanned.T, offsets, strict=True):
-        assert column == pytest.approx(test.evaluate(answer, 0, offset)[0], abs=1e-9)
+        assert column == pytest.approx(test.evaluate_force(answer, 0, offset)[0], abs=1e-9)
         falls = np.flatnonzero(np.diff(column[TIME <= 15]) < 0)
         assert falls.tolist() == [np.flatnonzero(DEPTH - offset > 2e-3)[0] - 1]
 

@@ -158,13 +158,13 @@ def test_slopes_of_the_forward_model(tmp_path, weighs):
     assert isinstance(form, ColumnTest) == weighs
     space, width = ParameterSpace.of("reduced_polynomial_2", campaign), 1e-6 * STUDY.height
     answer = form.solve(space, np.array(list(PHANTOM.values())), SimulationCache())
-    force, rates, contact = form.evaluate(answer, 0, 0.0)
+    force, rates, contact = form.evaluate_force(answer, 0, 0.0)
     assert force[0] == contact[0] == 0 and not rates[0].any()
-    numeric = (form.evaluate(answer, 0, width)[0] - form.evaluate(answer, 0, -width)[0]) / (2 * width)
+    numeric = (form.evaluate_force(answer, 0, width)[0] - form.evaluate_force(answer, 0, -width)[0]) / (2 * width)
     np.testing.assert_allclose(contact[:3], numeric[:3], rtol=1e-6)
     for i, step in enumerate(1e-6 * np.eye(2) * list(PHANTOM.values())):
         truth = np.array(list(PHANTOM.values()))
-        ends = [form.evaluate(form.solve(space, truth + sign * step, SimulationCache()), 0, 0.0)[0]
+        ends = [form.evaluate_force(form.solve(space, truth + sign * step, SimulationCache()), 0, 0.0)[0]
                 for sign in (1, -1)]
         np.testing.assert_allclose(rates[:, i], (ends[0] - ends[1]) / (2 * step[i]), rtol=1e-5)
 

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, whiten
+from calibration.statistics.sensor_noise import SensorNoise, estimate_shared_noise, whiten_columns
 from tissue_sim.errors import InputError
 from tissue_sim.rig.noise import generate_sensor_noise
 
@@ -217,23 +217,23 @@ def test_whitening_is_the_dense_cholesky_factor(steps, tau, deviation):
     columns = np.random.default_rng(0).normal(size=(time.size, 3))
     expected = np.linalg.solve(np.linalg.cholesky(covariance), columns)
     noise = SensorNoise(deviation, tau)
-    assert whiten(columns, time, noise) == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
-    assert whiten(columns[:, 0], time, noise) == pytest.approx(whiten(columns, time, noise)[:, 0])
+    assert whiten_columns(columns, time, noise) == pytest.approx(expected, rel=1e-6, abs=1e-6 * np.abs(expected).max())
+    assert whiten_columns(columns[:, 0], time, noise) == pytest.approx(whiten_columns(columns, time, noise)[:, 0])
 
 
 def test_whitened_noise_is_white():
     time = np.cumsum(np.random.default_rng(1).exponential(0.1, 5000))
     noise = SensorNoise(0.02, 0.5)
-    white = whiten(generate_sensor_noise(5000, 0.02, 1, time=time, correlation_time=0.5), time, noise)
+    white = whiten_columns(generate_sensor_noise(5000, 0.02, 1, time=time, correlation_time=0.5), time, noise)
     assert white.std() == pytest.approx(1.0, abs=4 / np.sqrt(2 * 5000))
     assert abs(np.mean(white[1:] * white[:-1])) < 4 / np.sqrt(5000)
 
 
 def test_whitening_with_equal_or_no_times():
     values = np.arange(6.0)
-    assert whiten(values, None, SensorNoise(0.5)) == pytest.approx(2 * values)
-    numbered = whiten(values, np.arange(6.0), SensorNoise(0.5, 2.0))
-    assert whiten(values, None, SensorNoise(0.5, 2.0)) == pytest.approx(numbered)
+    assert whiten_columns(values, None, SensorNoise(0.5)) == pytest.approx(2 * values)
+    numbered = whiten_columns(values, np.arange(6.0), SensorNoise(0.5, 2.0))
+    assert whiten_columns(values, None, SensorNoise(0.5, 2.0)) == pytest.approx(numbered)
     # Stamps 0, 0, 2, 2, 4, 4 are 0, 1, 2, 3, 4, 5 read from a coarse clock.
-    assert whiten(values, np.array([0.0, 0, 2, 2, 4, 4]), SensorNoise(0.5, 2.0)) == pytest.approx(numbered)
-    assert np.isfinite(whiten(values, np.full(6, 3.0), SensorNoise(0.5, 2.0))).all()
+    assert whiten_columns(values, np.array([0.0, 0, 2, 2, 4, 4]), SensorNoise(0.5, 2.0)) == pytest.approx(numbered)
+    assert np.isfinite(whiten_columns(values, np.full(6, 3.0), SensorNoise(0.5, 2.0))).all()

@@ -13,8 +13,8 @@ import tissue_sim as ts
 from calibration.campaign.digest import compute_digest
 from calibration.campaign.named_files import absolute_path, rename_files
 from calibration.campaign.parameter_space import ParameterSpace
-from calibration.forward.forms import build_test, mesh_uncertainty
-from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, Meshes, make_exact_mesh
+from calibration.forward.forms import build_forward_test, compute_mesh_uncertainty
+from calibration.forward.meshes import ACCURATE_MESH_ERRORS, MESHES, SolverMeshes, make_exact_block_mesh
 from calibration.forward.simulation_cache import hash_content, simulate_curve
 from scenes.cli import main
 from tissue_sim.fem.solid.discretisation import RESOLUTIONS, Resolution, build_mesh
@@ -73,7 +73,7 @@ def coarse(monkeypatch):
     """Two orders of one mesh of 64 elements between plates."""
     monkeypatch.setitem(RESOLUTIONS, "coarse", Resolution(HEX8P0, 0.6, 2.5, 3.8, 2))
     monkeypatch.setitem(RESOLUTIONS, "coarse, second order", Resolution(HEX27P1, 0.6, 2.5, 3.8, 2))
-    monkeypatch.setitem(MESHES, "solid", Meshes("coarse", "coarse, second order", error_factor=3.0))
+    monkeypatch.setitem(MESHES, "solid", SolverMeshes("coarse", "coarse, second order", error_factor=3.0))
 
 
 @pytest.fixture
@@ -102,9 +102,9 @@ def test_every_shape_is_one_of_the_solid_in_space(folder, stated, shape, kind, t
     campaign = load(folder, stated, kind, test)
     asked, = campaign.tests
     assert (asked.solver, asked.specimen.shape, asked.experiment.specimen) == ("solid", shape, asked.specimen)
-    forward = build_test(asked, calibration.read_measured(campaign)[asked.name], campaign.fit, 0.0)
+    forward = build_forward_test(asked, calibration.read_measured(campaign)[asked.name], campaign.fit, 0.0)
     assert forward.solver == "solid" and forward.specimen is asked.specimen
-    assert forward.homogeneous == (shape == "block" and kind == "lubricated_compression")
+    assert forward.is_homogeneous == (shape == "block" and kind == "lubricated_compression")
 
 
 @pytest.mark.parametrize(("stated", "kind", "method", "field", "words"), [
@@ -190,7 +190,7 @@ def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
     experiment = ts.KINDS["lubricated_compression"].experiment(
         specimen=ts.Block(0.020, 0.030, 0.015), protocol=ts.Protocol(time, 1e-3 * np.array([0.0, 1.0, 2.0, 2.0, 0.5])))
     model = ts.Model(experiment, replace(MATERIAL, **more))
-    assert make_exact_mesh(model, "solid").connectivity.shape[0] == 8
+    assert make_exact_block_mesh(model, "solid").connectivity.shape[0] == 8
     few = simulate_curve(model, None, ["C10"], "realtime", "solid")
     many = ts.sensitivities(model, ["C10"], resolution="realtime", solver="solid")
     # Steps end where forces balance to 1e-6.
@@ -203,7 +203,7 @@ def test_where_any_mesh_is_exact_eight_elements_are_enough(more):
     {"specimen": ts.Block(0.020, 0.030, 0.015, density=1000.0, gravity=9.81)}])
 def test_where_a_mesh_matters_it_is_that_of_the_resolution(change):
     experiment = replace(pressed(ts.Block(0.020, 0.030, 0.015), kind="lubricated_compression"), **change)
-    assert make_exact_mesh(ts.Model(experiment, MATERIAL), "solid") is None
+    assert make_exact_block_mesh(ts.Model(experiment, MATERIAL), "solid") is None
 
 
 def test_a_moved_block_keeps_its_circle_and_its_sides():
@@ -360,11 +360,11 @@ def test_a_block_that_weighs_is_fitted_with_exact_derivatives(tmp_path, coarse, 
 def test_what_a_mesh_of_a_file_errs_by_is_told_from_two_orders(folder, coarse):
     campaign = load(folder, MESH)
     curves = calibration.read_measured(campaign)["bonded_compression"]
-    forward = build_test(campaign.tests[0], curves, campaign.fit, 0.0)
-    assert mesh_uncertainty(forward, ACCURATE_MESH_ERRORS) == 0.1
+    forward = build_forward_test(campaign.tests[0], curves, campaign.fit, 0.0)
+    assert compute_mesh_uncertainty(forward, ACCURATE_MESH_ERRORS) == 0.1
     forward.correction = [np.array([0.0, -0.004])]
     largest = np.abs(forward.measured[0].force).max()
-    assert mesh_uncertainty(forward, ACCURATE_MESH_ERRORS) == pytest.approx(0.1 * 0.004 / largest)
+    assert compute_mesh_uncertainty(forward, ACCURATE_MESH_ERRORS) == pytest.approx(0.1 * 0.004 / largest)
 
 
 def test_import_writes_a_campaign_of_a_stated_shape(folder, monkeypatch, capsys):

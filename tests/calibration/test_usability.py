@@ -11,8 +11,8 @@ import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
 from calibration.campaign.measured import read_measured
-from calibration.fit.determination import determine_modulus
-from calibration.fit.usability import displacement_R2, find_contradictions
+from calibration.fit.determination import assess_modulus_precision
+from calibration.fit.usability import compute_displacement_r_squared, list_screening_contradictions
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.report.usability import CRITERIA
 from scenes.cli import main
@@ -129,14 +129,14 @@ def test_ogden_tends_to_the_energy_of_hencky():
 def test_a_law_that_fails_leaves_the_others(tmp_path, monkeypatch):
     from calibration.fit import ordinary
 
-    whole = ordinary.fit_law
+    whole = ordinary.fit_law_analytically
 
     def fails(problem):
         if problem.space.law == "ogden_1":
             raise FloatingPointError("overflow in power")
         return whole(problem)
 
-    monkeypatch.setattr(ordinary, "fit_law", fails)
+    monkeypatch.setattr(ordinary, "fit_law_analytically", fails)
     path = write(tmp_path, [compression()], ["ogden_1", "neo_hooke"])
     assert main(["calibrate", str(path), "-o", str(tmp_path / "out")]) == 0
     page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
@@ -149,7 +149,7 @@ def test_a_report_is_written_where_every_law_fails(tmp_path, monkeypatch):
     def fails(problem):
         raise ts.InputError("alpha is out of range")
 
-    monkeypatch.setattr("calibration.fit.ordinary.fit_law", fails)
+    monkeypatch.setattr("calibration.fit.ordinary.fit_law_analytically", fails)
     with pytest.raises(ts.ConvergenceError, match="alpha is out of range"):
         calibrate(tmp_path, [compression()], ["neo_hooke"])
     path = write(tmp_path, [compression()], ["neo_hooke"])
@@ -193,23 +193,23 @@ def curve(tmp_path):
 def test_screening_contradicts_an_elastic_law(curve):
     loses = replace(curve, screening=Screening(control=ControlFindings("displacement", "oscillation", loss_factor=0.3,
                                                                        frequency=1.0)))
-    assert "viscoelastic.terms[0].g" in find_contradictions(loses, remembers=False)[0]
-    assert not find_contradictions(loses, remembers=True)
+    assert "viscoelastic.terms[0].g" in list_screening_contradictions(loses, remembers=False)[0]
+    assert not list_screening_contradictions(loses, remembers=True)
     follows = replace(curve,
                       screening=Screening(control=ControlFindings("displacement", "ramp", loading=curve.force.size)))
-    assert not find_contradictions(follows, remembers=False)
+    assert not list_screening_contradictions(follows, remembers=False)
     zeroed = replace(curve, screening=Screening(preload=Preload(0.65, 0.11, 4e-4, False, "begins under 0.65 N")))
-    assert find_contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
+    assert list_screening_contradictions(zeroed, remembers=True) == ["begins under 0.65 N"]
     kept = replace(curve, screening=Screening(suspected=(LeftOutSamples((61,), "force", "sample 61 is 50 N"),)))
-    assert "sample 61 is 50 N" in find_contradictions(kept, remembers=False)[0]
+    assert "sample 61 is 50 N" in list_screening_contradictions(kept, remembers=False)[0]
 
 
 def test_creep_at_constant_force_is_a_misfit_of_the_displacement(curve):
     size = curve.force.size
     creeps = replace(curve, displacement=np.linspace(2.9e-3, 4.5e-3, size), force=np.full(size, 0.3))
     elastic = 0.3 * creeps.displacement / creeps.displacement.mean()
-    assert displacement_R2(creeps, elastic) < 0.1
-    assert displacement_R2(creeps, creeps.force) == pytest.approx(1.0)
+    assert compute_displacement_r_squared(creeps, elastic) < 0.1
+    assert compute_displacement_r_squared(creeps, creeps.force) == pytest.approx(1.0)
 
 
 def test_a_preload_is_covered_by_the_contact_offset_of_an_inverse_fit(tmp_path):
@@ -274,11 +274,11 @@ def test_a_modulus_that_depends_on_a_bound_that_is_not_stated(missing, stated, h
     residual = jacobian[:, 0] * a - data
     space = SimpleNamespace(free=("a", "b"), values=lambda theta: theta, sizes=lambda values: np.ones(2))
     estimate = SimpleNamespace(theta=np.array([a, 0.0]), problem=SimpleNamespace(space=space),
-                               evaluation=SimpleNamespace(projected=(residual, jacobian)))
+                               evaluation=SimpleNamespace(projected_residual_and_jacobian=(residual, jacobian)))
     spread = SimpleNamespace(on_bound=np.array([False, True]), covariance=np.diag([1e-4, 0.0]),
                              ratio=float(np.sqrt(np.mean(residual**2))))
-    found = determine_modulus(estimate, spread, lambda theta: float(theta[0]), stated)
-    assert found.held == held and found.is_determined
+    found = assess_modulus_precision(estimate, spread, lambda theta: float(theta[0]), stated)
+    assert found.held == held and found.is_precise_enough
     if held:
         assert found.change == pytest.approx(1.0 / a - 1.0, abs=0.02)
 

@@ -162,7 +162,7 @@ def test_ctrl_c_reports_finished_campaigns(fits, expected, campaign, tmp_path, c
     second = tmp_path / "second.toml"
     second.write_text(CAMPAIGN, encoding="utf-8")
     words = ["calibrate", str(campaign), str(second), "-o", str(tmp_path / "out")]
-    original, calls = ordinary.fit_law, []
+    original, calls = ordinary.fit_law_analytically, []
 
     def interrupted(*arguments):
         calls.append(arguments)
@@ -170,7 +170,7 @@ def test_ctrl_c_reports_finished_campaigns(fits, expected, campaign, tmp_path, c
             raise KeyboardInterrupt
         return original(*arguments)
 
-    monkeypatch.setattr(ordinary, "fit_law", interrupted)
+    monkeypatch.setattr(ordinary, "fit_law_analytically", interrupted)
     assert main(words) == 130
     assert f"stopped by Ctrl-C; {expected}. Run the same command" in capsys.readouterr().err
 

@@ -178,7 +178,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 
 proposals.CATALOGUE = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineCompliance}
-keep, kept = SimulationCache.store, []
+keep, kept = SimulationCache.store_curve, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -186,7 +186,7 @@ def keep_some(solves, key, curve):
     if len(kept) == 14:
         os.kill(os.getpid(), signal.SIGKILL)
 
-SimulationCache.store = keep_some
+SimulationCache.store_curve = keep_some
 main(sys.argv[1:])
 """
 
@@ -216,9 +216,11 @@ def test_a_killed_run_resumes(answer, study, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(("method", "more", "words", "expected"), [
-    ("analytical", "", [], 'a diagnosis simulates the tests; set method = "inverse_fem"'),
-    ("inverse_fem", INVERSE, ["--law", "ogden_1"], "'ogden_1' is not among its laws (neo_hooke)"),
-    ("inverse_fem", INVERSE.replace("C10 = 1500", "C10 = -1500"), [], "neo_hooke is no valid material with this start"),
+    ("analytical", "", [], 'method must be "inverse_fem" for a diagnosis, which simulates the tests; got "analytical"'),
+    ("inverse_fem", INVERSE, ["--law", "ogden_1"],
+     "law must be one of the laws of the campaign (neo_hooke); got 'ogden_1'"),
+    ("inverse_fem", INVERSE.replace("C10 = 1500", "C10 = -1500"), [],
+     "the values must give a valid material of neo_hooke"),
 ])
 def test_bad_input_is_one_sentence(method, more, words, expected, study, tmp_path, capsys):
     for path in study.parent.glob("*.csv"):
@@ -234,5 +236,5 @@ def test_bad_input_is_one_sentence(method, more, words, expected, study, tmp_pat
 def test_other_files_in_the_folder_are_kept(study, tmp_path, capsys):
     (tmp_path / "notes.txt").write_text("mine", encoding="utf-8")
     assert run(study, "-o", tmp_path) == 2
-    assert "choose an empty folder or add --overwrite" in capsys.readouterr().err
+    assert "Choose an empty folder or add --overwrite" in capsys.readouterr().err
     assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

@@ -269,7 +269,7 @@ def test_ctrl_c_keeps_the_simulations(overwrite, joint, tmp_path, capsys, monkey
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(generalised, "run_estimate", interrupted)
+        patch.setattr(generalised, "compute_estimate_from_minimum", interrupted)
         assert run(*words) == 130
     count = len(simulations(out))
     assert count > 2, "more than the simulations of the start"
@@ -293,7 +293,7 @@ def test_ctrl_c_before_the_folder_is_claimed(joint, tmp_path, capsys, monkeypatc
         raise KeyboardInterrupt
 
     joint.write_text(joint.read_text(encoding="utf-8").replace("1400.0", "1500.0"), encoding="utf-8")
-    monkeypatch.setattr(generalised, "check_start", interrupted)
+    monkeypatch.setattr(generalised, "simulate_and_check_start", interrupted)
     assert run(joint, "-o", out, "--overwrite") == 130
     assert "no campaign was finished" in capsys.readouterr().err
     assert (out / "fit.json").is_file()
@@ -305,7 +305,7 @@ from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
 from scenes.commands.shared.progress import CampaignProgress
 
-keep, kept = SimulationCache.store, []
+keep, kept = SimulationCache.store_curve, []
 
 def keep_some(solves, key, curve):
     keep(solves, key, curve)
@@ -313,7 +313,7 @@ def keep_some(solves, key, curve):
     if len(kept) == {count}:
         os.kill(os.getpid(), signal.SIGKILL)
 
-SimulationCache.store = keep_some
+SimulationCache.store_curve = keep_some
 main(sys.argv[1:])
 """
 

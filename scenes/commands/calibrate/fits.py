@@ -11,18 +11,18 @@ from rich.text import Text
 
 from calibration.fit.ranking import is_ranked_by_held_out_tests
 from calibration.fit.self_weight import describe_self_weight
-from calibration.report.curve_figures import describe_region, format_probability
+from calibration.report.curve_figures import describe_region, format_p_value_text
 from calibration.report.drawing import format_count
 from calibration.report.page import (
-    estimate_of,
-    format_moduli,
+    format_initial_moduli,
     format_number,
+    format_parameter_estimate,
+    format_parameter_interval,
     format_stable_stretches,
-    group_remarks,
-    interval_of,
+    group_fits_by_remarks,
 )
 from calibration.report.report_tables import describe_direction, describe_suggestion
-from calibration.report.units import Units
+from calibration.report.units import ReportUnits
 from scenes.commands.calibrate.population import make_population_table
 from scenes.commands.shared.text_table import print_sentence, text_table
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from calibration.campaign.campaign import Test
-    from calibration.fit.fit import Fit, Prediction, Region
+    from calibration.fit.fit import Fit, Prediction, RegionMisfitTest
     from calibration.fit.result import CalibrationResult
 
 
@@ -55,7 +55,8 @@ _LAYOUT = TableLayout()
 
 def print_fits(result: CalibrationResult, console: Console) -> None:
     """Print ranking, parameters and predictions of the laws, and remarks on them."""
-    fits, tests, units = result.fits, {test.name: test for test in result.campaign.tests}, Units.of(result)
+    fits, tests, units = result.fits, {test.name: test
+                                       for test in result.campaign.tests}, ReportUnits.choose_for_calibration(result)
     heading, meaning = _ranking_criterion(result)
     console.print(_make_ranking_table(fits, heading, units))
     star = "" if fits[0].unusable else "* best usable law; "
@@ -83,8 +84,8 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
                      *_list_misfit_remarks(fits, tests, units), *_list_accuracy_remarks(result, tests, units)):
         print_sentence(console, sentence)
     # The message of the result contains that of the first law if the law is unusable.
-    for having, remarks in group_remarks(fits, lambda fit: fit.warnings if fit.unusable is None else
-                                         [] if fit is fits[0] else [fit.message]):
+    for having, remarks in group_fits_by_remarks(fits, lambda fit: fit.warnings if fit.unusable is None else
+                                                 [] if fit is fits[0] else [fit.message]):
         names = "all laws" if 1 < len(having) == len(fits) else ", ".join(fit.law for fit in having)
         print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
@@ -101,7 +102,7 @@ def _ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
     return "left out %", "left out: error in each test, predicted by a fit to the other tests"
 
 
-def _make_ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Table:
+def _make_ranking_table(fits: Sequence[Fit], heading: str, units: ReportUnits) -> Table:
     """Return the table of the laws with ranking criterion, errors, moduli and stable stretches."""
     best, pressure = fits[0], units.pressure
     forces = best.RMSE_N is not None or best.RMSE_Pa is None
@@ -113,7 +114,7 @@ def _make_ranking_table(fits: Sequence[Fit], heading: str, units: Units) -> Tabl
         above = None if fit.unusable else fit.BIC - best.BIC
         table.add_row(_mark_best_law(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
                       _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
-                      *format_moduli(fit, units), format_stable_stretches(fit),
+                      *format_initial_moduli(fit, units), format_stable_stretches(fit),
                       style=_find_row_style(fit, best))
     return table
 
@@ -133,7 +134,7 @@ def _format_R2(fit: Fit) -> str:
     return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
 
 
-def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
+def _parameter_table(fits: Sequence[Fit], units: ReportUnits) -> Table:
     """Return the table of the parameters of all laws with standard errors and profile-likelihood intervals."""
     table = text_table("parameter", "value ± standard error", "95 % interval", text=3)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
@@ -145,8 +146,9 @@ def _parameter_table(fits: Sequence[Fit], units: Units) -> Table:
             undetermined = fit.standard_errors.get(name) is None and name not in fit.on_bound \
                 and not fit.alternatives
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{fit.symbols[name]}",
-                          f"{estimate_of(fit, name, units)}{' (not determined)' if undetermined else ''}",
-                          f"{interval_of(fit, name, units)}{' (cut)' if name in fit.interval_notes else ''}")
+                          f"{format_parameter_estimate(fit, name, units)}{' (not determined)' if undetermined else ''}",
+                          f"{format_parameter_interval(fit, name, units)}"
+                          f"{' (cut)' if name in fit.interval_notes else ''}")
     return table
 
 
@@ -161,7 +163,7 @@ def _make_legend(fits: Sequence[Fit]) -> str:
     return "; ".join(parts)
 
 
-def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: Units) -> Table:
+def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: ReportUnits) -> Table:
     """Return the table of the errors in tests to which a law was not fitted."""
     table = text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
     table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
@@ -169,11 +171,11 @@ def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str
     for p in predictions:
         test = tests[p.test]
         error = p.RMSE_Pa if test.specimen is None else p.RMSE_N
-        load = units.load_unit(test)
-        chance = "-" if p.expected_N is None else load.text(p.expected_N, 2)
+        load = units.get_load_unit(test)
+        chance = "-" if p.expected_N is None else load.format_quantity(p.expected_N, 2)
         how = f"{'left out' if p.fitted else 'held out'}{f', by the mean of {len(p.mean_of)}' if p.mean_of else ''}"
         table.add_row(p.law if p.law != last else "", Text(p.test), how,
-                      "none" if error is None else load.text(error, 3), format_number(p.percent, 2), chance)
+                      "none" if error is None else load.format_quantity(error, 3), format_number(p.percent, 2), chance)
         last = p.law
     return table
 
@@ -185,7 +187,7 @@ def _list_missing_predictions(predictions: Sequence[Prediction]) -> Iterator[str
             yield f"{p.law} does not predict {p.test}: {p.note or 'the simulation did not reach its depth'}"
 
 
-def _list_identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator[str]:
+def _list_identifiability_remarks(fits: Sequence[Fit], units: ReportUnits) -> Iterator[str]:
     """Yield sentences on truncated intervals, unidentifiable parameters and poorly determined directions."""
     for fit in fits:
         cuts = [f"{fit.symbols[name]} {shorten(note, _LAYOUT.note_width, placeholder=' ...')}"
@@ -196,7 +198,7 @@ def _list_identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator
             advice = "; ".join(describe_suggestion(each, fit, units) for each in fit.suggestions)
             if fit.fem_solves and not advice:
                 advice = "no further test is known to help"
-            yield (f"{fit.law}: not identifiable from these tests: {fit.in_symbols(fit.not_identifiable)}"
+            yield (f"{fit.law}: not identifiable from these tests: {fit.format_symbols(fit.not_identifiable)}"
                    f"{f'; {advice}' if advice else ''}")
         elif fit.directions:
             advice = f"; {describe_suggestion(fit.suggestions[0], fit, units)}" if fit.suggestions else ""
@@ -204,7 +206,7 @@ def _list_identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator
             yield f"{fit.law}: poorly determined: {directions}{advice}"
 
 
-def _list_misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _list_misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
     """Yield sentences on regions whose residuals exceed noise, the most significant first."""
     for fit in fits:
         bad = sorted((region for region in fit.regions if not region.adequate),
@@ -218,18 +220,19 @@ def _list_misfit_remarks(fits: Sequence[Fit], tests: Mapping[str, Test], units: 
             yield f"{fit.law}: no smooth misfit in any of {format_count(len(fit.regions), 'region')}"
 
 
-def _describe_misfit(region: Region, test: Test, units: Units) -> str:
+def _describe_misfit(region: RegionMisfitTest, test: Test, units: ReportUnits) -> str:
     """Return test, range, size and significance of a misfit."""
-    size = units.load_unit(test).text(region.misfit_N, 2)
-    return f"{region.test} ({describe_region(region, test, units)}): {size}, {format_probability(region.p)}"
+    size = units.get_load_unit(test).format_quantity(region.misfit_N, 2)
+    return f"{region.test} ({describe_region(region, test, units)}): {size}, {format_p_value_text(region.p)}"
 
 
-def _list_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: Units) -> Iterator[str]:
+def _list_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
     """Yield sentences on the noise, the scatter between recordings, the mesh error and the self-weight of the fit."""
     tests_by_noise: dict[str, list[str]] = {}
     for noise in result.noise:
         colour = "white" if noise.correlation_time_s == 0 else f"correlated over {noise.correlation_time_s:.2g} s"
-        words = f"{units.load_unit(tests[noise.test]).text(noise.deviation_N, 2)} {noise.source}, {colour}"
+        deviation = units.get_load_unit(tests[noise.test]).format_quantity(noise.deviation_N, 2)
+        words = f"{deviation} {noise.source}, {colour}"
         tests_by_noise.setdefault(words, []).append(noise.test)
     parts = [words if len(tests_by_noise) == 1 else f"{words} ({', '.join(names)})"
              for words, names in tests_by_noise.items()]
@@ -238,7 +241,7 @@ def _list_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test],
     if jitter is not None:
         freedom = "stated" if jitter.freedom is None else "assumed" if not jitter.freedom else \
             f"from {format_count(jitter.freedom, 'degree')} of freedom"
-        contact, zero = units.format_scatter(jitter, result.campaign.tests)
+        contact, zero = units.format_replicate_jitter(jitter, result.campaign.tests)
         scatter = f"; scatter between recordings {contact} of contact, {zero} of zero, {freedom}"
     if parts:
         yield f"noise: {', '.join(parts)}{scatter}"

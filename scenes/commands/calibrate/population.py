@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from calibration.report.population import format_population
+from calibration.report.population import iterate_population_rows
 from scenes.commands.shared.text_table import text_table
 
 if TYPE_CHECKING:
     from rich.table import Table
 
     from calibration.fit.fit import Fit
-    from calibration.report.units import Units
+    from calibration.report.units import ReportUnits
 
 
-def make_population_table(fits: Sequence[Fit], units: Units) -> Table | None:
+def make_population_table(fits: Sequence[Fit], units: ReportUnits) -> Table | None:
     """Return the table of mean and between-specimen scatter of each parameter, with 95 % intervals.
 
     Args:
@@ -33,7 +33,7 @@ def make_population_table(fits: Sequence[Fit], units: Units) -> Table | None:
             continue
         if len(fits) > 1:
             table.add_row(fit.law, "", "", "", "")
-        for each in format_population(fit, fit.population, units):
+        for each in iterate_population_rows(fit, fit.population, units):
             table.add_row(f"{'  ' if len(fits) > 1 else ''}{each.symbol}", each.mean, each.mean_interval, each.spread,
                           each.spread_interval)
     return table

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calibration.fit.result import describe_agreement
+from calibration.fit.result import describe_method_agreement
 from scenes.commands.calibrate.fits import print_fits
 from scenes.commands.shared.text_table import print_sentence
 
@@ -27,7 +27,7 @@ def print_results(results: Sequence[CalibrationResult], output: Path, console: C
     for result in results:
         print_sentence(console, result.campaign.name)
         print_fits(result, console)
-    for sentence in describe_agreement(results):
+    for sentence in describe_method_agreement(results):
         print_sentence(console, sentence)
     for result in results:
         if result.resumed:

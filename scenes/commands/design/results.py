@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from calibration.report.diagnosis_tables import candidate_label, candidate_labels, describe_sizes
-from calibration.report.rounding import value_and_error
-from calibration.report.units import Units
+from calibration.report.diagnosis_tables import format_candidate_label, format_candidate_labels, format_detectable_sizes
+from calibration.report.rounding import format_value_and_error
+from calibration.report.units import ReportUnits
 from scenes.commands.shared.text_table import print_sentence, text_table
 from tissue_sim.laws import find_law
 
@@ -22,10 +22,10 @@ def print_design(design: Design, console: Console) -> None:
     law = find_law(design.law)
     modulus = law.mu0({name: design.parameters[name] for name in law.parameters if name in design.parameters}) \
         if all(name in design.parameters for name in law.parameters) else 1e3
-    units = Units.of_sizes(1e-3 * max(test.depth_mm for test in design.tests),
-                           max(test.force_N for test in design.tests), modulus)
-    noise = Units.of_sizes(1e-3, design.noise_N, modulus).force
-    print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.text(design.noise_N, 3)}")
+    units = ReportUnits.choose_for_typical_sizes(1e-3 * max(test.depth_mm for test in design.tests),
+                                                 max(test.force_N for test in design.tests), modulus)
+    noise = ReportUnits.choose_for_typical_sizes(1e-3, design.noise_N, modulus).force
+    print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.format_quantity(design.noise_N, 3)}")
     tables = [_make_tests_table(design, units), _parameters_table(design, units)]
     effects = [_make_detectable_table(design, units), _make_undetectable_table(design)]
     for table in [*tables, *(each for each in effects if each is not None)]:
@@ -33,37 +33,41 @@ def print_design(design: Design, console: Console) -> None:
         console.print(table)
 
 
-def _make_tests_table(design: Design, units: Units) -> Table:
+def _make_tests_table(design: Design, units: ReportUnits) -> Table:
     """Return the table of the planned tests."""
     table = text_table("planned test", "recordings", "samples", "depth", "largest force", "duration")
     for test in design.tests:
-        table.add_row(test.name, str(test.recordings), str(test.samples), units.length.text(1e-3 * test.depth_mm, 3),
-                      units.force.text(test.force_N, 3), "-" if test.duration_s is None else f"{test.duration_s:.3g} s")
+        table.add_row(test.name, str(test.recordings), str(test.samples),
+                      units.length.format_quantity(1e-3 * test.depth_mm, 3),
+                      units.force.format_quantity(test.force_N, 3),
+                      "-" if test.duration_s is None else f"{test.duration_s:.3g} s")
     return table
 
 
-def _parameters_table(design: Design, units: Units) -> Table:
+def _parameters_table(design: Design, units: ReportUnits) -> Table:
     """Return the table of the parameters with their expected standard errors."""
     table = text_table("parameter", "expected", "error")
     for name, value in design.parameters.items():
-        unit, error = units.of_parameter(design.units[name]), design.standard_errors[name]
+        unit, error = units.choose_parameter_unit(design.units[name]), design.standard_errors[name]
         known = {None: "not determined", 0.0: "fixed"}.get(error, "")
         relative = f"{100 * error / abs(value):.2g} %" if error and value else "-"
-        table.add_row(design.symbols[name], value_and_error(value / unit.size, error and error / unit.size, unit.name,
-                                                            known=known), relative)
+        table.add_row(design.symbols[name],
+                      format_value_and_error(value / unit.size, error and error / unit.size, unit.name,
+                                             known=known), relative)
     return table
 
 
-def _make_detectable_table(design: Design, units: Units) -> Table | None:
+def _make_detectable_table(design: Design, units: ReportUnits) -> Table | None:
     """Return the table of detectable effects, with their smallest detectable size and effects that look alike."""
-    labels = candidate_labels(design.candidates)
+    labels = format_candidate_labels(design.candidates)
     rows = [each for each in design.candidates if each.testable]
     if not rows:
         return None
     table = text_table("effect", "detectable from", "similar to", text=3)
     table.columns[2].no_wrap = False
     for each in rows:
-        table.add_row(candidate_label(each), describe_sizes(each, units), ", ".join(labels.get(name, name)
+        table.add_row(format_candidate_label(each), format_detectable_sizes(each, units),
+                      ", ".join(labels.get(name, name)
                                                                             for name in each.twins) or "-")
     return table
 
@@ -77,5 +81,5 @@ def _make_undetectable_table(design: Design) -> Table | None:
     for column in table.columns[1:]:
         column.no_wrap = False
     for each in rows:
-        table.add_row(candidate_label(each), each.reason, each.separated_by)
+        table.add_row(format_candidate_label(each), each.reason, each.separated_by)
     return table

@@ -5,19 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
-from calibration.diagnosis.words import join_words
+from calibration.diagnosis.words import join_as_enumeration
 from calibration.report.diagnosis_page import list_misfit_sentences
 from calibration.report.diagnosis_tables import (
-    candidate_label,
-    candidate_labels,
-    describe_sizes,
+    format_candidate_label,
+    format_candidate_labels,
+    format_detectable_sizes,
     format_odds,
     format_relative_bias,
 )
 from calibration.report.drawing import format_count
-from calibration.report.page import estimate_of
-from calibration.report.rounding import gain_text
-from calibration.report.units import Units
+from calibration.report.page import format_parameter_estimate
+from calibration.report.rounding import format_criterion_difference
+from calibration.report.units import ReportUnits
 from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
 
 if TYPE_CHECKING:
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> None:
     """Print the verdict of each diagnosis with its evidence, and the path of its report."""
     for result in results:
-        diagnosis, units = result.diagnosis, Units.of_fit(result.diagnosis.fit_before)
+        diagnosis, units = result.diagnosis, ReportUnits.choose_for_fit(result.diagnosis.fit_before)
         console.print(f"{result.campaign.name}: {diagnosis.verdict}", style="bold", markup=False, emoji=False)
         print_sentence(console, diagnosis.message)
         console.print()
@@ -52,22 +52,22 @@ def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> Non
                       emoji=False, soft_wrap=True)
 
 
-def _make_effects_table(diagnosis: Diagnosis, units: Units) -> Table | None:
+def _make_effects_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | None:
     """Return the table of the most likely effects that the tests can detect; None without such an effect."""
     detectable = [each for each in diagnosis.candidates if each.testable]
     if not detectable:
         return None
     table = text_table("effect", "score", "dBIC", "explains", "odds against", "detectable from", text=1)
     for each in detectable[:TABLES.max_effects]:
-        table.add_row(candidate_label(each), "-" if each.score is None else f"{each.score:.1f}",
-                      "-" if each.delta_BIC is None else gain_text(each.delta_BIC),
+        table.add_row(format_candidate_label(each), "-" if each.score is None else f"{each.score:.1f}",
+                      "-" if each.delta_BIC is None else format_criterion_difference(each.delta_BIC),
                       "-" if each.explained_percent is None else f"{each.explained_percent:.3g} %",
                       format_odds(each.evidence_ratio),
-                      describe_sizes(each, units))
+                      format_detectable_sizes(each, units))
     return table
 
 
-def _parameters_table(diagnosis: Diagnosis, units: Units) -> Table:
+def _parameters_table(diagnosis: Diagnosis, units: ReportUnits) -> Table:
     """Return the table of the parameters before and after the found effects were added to the model."""
     before, after = diagnosis.fit_before, diagnosis.fit_after
     headings = ["parameter", "without effects", *([] if after is None else ["with effects", "error without"])]
@@ -75,20 +75,20 @@ def _parameters_table(diagnosis: Diagnosis, units: Units) -> Table:
     names = dict.fromkeys((*before.parameters, *(() if after is None else after.parameters)))
     for name in names:
         row = [(before if name in before.parameters else after or before).symbols[name]]
-        row += ["-" if fit is None or name not in fit.parameters else estimate_of(fit, name, units)
+        row += ["-" if fit is None or name not in fit.parameters else format_parameter_estimate(fit, name, units)
                 for fit in (before, after)][:len(headings) - 1]
         moved = format_relative_bias(before, after, name)
         table.add_row(*[*row, "-" if moved is None else f"{100 * moved:+.2g} %"][:len(headings)])
     return table
 
 
-def _make_held_out_table(diagnosis: Diagnosis, units: Units) -> Table | None:
+def _make_held_out_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | None:
     """Return the table of the errors in data that the fits did not use; None without such data."""
     if not diagnosis.held_out:
         return None
     table = text_table("held-out data", "error before", "error after", "noise", "adequate")
     for each in diagnosis.held_out:
-        sizes = ["-" if size is None else units.force.text(size, 2)
+        sizes = ["-" if size is None else units.force.format_quantity(size, 2)
                  for size in (each.before_N, each.after_N, each.noise_N)]
         judged = each.adequate_before if each.after_N is None else each.adequate_after
         table.add_row(each.name, *sizes, "not tested" if judged is None else "yes" if judged else "no")
@@ -100,12 +100,12 @@ def _list_remarks(diagnosis: Diagnosis) -> Iterator[str]:
     detectable = sum(each.testable for each in diagnosis.candidates)
     if detectable > TABLES.max_effects:
         yield f"{format_count(detectable - TABLES.max_effects, 'more detectable effect')}: see the report"
-    undetectable = [candidate_label(each) for each in diagnosis.candidates if not each.testable]
+    undetectable = [format_candidate_label(each) for each in diagnosis.candidates if not each.testable]
     if undetectable:
-        yield f"not detectable with these tests: {join_words(undetectable)}"
-    labels = candidate_labels(diagnosis.candidates)
+        yield f"not detectable with these tests: {join_as_enumeration(undetectable)}"
+    labels = format_candidate_labels(diagnosis.candidates)
     for each in diagnosis.next_experiment[:2]:
-        names = join_words([labels.get(name, name) for name in each.separates])
+        names = join_as_enumeration([labels.get(name, name) for name in each.separates])
         yield f"next experiment: {each.sentence}{f' (distinguishes {names})' if names else ''}"
     yield (f"{sum(each.wall_s for each in diagnosis.stages):.0f} s: "
            + ", ".join(f"{each.name} {each.wall_s:.1f} s" for each in diagnosis.stages))

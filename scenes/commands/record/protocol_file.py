@@ -14,7 +14,7 @@ import msgspec
 from calibration.campaign.campaign import Campaign, load_campaign
 from calibration.campaign.named_files import list_named_files, rename_files
 from calibration.campaign.schema import PRISM
-from calibration.report.additions import to_toml
+from calibration.report.additions import format_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
@@ -198,7 +198,7 @@ class ProtocolFile:
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
         content = rename_files(content, self.path.parent, file_name)
-        return f"# Recorded by {self.path.name}.\n{to_toml(content)}"
+        return f"# Recorded by {self.path.name}.\n{format_toml(content)}"
 
 
 def read_protocol_file(path: Path) -> ProtocolFile:
@@ -264,7 +264,7 @@ def _read_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
     # The temporary file is in the folder of the protocol file, because the paths in it are relative to that folder.
     with tempfile.NamedTemporaryFile("w", suffix=".toml", prefix=f".{path.stem}_", dir=path.parent, encoding="utf-8",
                                      delete=False) as file:
-        file.write(to_toml(planned))
+        file.write(format_toml(planned))
     try:
         return load_campaign(file.name, planned=True)
     except InputError as error:

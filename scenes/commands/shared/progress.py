@@ -20,7 +20,7 @@ from tissue_sim.laws import find_law
 if TYPE_CHECKING:
     from rich.console import Console, RenderableType
 
-    from calibration.fit.fit import Iteration
+    from calibration.fit.fit import DescentIteration
 
 _COMPILING = "loading the solver (the first run on a computer compiles it, about half a minute)"
 
@@ -66,7 +66,7 @@ class CampaignProgress:
         self._sentence, self._start, self._last_report = "reading", time.monotonic(), time.monotonic()
         self._part_start = self._start
         self._campaign_and_law, self._solves = ("", ""), 0
-        self._rows: list[Iteration] = []
+        self._rows: list[DescentIteration] = []
         self._done, self._total, self._has_finished_task = 0, 0, False
         self._started_campaigns: list[str] = []
         self._spinner = Spinner("dots")
@@ -108,7 +108,7 @@ class CampaignProgress:
         """Print a sentence above the live display, where it stays."""
         self._console.print(sentence, style="dim", markup=False, emoji=False, highlight=False)
 
-    def add_iteration(self, campaign: str, law: str, iteration: Iteration) -> None:
+    def add_iteration(self, campaign: str, law: str, iteration: DescentIteration) -> None:
         """Add one iteration of a fit to the table; a new campaign or law starts a new table."""
         if self._campaign_and_law != (campaign, law):
             self._campaign_and_law, self._rows = (campaign, law), []
