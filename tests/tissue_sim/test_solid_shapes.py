@@ -12,7 +12,7 @@ import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.grading import Grading
@@ -138,7 +138,7 @@ def test_a_shell_that_moves_as_a_whole_feels_nothing():
     # Relative to a load of zero, the residual of the equilibrium is rounding.
     step = stepped(solver, turn, tolerance=1e-5)
     assert np.abs(step.wrench).max() < 1e-9
-    frame = Frame(turn, 0.0)
+    frame = ToolFrame(turn, 0.0)
     np.testing.assert_allclose(mesh.nodes + solver.x.reshape(-1, 3), frame.transform_to_mesh(mesh.nodes), atol=1e-10)
 
 

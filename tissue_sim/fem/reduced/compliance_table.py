@@ -18,8 +18,8 @@ class ContactCompliance:
         whole: compliance G of the full-order solid, m/N, shape (n, n).
         missing: compliance G - G_r that the reduced solid lacks, m/N, shape (n, n).
         forces: forces on the tool, N, ascending from 0, shape (k,).
-        accepted: missing force (`MissingForce`) up to which the training paths showed no error, at each of `forces`,
-            N, shape (k,).
+        accepted: missing force (`MissingComplianceForce`) up to which the training paths showed no error of the force
+            on the tool, at each of `forces`, N, shape (k,).
     """
 
     nodes: np.ndarray

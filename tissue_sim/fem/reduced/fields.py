@@ -12,18 +12,18 @@ from functools import lru_cache
 
 import numpy as np
 
-from tissue_sim.fem.solid.batches import quadrature
+from tissue_sim.fem.solid.batches import compute_quadrature_data
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.fem.solid.tissue import layer_ratios
+from tissue_sim.fem.solid.tissue import layer_modulus_ratios
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
 #: Quadrature data, cached for two meshes.
-_quadrature = lru_cache(maxsize=2)(quadrature)
+_quadrature = lru_cache(maxsize=2)(compute_quadrature_data)
 
 
-def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
-                   datum: float, layers: np.ndarray) -> SolidFields | None:
+def compute_reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
+                           datum: float, layers: np.ndarray) -> SolidFields | None:
     """Compute the fields of several states of a reduced solid.
 
     Args:
@@ -41,4 +41,4 @@ def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[
         return None
     weights, gradients, modes = _quadrature(mesh)
     return SolidFields(mesh, material, np.array(material.bulk_modulus), np.array(displacements), None, gradients,
-                       modes, weights, layer_ratios(material, layers), None, datum)
+                       modes, weights, layer_modulus_ratios(material, layers), None, datum)

@@ -24,9 +24,9 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, require_reducible
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, RestState, require_reducible
 from tissue_sim.fem.reduced.settings import VERIFICATION
-from tissue_sim.fem.solid.tissue import element_groups, require_regions
+from tissue_sim.fem.solid.tissue import group_elements_by_region, require_mesh_regions
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
@@ -122,12 +122,12 @@ def load_reduced(path: str | Path) -> ReducedModel:
     path = Path(path)
     with open_file(path, _EXPECTED):
         pass
-    description, arrays = bounded(_read, str(path), file=path)
+    description, arrays = bounded(_read_arrays, str(path), file=path)
     with located(file=path):
-        return _check_content(description, arrays)
+        return _build_checked_model(description, arrays)
 
 
-def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _read_arrays(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
@@ -137,7 +137,7 @@ def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
                          file=path) from None
 
 
-def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
+def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
     try:
         if description["schema"] != "tissue_sim.reduced":
             raise KeyError("schema")
@@ -163,7 +163,7 @@ def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -
         material = decode_material_file(description["material"]).material
         experiment = _make_experiment(description["experiment"], box, of_file)
         require_reducible(Model(experiment, material))
-        require_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
+        require_mesh_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
     except (KeyError, TypeError, ValueError) as error:
         raise InputError(f"expected {_EXPECTED}, and something is missing or of another kind ({error}); make it again "
                          "with `tissue-sim reduce`") from None
@@ -186,17 +186,18 @@ def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -
             and {"top", "base", "side", "face", "free"} <= sets.keys()
             and all(np.isfinite(each).all() for each in reals) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
-    if not (fits and (compliance is None or (lifting == 0 and _is_sound(compliance, len(nodes))))):
+    if not (fits and (compliance is None or (lifting == 0 and _is_consistent_table(compliance, len(nodes))))):
         raise InputError("its arrays do not fit each other. Create it again with `tissue-sim reduce`")
     sets, faces, regions = ({name: each.astype(np.intp) for name, each in group.items()}
                             for group in (sets, faces, regions))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
-    element_groups(mesh)
+    group_elements_by_region(mesh)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
-                        softness, bulk_ratio, report, watched, error_factors, Rest(*rest) if rest else None, compliance)
+                        softness, bulk_ratio, report, watched, error_factors, RestState(*rest) if rest else None,
+                        compliance)
 
 
-def _is_sound(table: ContactCompliance, nodes: int) -> bool:
+def _is_consistent_table(table: ContactCompliance, nodes: int) -> bool:
     """Whether the arrays of a compliance table are consistent with each other and with the number of nodes."""
     count = table.nodes.size
     reals = (table.axis, table.whole, table.missing, table.forces, table.accepted)

@@ -8,12 +8,12 @@ import numpy as np
 from scipy.linalg import lapack
 
 
-def norm(vector: np.ndarray) -> float:
+def euclidean_norm(vector: np.ndarray) -> float:
     """Return the Euclidean norm of a vector."""
     return math.sqrt(vector @ vector)
 
 
-def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+def solve_dense_system(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Solve a linear system with one right-hand side, shape (n,), or several, shape (n, k).
 
     Raises:
@@ -40,4 +40,4 @@ def estimate_nonlinear_residual(remainder: np.ndarray, previous_work: float, wor
         Estimated norm of the residual, N; infinite if either work is not positive.
     """
     ratio = math.sqrt(work / previous_work) if work > 0.0 and previous_work > 0.0 else math.inf
-    return norm(remainder) * ratio * max(1.0, ratio)
+    return euclidean_norm(remainder) * ratio * max(1.0, ratio)

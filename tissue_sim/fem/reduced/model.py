@@ -12,7 +12,7 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.solid.tissue import element_layers, require_regions
+from tissue_sim.fem.solid.tissue import element_layers, require_mesh_regions
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -62,7 +62,7 @@ class PoseBox:
         return (max(abs(x), abs(y)) <= self.sideways * most + little and -little <= -z <= self.depth * most
                 and math.hypot(*turn) <= self.turn * most + slack)
 
-    def is_under(self, pose: Pose, start: Pose) -> bool:
+    def has_pose_above(self, pose: Pose, start: Pose) -> bool:
         """Whether a pose is above the box of a tool that starts at `start`."""
         (x, y, z), (_, _, top) = pose.position, start.position
         return z > top and self.holds(Pose((x, y, top), pose.orientation), start)
@@ -98,14 +98,14 @@ def require_no_effects(material: Material) -> None:
                          field="material.effects")
 
 
-def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -> None:
+def require_same_layers_and_regions(material: Material, made_of: Material, mesh: SolidMesh) -> None:
     """Check that a material has the layers and regions of the material of the training.
 
     Raises:
         InputError: the material has point effects, other layer thicknesses, or a region that the mesh does not have.
     """
     require_no_effects(material)
-    require_regions(material, mesh)
+    require_mesh_regions(material, mesh)
     stated, kept = ([layer.thickness for layer in each.layers] for each in (material, made_of))
     # A material without layers is uniform and always fits.
     if stated and not (len(stated) == len(kept) and np.allclose(stated, kept, rtol=1e-6, atol=0.0)):
@@ -118,7 +118,7 @@ def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class RestState:
     """Equilibrium of a solid under self-weight without contact.
 
     Attributes:
@@ -131,7 +131,7 @@ class Rest:
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshots:
+class TrainingSnapshots:
     """Full-order states on a training path.
 
     Attributes:
@@ -184,11 +184,11 @@ class ReducedModel:
     report: dict[str, Any] = field(default_factory=dict)
     watched: int = 0
     error_factors: ErrorFactors = (1.0, 0.0, 0.0)
-    rest: Rest | None = None
+    rest: RestState | None = None
     compliance: ContactCompliance | None = None
 
     @property
-    def places(self) -> np.ndarray:
+    def rest_positions(self) -> np.ndarray:
         """Positions of the nodes at rest without contact, m, shape (nodes, 3)."""
         return self.mesh.nodes if self.rest is None else self.mesh.nodes + self.rest.displacement.reshape(-1, 3)
 
@@ -214,9 +214,10 @@ class ReducedModel:
         """Check that the reduced solid supports a material.
 
         Raises:
-            InputError: see `require_same_parts`; under self-weight, the material differs from that of the training.
+            InputError: see `require_same_layers_and_regions`; under self-weight, the material differs from that of the
+                training.
         """
-        require_same_parts(material, self.model.material, self.mesh)
+        require_same_layers_and_regions(material, self.model.material, self.mesh)
         own = self.model.material
         # The name and the properties that have no effect here may differ.
         alike = replace(material, name=own.name, density=own.density, puncture=own.puncture)

@@ -9,7 +9,7 @@ import numpy as np
 _MAX_STEP_RATIO = 2.0
 
 
-class Prediction:
+class AmplitudePredictor:
     """Second-order extrapolation of the modal amplitudes along the motion of the tool.
 
     The prediction is du = S dx + c + a^2 e with the sensitivity S, the correction c by the remaining residual, the
@@ -30,7 +30,7 @@ class Prediction:
         self.correction, self._error, self._last_step = np.zeros(modes), np.zeros(modes), np.zeros(6)
         self._weights = np.array([1.0] * 3 + [reach**2] * 3)
 
-    def predict(self, tool_step: np.ndarray) -> np.ndarray:
+    def predict_amplitude_change(self, tool_step: np.ndarray) -> np.ndarray:
         """Predict the change of the amplitudes, shape (modes,).
 
         Args:
@@ -44,8 +44,8 @@ class Prediction:
             change += ratio**2 * self._error
         return change
 
-    def update(self, tool_step: np.ndarray, change: np.ndarray, sensitivity: np.ndarray,
-               correction: np.ndarray) -> None:
+    def record_step(self, tool_step: np.ndarray, change: np.ndarray, sensitivity: np.ndarray,
+                    correction: np.ndarray) -> None:
         """Record a converged step.
 
         Args:
@@ -57,16 +57,16 @@ class Prediction:
         self._error[:] = change + correction - self.correction - self.sensitivity @ tool_step
         self._last_step[:], self.sensitivity[:], self.correction[:] = tool_step, sensitivity, correction
 
-    def reset(self) -> None:
+    def reset_predictions(self) -> None:
         """Set all predictions to zero."""
-        for array in self.kept:
+        for array in self.state_arrays:
             array[:] = 0.0
 
-    def reset_corrections(self) -> None:
+    def clear_corrections(self) -> None:
         """Drop the corrections and keep the sensitivity, after a change of the material."""
         self.correction[:], self._error[:], self._last_step[:] = 0.0, 0.0, 0.0
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that belong to the state of the solver; they are saved and restored."""
         return self.sensitivity, self.correction, self._error, self._last_step

@@ -12,7 +12,7 @@ from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.solid import SolidMesh
 
 
-def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compute_quadrature_data(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute quadrature data of all undeformed elements.
 
     Returns:
@@ -67,7 +67,7 @@ class ElementBatches:
                  shares: np.ndarray | None = None):
         count, nodes = mesh.connectivity.shape
         self._modes = mesh.element.pressure_modes
-        self.weights, gradients, modes = quadrature(mesh)
+        self.weights, gradients, modes = compute_quadrature_data(mesh)
         if shares is not None:
             self.weights *= shares[:, None]
             modes = modes / np.sqrt(shares)[:, None, None]
@@ -97,7 +97,7 @@ class ElementBatches:
         self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
         self._gradients = [self._arrange_in_lanes(gradients[..., i]) for i in range(3)]
         self._weights, self._mode_values = self._arrange_in_lanes(self.weights), self._arrange_in_lanes(modes)
-        self._number_matrix_entries(mesh.connectivity, len(mesh.nodes))
+        self._build_sparsity_pattern(mesh.connectivity, len(mesh.nodes))
 
     def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
@@ -108,7 +108,7 @@ class ElementBatches:
         return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[self.lane_of]
 
     @cached_property
-    def of_points(self) -> tuple[np.ndarray, np.ndarray]:
+    def point_gradients_and_modes(self) -> tuple[np.ndarray, np.ndarray]:
         """Compute the gradients of the shape functions and the pressure modes at the quadrature points.
 
         Returns:
@@ -119,11 +119,11 @@ class ElementBatches:
         return gradients, self._arrange_by_element(self._mode_values, points, self._modes)
 
     @property
-    def element_moduli(self) -> np.ndarray:
+    def element_modulus_ratios(self) -> np.ndarray:
         """Ratio of the moduli of each element to those of the material, shape (elements,)."""
         return self._arrange_by_element(self.moduli)
 
-    def _number_matrix_entries(self, connectivity: np.ndarray, nodes: int) -> None:
+    def _build_sparsity_pattern(self, connectivity: np.ndarray, nodes: int) -> None:
         """Compute the pattern of the matrix, and the positions of the stiffness of each pair of nodes in its data."""
         from scipy import sparse
 
@@ -135,21 +135,22 @@ class ElementBatches:
         pattern = (holds.T @ holds).tocsc()
         pattern.sort_indices()
         # Index of the block of each pair of nodes of an element, in the column of the second node.
-        places = find_entry_indices(pattern, connectivity[:, a], connectivity[:, c])
-        mirrored = find_entry_indices(pattern, connectivity[:, c], connectivity[:, a])
+        places = find_sparse_entry_indices(pattern, connectivity[:, a], connectivity[:, c])
+        mirrored = find_sparse_entry_indices(pattern, connectivity[:, c], connectivity[:, a])
         starts, rows = pattern.indptr.astype(np.int64), pattern.indices
         blocks = np.diff(starts)
         i, k = np.tile(np.arange(3), 3), np.repeat(np.arange(3), 3)
 
-        def entries(place: np.ndarray, column: np.ndarray, row: np.ndarray, along: np.ndarray) -> np.ndarray:
+        def compute_block_entry_indices(place: np.ndarray, column: np.ndarray, row: np.ndarray,
+                                        along: np.ndarray) -> np.ndarray:
             """Positions of the nine entries of blocks: a node has three columns, each with three rows for a node."""
             first = 9 * starts[column] + 3 * (place - starts[column])
             return first[..., None] + 3 * blocks[column][..., None] * along + row
 
         unused = 9 * rows.size
-        direct = entries(places, connectivity[:, c], i, k)
+        direct = compute_block_entry_indices(places, connectivity[:, c], i, k)
         # A diagonal block has no mirror image.
-        across = np.where((c == a)[:, None], unused, entries(mirrored, connectivity[:, a], k, i))
+        across = np.where((c == a)[:, None], unused, compute_block_entry_indices(mirrored, connectivity[:, a], k, i))
         self._places, self._mirrored = (self._arrange_pairs_in_lanes(each.reshape(len(connectivity), -1), unused)
                                         for each in (direct, across))
         self._stiffness = np.zeros((9 * c.size, LANES))
@@ -164,7 +165,7 @@ class ElementBatches:
         lanes = np.where(self._real[..., None], places[self._elements], unused)
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
-    def arrays(self, part: slice) -> dict[str, np.ndarray]:
+    def get_kernel_arrays(self, part: slice) -> dict[str, np.ndarray]:
         """Return the arrays of the batches of a group, and shared arrays, by their names in the kernel.
 
         Args:
@@ -187,7 +188,7 @@ class ElementBatches:
         """Forces of each element on its degrees of freedom after the last assembly, N, shape (elements, freedoms)."""
         return self._arrange_by_element(self._forces, 3 * self._dofs.shape[1])
 
-    def pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
+    def compute_pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
         """Forces of pressures in lanes, Pa, on the degrees of freedom of the elements, at the last evaluated state.
 
         Returns:
@@ -197,12 +198,12 @@ class ElementBatches:
         return np.einsum("em,emi->ei", self.convert_lanes_to_elements(pressures), rates)
 
     @property
-    def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
+    def arrays_with_height_derivatives(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Arrays that the kernel reads, and their derivatives with respect to log(height of the undeformed mesh)."""
         return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
                 (self._mode_values, -0.5 * self._mode_values)]
 
-    def set_moduli(self, ratios: np.ndarray) -> None:
+    def set_modulus_ratios(self, ratios: np.ndarray) -> None:
         """Set the ratio of the moduli of each element to those of its material, shape (elements,)."""
         self.moduli[:] = ratios[self._elements]
 
@@ -222,16 +223,16 @@ class ElementBatches:
             kappa: bulk modulus, or those of the batches, Pa.
         """
         nodes = self._dofs.shape[1]
-        moved = motion[self._equations_of_nodes].reshape(self.batches, 1, 3 * nodes, LANES)
+        moved = motion[self._equations_in_lanes].reshape(self.batches, 1, 3 * nodes, LANES)
         rates = self.known_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
         change = self.gaps.reshape(self.batches, self._modes, LANES) + (rates * moved).sum(axis=2)
         self.pressures += ((np.reshape(kappa, (-1, 1)) * self.moduli)[:, None] * change).reshape(-1, LANES)
 
-    def store_volume_rates(self) -> None:
+    def store_assembled_volume_rates(self) -> None:
         """Store the present derivatives of the volumes as those in the matrix."""
         self.known_rates[:] = self.volume_rates
 
-    def add_known_volumes(self, forces: np.ndarray, kappa: np.ndarray) -> None:
+    def correct_forces_for_old_volume_rates(self, forces: np.ndarray, kappa: np.ndarray) -> None:
         """Correct forces for the elimination of the pressures with the volume derivatives in the matrix.
 
         Args:
@@ -245,13 +246,13 @@ class ElementBatches:
         forces += np.bincount(self._equations.ravel(), more.ravel(), minlength=forces.size + 1)[:-1]
 
     @cached_property
-    def _equations_of_nodes(self) -> np.ndarray:
+    def _equations_in_lanes(self) -> np.ndarray:
         # Unused lanes have the equations of the last element, so that they remain copies of it.
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)
         return np.moveaxis(own[self._elements], 1, -1)
 
 
-def find_entry_indices(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def find_sparse_entry_indices(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Indices of entries in the data of a matrix in compressed columns with sorted rows."""
     count = pattern.shape[0]
     keys = np.repeat(np.arange(count, dtype=np.int64), np.diff(pattern.indptr)) * count + pattern.indices

@@ -10,7 +10,7 @@ from tissue_sim.experiment.tools.outline import Profile
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
+class RigidBody:
     """A rigid body of revolution, and the nodes that may touch it.
 
     Attributes:
@@ -37,7 +37,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestSurfacePoints:
     """Nearest points of a body's surface to given points, in the frame of the body.
 
     Attributes:
@@ -55,13 +55,13 @@ class Nearest:
     meridian: np.ndarray
 
 
-def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
+def find_nearest_surface_points(body: RigidBody, points: np.ndarray, pressed_in: bool) -> NearestSurfacePoints:
     """Find the nearest points of a body's surface.
 
     Args:
         body: the body.
         points: in the frame of the body, m, shape (n, 3).
-        pressed_in: whether the body is at its position of first touch, or deeper; see `Body.closed`.
+        pressed_in: whether the body is at its position of first touch, or deeper; see `RigidBody.closed`.
     """
     profile, first = body.profile, body.first_line
     closed = body.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
@@ -96,5 +96,5 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
     curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
                  + hoop[:, None, None] * around[:, :, None] * around[:, None])
     rounded = beyond & (profile.rounding > 0.0)
-    return Nearest(sign * distance - profile.rounding, normal, curvature,
-                   (best + first >= profile.shaft) & ~rounded, meridian)
+    return NearestSurfacePoints(sign * distance - profile.rounding, normal, curvature,
+                                (best + first >= profile.shaft) & ~rounded, meridian)

@@ -50,8 +50,8 @@ class CondensedTangent:
         self.volume_rates, self.held = np.zeros(0), free.all[:, held]
         self.factor: CondensedFactor | None = None
 
-    def assign(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
-               executor: Executor) -> None:
+    def start_condensation(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray,
+                           volume_rates: np.ndarray, executor: Executor) -> None:
         """Copy the present tangent and start its factorisation.
 
         Args:
@@ -65,9 +65,9 @@ class CondensedTangent:
         self.interface, self.volume_rates, self.factor = interface, volume_rates.copy(), None
         self._order = np.argsort(equations.ravel())
         self._sorted = equations.ravel()[self._order]
-        self._is_done = executor(self._compute)
+        self._is_done = executor(self._condense)
 
-    def _compute(self) -> None:
+    def _condense(self) -> None:
         self.factor = self._sparse.condense(self._matrix, self._sorted)
 
     @property
@@ -75,7 +75,7 @@ class CondensedTangent:
         """Whether the factorisation has ended, with or without a factor."""
         return self._is_done()
 
-    def choose(self, nodes: np.ndarray, equations: np.ndarray) -> None:
+    def select_published_nodes(self, nodes: np.ndarray, equations: np.ndarray) -> None:
         """Publish nodes of the interface, given with the equations of their degrees of freedom, shape (n, 3)."""
         assert self.factor is not None
         indices = np.searchsorted(self._sorted, equations.ravel())
@@ -88,21 +88,21 @@ class CondensedTangent:
         return self.factor.solve(right)
 
     @property
-    def rows(self) -> np.ndarray:
+    def interface_rows(self) -> np.ndarray:
         """Indices of the interface equations among the free degrees of freedom, sorted, shape (3 m,)."""
         return self._sorted
 
-    def begin(self, right: np.ndarray) -> np.ndarray:
+    def begin_solution(self, right: np.ndarray) -> np.ndarray:
         """First half of `solve`: the interface rows hold the displacements; see `CondensedFactor.begin`."""
         assert self.factor is not None
         return self.factor.begin(right)
 
-    def push(self, forces: np.ndarray) -> np.ndarray:
+    def begin_solution_for_interface(self, forces: np.ndarray) -> np.ndarray:
         """First half of a solution for forces on the interface only, shape (m, 3)."""
         assert self.factor is not None
         return self.factor.begin_push(forces.ravel()[self._order])
 
-    def finish(self, begun: np.ndarray) -> np.ndarray:
+    def finish_solution(self, begun: np.ndarray) -> np.ndarray:
         """Second half of a solution: displacements of all free degrees of freedom."""
         assert self.factor is not None
         return self.factor.finish(begun)

@@ -10,7 +10,7 @@ from tissue_sim.experiment.contact_law import ContactLaw, Traction, evaluate_tra
 _STEP = 1e-6
 
 
-class NodeLaws:
+class NodalContactLaws:
     """Sum of all additional contact laws.
 
     Args:
@@ -31,7 +31,7 @@ class NodeLaws:
     def __bool__(self) -> bool:
         return bool(self._laws)
 
-    def compute_largest_pull(self, nodes: np.ndarray) -> np.ndarray:
+    def compute_largest_adhesive_pull(self, nodes: np.ndarray) -> np.ndarray:
         """Largest pull on nodes at zero gap and pressure, N, shape (n,)."""
         return np.zeros(nodes.size) if self._areas is None else self.strength * self._areas[nodes]
 

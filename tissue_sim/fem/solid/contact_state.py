@@ -52,7 +52,8 @@ class ContactState(NamedTuple):
     curved: np.ndarray
     turn: np.ndarray
 
-    def force_rates(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def differentiate_forces(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray,
+                                                                                                         np.ndarray]:
         """Derivatives of the contact forces, and residual derivatives of the constraints in N, shape (n, 3, m) each.
 
         Args:
@@ -85,15 +86,15 @@ class ContactState(NamedTuple):
         missing = np.where(_expand_mask(self.held), holds * slipped, missing)
         return np.where(acts, found, 0.0), np.where(acts, missing, 0.0)
 
-    def anchor_rates(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
-        """Derivatives of the anchors after this equilibrium; arguments as in `force_rates`."""
+    def differentiate_anchors(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
+        """Derivatives of the anchors after this equilibrium; arguments as in `differentiate_forces`."""
         n = self.normals[:, :, None]
         curvature = self.gap[:, None, None] * (self.curved @ motion)
         surface = self.turn.swapaxes(1, 2) @ (motion - _project_on(n, motion) * n - curvature)
         return np.where(_expand_mask(self.held | self.keeps), anchors, np.where(_expand_mask(self.met), surface, 0.0))
 
     @property
-    def kinds(self) -> np.ndarray:
+    def kink_flags(self) -> np.ndarray:
         """Flags of each node whose change between equilibria makes a kink, shape (5, n)."""
         return np.stack([self.held, self.pressed, self.sticks, self.slides, self.near])
 

@@ -14,14 +14,14 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.contact_settings import STICK, TOLERANCES
-from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.contact_laws import NodeLaws
-from tissue_sim.fem.solid.placement import PLACEMENT, Placement
-from tissue_sim.fem.solid.sensitivity import StartRates
-from tissue_sim.fem.solid.settling import Settling, settle
+from tissue_sim.fem.solid.bodies import RigidBody
+from tissue_sim.fem.solid.contact_laws import NodalContactLaws
+from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchPlacement
+from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
+from tissue_sim.fem.solid.settling import SelfWeightLoadSteps, solve_self_weight_equilibrium
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
-from tissue_sim.fem.solid.touch import Touch, touch
+from tissue_sim.fem.solid.touch import FirstTouch, find_first_touch
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import O_GRID, Grading
@@ -75,7 +75,7 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
         topology: model whose mesh (or `mesh`, which belongs to it) is moved to the geometry of `model`.
     """
     experiment = model.experiment
-    _require(experiment)
+    _require_possible_interfaces(experiment)
     origin = topology or model
     own = mesh is not None
     if mesh is None:
@@ -102,8 +102,8 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     settled = settling = None
     undeformed = mesh
     if weight:
-        settled, settling = settle(lambda moulded: _make_standing_solver(model, moulded, layers), mesh,
-                                   experiment.specimen)
+        settled, settling = solve_self_weight_equilibrium(
+            lambda moulded: _make_solver_without_tool(model, moulded, layers), mesh, experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
@@ -114,22 +114,24 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
     top = places[mesh.sets["top"]]
     if datum is None:
-        first = touch(mesh, places, bodies, start)
+        first = find_first_touch(mesh, places, bodies, start)
         datum = first.height
     else:
-        first = touch(mesh, places, bodies, raised(start, -start.position[2]))
+        first = find_first_touch(mesh, places, bodies, raised(start, -start.position[2]))
         start = raised(start, first.height - datum - start.position[2])
-    laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _compute_law_areas(experiment, mesh))
-    solver = SolidSolver(mesh, model.material, _fixed_sets(experiment), bonded, bodies=bodies, laws=laws,
+    laws = NodalContactLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2,
+                            _compute_law_areas(experiment, mesh))
+    solver = SolidSolver(mesh, model.material, _get_fixed_node_sets(experiment), bonded, bodies=bodies, laws=laws,
                          tolerance=tolerance, start=start, datum=datum, contact_radius=experiment.contact_radius,
-                         pins=_choose_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
-                         settled=settled,
-                         lift=_ignored_heights(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
-                         start_rates=None if placed else settling and partial(_start_rates, settling, experiment,
-                                                                              first))
-    solver.placement = Placement(
+                         pins=_choose_rigid_motion_pins(experiment, mesh), element_layers=layers, settled=settled,
+                         specific_weight=weight,
+                         lift=_compute_ignored_heights(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
+                         start_rates=None if placed else settling and partial(_differentiate_first_touch, settling,
+                                                                              experiment, first))
+    solver.placement = FirstTouchPlacement(
         top, bodies, datum, is_level=experiment.specimen.is_flat and settled is None,
-        margin=experiment.specimen.margin, touch_height=lambda pose: touch(mesh, places, bodies, pose).height,
+        margin=experiment.specimen.margin,
+        touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
         remake=partial(_make_solver_at_pose, model, undeformed, start, datum, can_move))
     return solver
 
@@ -170,7 +172,7 @@ def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: floa
     return other
 
 
-def _ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
+def _compute_ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
     """Heights that a plate ignores at all nodes, m, shape (nodes, ...).
 
     A plate touches an unevenly settled top at all nodes at once, as if the top had been cut flat in its settled state.
@@ -185,8 +187,8 @@ def _ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
     return heights[nearest_top]
 
 
-def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neighbours: Neighbours
-                 ) -> StartRates | None:
+def _differentiate_first_touch(settling: SelfWeightLoadSteps, experiment: Experiment, first: FirstTouch,
+                               neighbours: Neighbours) -> FirstTouchDerivatives | None:
     """Derivatives of the state of the first touch with respect to parameters; None if they are not available."""
     mesh = settling.mesh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
@@ -194,21 +196,21 @@ def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neigh
         return None  # the areas for tractions would depend on the height as well
     if first.place is None:
         return None
-    found = settling.differentiate(neighbours)
+    found = settling.differentiate_settled_state(neighbours)
     if found is None:
         return None
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()
     ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[:, 2])
-    datum = np.array([first.rate(mesh, way) for way in ways])
-    lift = _ignored_heights(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
-    return StartRates(found.stretch, found.settled, found.resting, datum, lift)
+    datum = np.array([first.differentiate_height(mesh, way) for way in ways])
+    lift = _compute_ignored_heights(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
+    return FirstTouchDerivatives(found.stretch, found.settled, found.resting, datum, lift)
 
 
-def _fixed_sets(experiment: Experiment) -> dict[str, str]:
+def _get_fixed_node_sets(experiment: Experiment) -> dict[str, str]:
     return {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
 
 
-def _make_standing_solver(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
+def _make_solver_without_tool(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
     """Make the solver of the specimen on its base, without a tool."""
     experiment, pins = model.experiment, []
     if experiment.base_interface not in ("bonded", "stick"):
@@ -218,13 +220,13 @@ def _make_standing_solver(model: Model, mesh: SolidMesh, layers: np.ndarray) -> 
         middle = int(np.argmin(np.hypot(*place.T)))
         second = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
         pins = [(int(base[middle]), "xy"), (int(base[second]), "y")]
-    return SolidSolver(mesh, model.material, _fixed_sets(experiment), np.zeros(0, int),
+    return SolidSolver(mesh, model.material, _get_fixed_node_sets(experiment), np.zeros(0, int),
                        bodies=_make_resting_bodies(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
                        tolerance=TOLERANCES.plate * experiment.specimen.margin(),
                        contact_radius=experiment.contact_radius, element_layers=layers)
 
 
-def _choose_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
+def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
     """Pins against rigid motions of a specimen between frictionless faces, or faces with friction before pressure acts.
 
     The middle of the base is fixed horizontally, and one more node against rotation. By symmetry the pins carry no
@@ -242,8 +244,7 @@ def _choose_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str
     middle, second = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
         remedy = "give one of them friction" if without and not experiment.tool.is_plate else "let it stick to one"
-        raise InputError(f"neither base nor tool keeps the specimen from sliding; {remedy}",
-                         field="friction_base")
+        raise InputError(f"neither base nor tool keeps the specimen from sliding; {remedy}", field="friction_base")
     return [(int(middle), "xy"), (int(second), "y")]
 
 
@@ -255,7 +256,7 @@ def _may_slip(face: str | float) -> bool:
     return face == "frictionless" or not isinstance(face, str)
 
 
-def _require(experiment: Experiment) -> None:
+def _require_possible_interfaces(experiment: Experiment) -> None:
     """Check that the interfaces are possible on a curved specimen."""
     if not experiment.specimen.is_flat:
         shape = add_article(experiment.specimen.shape)
@@ -303,7 +304,7 @@ def _move_mesh(mesh: SolidMesh, topology: Model, experiment: Experiment) -> Soli
         InputError: layers, or a shape whose mesh cannot be moved.
     """
     before, after = (each.specimen for each in (topology.experiment, experiment))
-    circles = _tool_circle(topology.experiment), _tool_circle(experiment)
+    circles = _find_mesh_ring_circle(topology.experiment), _find_mesh_ring_circle(experiment)
     if circles[0] == circles[1] and (before.shape, before.stated) == (after.shape, after.stated):
         return mesh
     if topology.material.layers:
@@ -312,7 +313,7 @@ def _move_mesh(mesh: SolidMesh, topology: Model, experiment: Experiment) -> Soli
     return after.moved_mesh(mesh, before, circles)
 
 
-def _tool_circle(experiment: Experiment) -> Circle:
+def _find_mesh_ring_circle(experiment: Experiment) -> Circle:
     """Circle about which the rings of the mesh are arranged."""
     tool = experiment.tool
     if tool.is_plate:
@@ -321,49 +322,49 @@ def _tool_circle(experiment: Experiment) -> Circle:
     return Circle(tool.face_radius or experiment.contact_radius, (offset, 0.0))
 
 
-def _friction_coefficient(interface: str | float) -> float:
+def _get_friction_coefficient(interface: str | float) -> float:
     """Coefficient of friction of an interface, for tissue that touches it during the test; `STICK` without slip."""
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
-def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
+def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[RigidBody]:
     """Bodies at rest: the base, which the nodes of the base and of the lower half of the side may touch."""
     bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = _friction_coefficient(experiment.base_interface)
-    side = _side_nodes(mesh)
-    bodies = [Body(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
+    mu = _get_friction_coefficient(experiment.base_interface)
+    side = _select_side_nodes(mesh)
+    bodies = [RigidBody(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
     if experiment.base_interface not in _FIXED:
-        bodies.insert(0, Body(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
+        bodies.insert(0, RigidBody(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
     return bodies
 
 
-def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
+def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[RigidBody]:
     """Return the parts of the tool, each with the nodes that may touch it; `start`: pose at first touch."""
-    tool, mu = experiment.tool, _friction_coefficient(experiment.friction)
+    tool, mu = experiment.tool, _get_friction_coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
-        side = _side_nodes(mesh)
+        side = _select_side_nodes(mesh)
         high = side[mesh.nodes[side, 2] >= 0.5 * float(mesh.nodes[:, 2].min())]
-        return [Body(tool.profile, np.concatenate([free, high]), (mu, mu))]
-    wall = _friction_coefficient(experiment.friction_wall)
+        return [RigidBody(tool.profile, np.concatenate([free, high]), (mu, mu))]
+    wall = _get_friction_coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
-        return [Body(tool.profile, free, (mu, wall))]
+        return [RigidBody(tool.profile, free, (mu, wall))]
     upright = not any(start.orientation[1:3])
     under = np.intersect1d(mesh.sets["face"], free)
     outside = np.setdiff1d(free, under)
     if experiment.friction == "bonded":
-        return [Body(tool.profile, outside, (mu, wall), first_line=1, closed=upright)]
+        return [RigidBody(tool.profile, outside, (mu, wall), first_line=1, closed=upright)]
     # Tissue next to a sharp edge cannot move under the face without slip.
     first = 0 if tool.edge_radius else 1
-    return [Body(tool.profile, under, (mu, wall), tied=mu == STICK),
-            Body(tool.profile, outside, (mu, wall), first_line=first, closed=upright)]
+    return [RigidBody(tool.profile, under, (mu, wall), tied=mu == STICK),
+            RigidBody(tool.profile, outside, (mu, wall), first_line=first, closed=upright)]
 
 
-def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
-                 ) -> tuple[list[Body], float]:
+def make_tool_bodies_and_datum(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
+                 ) -> tuple[list[RigidBody], float]:
     """Make the bodies of the tool, and find its first touch.
 
     Args:
@@ -377,7 +378,7 @@ def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, pl
     """
     start = experiment.tool_pose(0.0)
     bodies = _make_moving_bodies(experiment, mesh, bonded, start)
-    return bodies, touch(mesh, places, bodies, start).height
+    return bodies, find_first_touch(mesh, places, bodies, start).height
 
 
 def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
@@ -394,6 +395,6 @@ def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
     return areas
 
 
-def _side_nodes(mesh: SolidMesh) -> np.ndarray:
+def _select_side_nodes(mesh: SolidMesh) -> np.ndarray:
     """Nodes of the side that belong neither to the base nor to the top."""
     return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))

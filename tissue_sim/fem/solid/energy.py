@@ -46,37 +46,37 @@ COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
 
 
 @cache
-def _isochoric_chain():
+def _make_isochoric_chain():
     """Return the Python function (I1, I2, J, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
 
     The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
     """
-    return taichi_function(_isochoric_derivatives, ("solid chain",), __file__)
+    return taichi_function(_derive_isochoric_chain, ("solid chain",), __file__)
 
 
-def _isochoric_derivatives():
+def _derive_isochoric_chain():
     I1, I2, J = v = sp.symbols("I1 I2 J", positive=True)
     s = sp.Symbol("s", positive=True)
     first = sp.symbols("W1 W2", real=True)
     second = sp.symbols("W11 W12 W22", real=True)
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
 
-    def total(expression, x):
+    def differentiate_with_scale(expression, x):
         """Derivative with respect to x, with s as a function of J."""
         inner = -sp.Rational(2, 3) * s / x if x is J else 0
         return sp.diff(expression, x) + sp.diff(expression, s) * inner
 
     bars = (s * I1, s**2 * I2)
-    slopes = [[total(bar, x) for x in v] for bar in bars]
+    slopes = [[differentiate_with_scale(bar, x) for x in v] for bar in bars]
     gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
+    curvature = [sum(first[m] * differentiate_with_scale(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
     return (*v, s, *first, *second), [*gradient, *curvature]
 
 
 @cache
-def cofactor_function():
+def make_cofactor_function():
     """Return the Taichi function ``cofactor(F)``: dJ/dF, 9 components."""
     ti = initialise()
 
@@ -90,7 +90,7 @@ def cofactor_function():
 
 
 @cache
-def relax_function():
+def make_relax_function():
     """Return the Taichi function ``relax(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
     ti = initialise()
 
@@ -118,7 +118,7 @@ def relax_function():
 
 
 @cache
-def function(energy: KernelEnergy):
+def make_stress_function(energy: KernelEnergy):
     """Return the Taichi function ``stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A)`` of an energy.
 
     Args of the Taichi function:
@@ -139,8 +139,8 @@ def _make_invariant_function(energy: KernelEnergy):
     count = energy.count
 
     derivatives = invariant_derivatives(energy)
-    chain = _isochoric_chain()
-    cofactor = cofactor_function()
+    chain = _make_isochoric_chain()
+    cofactor = make_cofactor_function()
 
     @ti.func
     def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):

@@ -33,7 +33,7 @@ _SETTINGS = FacetingSettings()
 
 
 @dataclass(frozen=True)
-class Faceting:
+class FacetingGeometry:
     """Distance between flat sides of elements and the round outline of the tool.
 
     Attributes:
@@ -47,12 +47,13 @@ class Faceting:
     size: float
 
     @property
-    def share(self) -> float:
+    def missing_fraction(self) -> float:
         """Fraction of the force that is missing, 1.5 inside / depth (Hertz: F ~ depth^1.5); infinite without depth."""
         return _HERTZ_EXPONENT * self.inside / self.depth if self.depth else math.inf
 
 
-def estimate_faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> Faceting | None:
+def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
+                               displacement: np.ndarray) -> FacetingGeometry | None:
     """Compute the faceting error of a round tool that presses on nodes only.
 
     A flat side between nodes at distance h is inside of a surface with principal curvatures k1 and k2 by
@@ -77,11 +78,12 @@ def estimate_faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
         return None
     inside = float(np.average(areas * curvature, weights=round_ones)) / 12.0
     indentation = np.abs(np.einsum("ni,ni->n", displacement[contact.nodes], state.normals))
-    return Faceting(inside, float(indentation[carried > 0.0].max()),
-                    math.sqrt(float(np.average(areas, weights=round_ones))))
+    return FacetingGeometry(inside, float(indentation[carried > 0.0].max()),
+                            math.sqrt(float(np.average(areas, weights=round_ones))))
 
 
-def faceting_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray, force: float) -> float | None:
+def estimate_faceting_force_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray,
+                                  force: float) -> float | None:
     """Estimate the error of a force, N, because of flat sides under a round tool.
 
     Args:
@@ -93,11 +95,12 @@ def faceting_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndar
     Returns:
         N; None if the error is not known.
     """
-    found = estimate_faceting(contact, mesh, displacement)
+    found = estimate_faceting_geometry(contact, mesh, displacement)
     if found is None:
         return None
     # The estimate holds for small fractions; beyond one half it is at least the whole force.
-    return force * found.share / (1.0 - found.share) if found.share < _SETTINGS.largest_fraction else force
+    fraction = found.missing_fraction
+    return force * fraction / (1.0 - fraction) if fraction < _SETTINGS.largest_fraction else force
 
 
 def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> list[str]:
@@ -113,10 +116,10 @@ def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
     Returns:
         One sentence, or none: the error is small, or the elements have curved sides.
     """
-    found = estimate_faceting(contact, mesh, displacement)
-    if found is None or not found.depth or found.share <= _SETTINGS.warning_fraction:
+    found = estimate_faceting_geometry(contact, mesh, displacement)
+    if found is None or not found.depth or found.missing_fraction <= _SETTINGS.warning_fraction:
         return []
-    share, size = found.share, 1e3 * found.size
+    share, size = found.missing_fraction, 1e3 * found.size
     smaller = size * math.sqrt(_SETTINGS.warning_fraction / share)
     missing = "most of the force" if share > _SETTINGS.largest_fraction else f"about {100.0 * share:.2g} % of the force"
     return [f"faceting error: the flat sides of the elements under the tool, {size:.2g} mm wide, are inside of its "

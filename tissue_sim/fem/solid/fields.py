@@ -86,7 +86,7 @@ class SolidFields:
         """Return the same fields with other values of `material_data`."""
         return replace(self, **changed)
 
-    def part(self, elements: np.ndarray) -> SolidFields:
+    def select_elements(self, elements: np.ndarray) -> SolidFields:
         """Return the fields of some of the elements; nodes keep their indices.
 
         Args:
@@ -99,7 +99,7 @@ class SolidFields:
                        weights=self.weights[elements], moduli=self.moduli[elements],
                        stresses=None if self.stresses is None else self.stresses[:, elements])
 
-    def means(self) -> SolidFields:
+    def average_over_elements(self) -> SolidFields:
         """Return fields with one point in each element: the mean deformation over its volume."""
         volumes = self.weights.sum(axis=1, keepdims=True)
         shares = self.weights / volumes
@@ -145,27 +145,27 @@ class SolidFields:
             return J
         left = F @ F.swapaxes(-1, -2)
         if name == "stretch":
-            return principal_stretches(left)[..., 0]
+            return compute_principal_stretches(left)[..., 0]
         modulus = self.moduli[:, None]
         p = 0.0 if self.pressures is None else np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
         if name == "energy":
-            energy, _ = self._evaluate_principal_response(principal_stretches(left))
+            energy, _ = self._evaluate_principal_response(compute_principal_stretches(left))
             own = modulus * self.material.instantaneous_factor * energy
             return own + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
         scale = modulus / J
         if self.stresses is None and name in ("pressure", "von_mises"):
             # From principal stresses, without their directions.
-            _, tau = self._evaluate_principal_response(principal_stretches(left))
+            _, tau = self._evaluate_principal_response(compute_principal_stretches(left))
             if name == "pressure":
                 return -(scale * tau.mean(axis=-1) + p)
             return scale * np.sqrt(1.5 * ((tau - tau.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1))
-        tensor = scale[..., None, None] * self._isochoric_stress(F, left, sample)
+        tensor = scale[..., None, None] * self._compute_isochoric_stress(F, left, sample)
         mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
         if name == "pressure":
             return -(mean + p)
         if name == "von_mises":
             return np.sqrt(1.5 * ((tensor - mean[..., None, None] * np.eye(3)) ** 2).sum(axis=(-2, -1)))
-        first, second = self._component_directions(name, sample)
+        first, second = self._compute_component_directions(name, sample)
         across = 0.0 if name in ("cauchy_rz", "cauchy_xy", "cauchy_yz", "cauchy_xz") else p
         return np.einsum("eqi,eqik,eqk->eq", first, tensor, second) + across
 
@@ -178,13 +178,13 @@ class SolidFields:
         parts = [(np.setdiff1d(np.arange(count), taken), base)]
         parts += [(each, materials.get(region, base)) for region, each in self.mesh.regions.items()]
         for elements, material in parts:
-            found[elements] = replace(self.part(elements), material=material).at_points(name, sample)
+            found[elements] = replace(self.select_elements(elements), material=material).at_points(name, sample)
         return found
 
     def _evaluate_principal_response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return self.material.energy_law.principal_response(stretches, self.material.parameters)
 
-    def _isochoric_stress(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
+    def _compute_isochoric_stress(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
         """Isochoric Kirchhoff stress in units of `moduli`, Pa, shape (elements, q, 3, 3)."""
         if self.stresses is not None:
             return F @ self.stresses[sample][..., _SYMMETRIC] @ F.swapaxes(-1, -2)
@@ -199,7 +199,7 @@ class SolidFields:
             values = values.mean(axis=0, keepdims=True)
         return np.einsum("qa,eai->eqi", values, nodal[self.mesh.connectivity])
 
-    def _component_directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
+    def _compute_component_directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
         """Two unit vectors that define a stress component, shape (elements, q, 3) each."""
         shape = (*self.weights.shape, 3)
         if name in _ALONG:
@@ -217,7 +217,7 @@ class SolidFields:
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
         """Smallest and largest principal stretch; the fraction `TAIL` of the volume is left out at each end."""
         F = self.deformation_gradient(sample)
-        stretches = principal_stretches(F @ F.swapaxes(-1, -2))
+        stretches = compute_principal_stretches(F @ F.swapaxes(-1, -2))
         return (volume_quantile(stretches[..., 2], self.weights, TAIL),
                 volume_quantile(stretches[..., 0], self.weights, 1 - TAIL))
 
@@ -238,7 +238,7 @@ def _compute_determinant(F: np.ndarray) -> np.ndarray:
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
-def principal_stretches(left: np.ndarray) -> np.ndarray:
+def compute_principal_stretches(left: np.ndarray) -> np.ndarray:
     """Principal stretches, largest first, of left or right Cauchy-Green tensors, shape (..., 3) from (..., 3, 3).
 
     Trigonometric roots of the characteristic polynomial, a few times faster than eigenvectors; the error is 1e-8 of the

@@ -7,7 +7,7 @@ import numpy as np
 from tissue_sim.pose import Pose
 
 
-class Frame:
+class ToolFrame:
     """Rotation of the tool, shape (3, 3), and position of its deepest point in the frame of the mesh, m, shape (3,).
 
     Args:
@@ -24,7 +24,7 @@ class Frame:
         x0, y0, z0 = pose.position
         self.origin = np.array([x0, y0, z0 + datum])
 
-    def compute_motion_from(self, first: Frame) -> np.ndarray:
+    def compute_motion_from(self, first: ToolFrame) -> np.ndarray:
         """Motion from another frame: displacement, m, and change of the rotation matrix row by row, shape (12,)."""
         return np.concatenate([self.origin - first.origin, (self.rotation - first.rotation).ravel()])
 
@@ -36,7 +36,7 @@ class Frame:
         """Transform points from the frame of the tool to that of the mesh, m, shape (n, 3)."""
         return points @ self.rotation.T + self.origin
 
-    def rates(self, points: np.ndarray) -> np.ndarray:
+    def differentiate_points(self, points: np.ndarray) -> np.ndarray:
         """Derivative of points fixed to the tool with respect to its position and a rotation about its deepest point.
 
         Args:

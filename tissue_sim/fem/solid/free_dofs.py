@@ -10,7 +10,7 @@ import numpy as np
 from tissue_sim.mesh.solid import SolidMesh
 
 
-def fixed_freedoms(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
+def fixed_freedom_mask(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
     """Whether each node is fixed along x, y and z, shape (nodes, 3).
 
     Args:
@@ -53,7 +53,7 @@ class FreeDofSystem:
         self._blocks = np.asarray(numbered[rows.ravel(), columns.ravel()]).ravel() - 1 if blocks.size else (
             np.zeros(0, dtype=np.intp))
 
-    def add(self, rates: np.ndarray) -> None:
+    def add_contact_stiffness(self, rates: np.ndarray) -> None:
         """Add contact stiffness, N/m, shape (n, 3, 3), to the matrix that was assembled last."""
         np.add.at(self.all.data, self._blocks, rates.ravel())
         self.free.data[:] = self.all.data[self._entries]

@@ -29,7 +29,7 @@ class KinkSettings:
 _KINK = KinkSettings()
 
 
-class MemoryRates:
+class HistoryDerivatives:
     """Derivatives of the history of one material with respect to m parameters, at the last committed step.
 
     Args:
@@ -55,7 +55,7 @@ class MemoryRates:
         self._decays, self._gains = np.zeros((2, m, len(memory.internal)))
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that are carried from step to step, parameters first; overwriting them restores another state."""
         return self._before, self._internal, self._largest
 
@@ -99,7 +99,7 @@ class MemoryRates:
         for array, before in self._kept:
             array[:] = before
 
-    def directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def get_input_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the arrays of the history that the assembly reads, with their derivatives by parameter k."""
         memory = self.memory
         if not memory.works:
@@ -107,7 +107,7 @@ class MemoryRates:
         return [(memory.past, self._past_rates[k]), (memory.inherited, self.inherited[k]),
                 (memory.largest, self._largest[k])]
 
-    def commit(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
+    def commit_parameter(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
         """Update the derivatives of the history when a step is committed.
 
         Args:

@@ -11,11 +11,11 @@ import numpy as np
 
 from tissue_sim.fem.contact_settings import Bond
 from tissue_sim.fem.free_tool import AT_REST
-from tissue_sim.fem.solid.bodies import Body, nearest
+from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.faceting import faceting_error
-from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.mass import Mass
+from tissue_sim.fem.solid.faceting import estimate_faceting_force_error
+from tissue_sim.fem.solid.frame import ToolFrame
+from tissue_sim.fem.solid.mass import LumpedMass
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Solver, Step
 from tissue_sim.kernel_owner import KernelOwner
@@ -42,7 +42,7 @@ class PlacementTolerances:
 PLACEMENT = PlacementTolerances()
 
 
-class PlacedSolver(KernelOwner, Solver):
+class RelocatableSolver(KernelOwner, Solver):
     """Solver whose mesh belongs to one position of the first touch, and that can be made again for another one.
 
     Attributes:
@@ -50,7 +50,7 @@ class PlacedSolver(KernelOwner, Solver):
     """
 
     ignores_twist = True
-    placement: Placement | None = None
+    placement: FirstTouchPlacement | None = None
     contact: ContactNodes
     tissue: Tissue
     material: Material
@@ -58,7 +58,7 @@ class PlacedSolver(KernelOwner, Solver):
     _committed: tuple[np.ndarray, ...]
     _rest: tuple[np.ndarray, ...]
     _tolerance: float
-    _mass: Mass | None
+    _mass: LumpedMass | None
     _bonded: np.ndarray
     _start: Pose
     _pose: Pose
@@ -69,9 +69,9 @@ class PlacedSolver(KernelOwner, Solver):
 
     def place_tool(self, pose: Pose) -> bool:
         """See `FreeTool.place_tool`. The mesh is moved, so that it has the same fineness under the tool."""
-        if self.placement is None or self.placement.is_at(self._start, pose):
+        if self.placement is None or self.placement.is_at_mesh_position(self._start, pose):
             return True
-        other = self.placement.make_solver_at_touch(pose, self)
+        other = self.placement.make_solver_for_touch_pose(pose, self)
         if other is None:
             return False
         self.__dict__.update(other.__dict__)
@@ -81,7 +81,8 @@ class PlacedSolver(KernelOwner, Solver):
         """Add the estimated error of the force to a converged step, if stiffness is requested in every step."""
         if not self._asked:
             return step
-        error = faceting_error(self.contact, self.mesh, self.committed_displacement, math.hypot(*step.wrench[:3]))
+        error = estimate_faceting_force_error(self.contact, self.mesh, self.committed_displacement,
+                                              math.hypot(*step.wrench[:3]))
         return step if error is None else replace(step, force_error=error)
 
     def copy_settings_to(self, other: Any) -> None:
@@ -98,17 +99,17 @@ class PlacedSolver(KernelOwner, Solver):
         contact = self.contact
         if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != Bond.FREE))).any():
             return None
-        frame, displacement, least = Frame(pose, self.datum), self.committed_displacement, math.inf
+        frame, displacement, least = ToolFrame(pose, self.datum), self.committed_displacement, math.inf
         for body, own in contact.parts:
             if body.moves and own.size:
                 at = frame.transform_to_tool(contact.places[own] + displacement[contact.nodes[own]])
-                least = min(least, float(nearest(body, at, pressed_in=False).gap.min()))
+                least = min(least, float(find_nearest_surface_points(body, at, pressed_in=False).gap.min()))
         return least
 
     @property
     def relaxes(self) -> bool:
         """See `FreeTool.relaxes`."""
-        return self.tissue.remembers
+        return self.tissue.has_history
 
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""
@@ -143,7 +144,7 @@ class PlacedSolver(KernelOwner, Solver):
         self._pose = pose
 
 
-class Placement:
+class FirstTouchPlacement:
     """Positions of a first touch on the top of a solid.
 
     Args:
@@ -157,7 +158,7 @@ class Placement:
         remake: returns the solver for a first touch at a pose; None if there is none.
     """
 
-    def __init__(self, places: np.ndarray, bodies: list[Body], datum: float, is_level: bool,
+    def __init__(self, places: np.ndarray, bodies: list[RigidBody], datum: float, is_level: bool,
                  margin: Callable[[float, float], float], touch_height: Callable[[Pose], float],
                  remake: Callable[[Pose, Any], Any] | None):
         profiles = [body.profile for body in bodies if body.moves]
@@ -166,7 +167,7 @@ class Placement:
         self._datum, self._is_level, self._margin = datum, is_level, margin
         self._touch_height, self._remake = touch_height, remake
 
-    def is_at(self, start: Pose, pose: Pose) -> bool:
+    def is_at_mesh_position(self, start: Pose, pose: Pose) -> bool:
         """Whether a first touch at a pose is at the position of the mesh."""
         x, y, z, *turn = motion(start, pose)
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
@@ -188,7 +189,7 @@ class Placement:
         except InputError:
             return math.inf  # outside the top
 
-    def make_solver_at_touch(self, pose: Pose, solver: Any) -> Any:
+    def make_solver_for_touch_pose(self, pose: Pose, solver: Any) -> Any:
         """Return the solver for a first touch at a pose; None if no such solver can be made.
 
         Args:

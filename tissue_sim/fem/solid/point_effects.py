@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from tissue_sim.fem.point_effects import LONGEST, require_formula
-from tissue_sim.fem.solid.batches import ElementBatches, find_entry_indices
+from tissue_sim.fem.solid.batches import ElementBatches, find_sparse_entry_indices
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
@@ -22,7 +22,7 @@ _IN_MEMORY = [0, 3, 4, 1, 5, 2]
 _AT_ONCE = 200
 
 
-class SolidEffects:
+class SolidPointEffects:
     """All point effects of a material.
 
     Args:
@@ -67,25 +67,25 @@ class SolidEffects:
             self._found, self._makes = self.states.copy(), makes
         self._effects = points
 
-    def prepare(self, dt: float) -> None:
+    def prepare_step(self, dt: float) -> None:
         """Set the length of the next step, dt in s."""
         self._dt = min(dt, LONGEST)
 
-    def commit(self) -> None:
+    def commit_step(self) -> None:
         """Accept the state variables of the last step, which converged."""
         self.states[:], self.stress[:] = self._found, self._stress
 
-    def add(self, x: np.ndarray, tangent: bool) -> None:
+    def add_forces_and_stiffness(self, x: np.ndarray, tangent: bool) -> None:
         """Add forces, and optionally stiffness, at displacements x, m, shape (freedoms,), to those of the batches."""
-        gradients = self._batches.of_points[0]
-        ratios = self._batches.element_moduli
+        gradients = self._batches.point_gradients_and_modes[0]
+        ratios = self._batches.element_modulus_ratios
         forces, stiffness = np.zeros(self._dofs.shape), []
         for first in range(0, len(self._elements), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             mine = self._elements[part]
             G, dofs = gradients[mine], self._dofs[part]
             F = np.eye(3) + np.einsum("eai,eqaJ->eqiJ", x[dofs].reshape(*dofs.shape[:1], -1, 3), G)
-            S, D = self._respond(part, F)
+            S, D = self._evaluate_effects(part, F)
             weights = self._batches.weights[mine] * ratios[mine, None]
             # Derivative of the Green strains, with doubled shears, with respect to the nodal positions.
             B = np.stack([np.einsum("eqi,eqa->eqai", F[..., I], G[..., J])
@@ -108,10 +108,10 @@ class SolidEffects:
             matrix = self._batches.matrix
             if self._places is None:
                 rows, columns = np.broadcast_arrays(self._dofs[:, :, None], self._dofs[:, None])
-                self._places = find_entry_indices(matrix, rows, columns).ravel()
+                self._places = find_sparse_entry_indices(matrix, rows, columns).ravel()
             matrix.data += np.bincount(self._places, np.concatenate(stiffness).ravel(), minlength=matrix.nnz)
 
-    def _respond(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _evaluate_effects(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Evaluate the effects of some elements, and store their new state variables.
 
         Args:

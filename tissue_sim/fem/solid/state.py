@@ -10,7 +10,7 @@ from tissue_sim.pose import Pose
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class FieldSample:
     """Data of a committed state for fields.
 
     Attributes:

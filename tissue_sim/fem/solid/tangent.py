@@ -37,7 +37,7 @@ class ReuseSettings:
 _SETTINGS = ReuseSettings()
 
 
-class Tangent:
+class ReusableTangentFactor:
     """Factor of the last assembled matrix.
 
     Args:
@@ -60,12 +60,12 @@ class Tangent:
 
     def factorise(self, symmetric: bool) -> Factor | None:
         """Factorise the matrix that was assembled last, with the contact stiffness; None if it is singular."""
-        self._matrix.add(self._contact.rates)
-        self._contact.store_rates()
+        self._matrix.add_contact_stiffness(self._contact.rates)
+        self._contact.store_assembled_contact_rates()
         self.factor, self.stale = self._sparse.factorise(self._matrix.free, symmetric=symmetric), False
         return self.factor
 
-    def solve(self, right: np.ndarray, way: np.ndarray | None, apart: np.ndarray) -> np.ndarray:
+    def solve_increment(self, right: np.ndarray, way: np.ndarray | None, apart: np.ndarray) -> np.ndarray:
         """Compute the increment of displacements that balances unbalanced forces, m, shape (freedoms,).
 
         Args:
@@ -76,7 +76,7 @@ class Tangent:
         assert self.factor is not None
         contact, motion = self._contact, np.zeros_like(right)
         if self.stale:
-            self._tissue.add_known_volumes(right)
+            self._tissue.correct_forces_for_old_volume_rates(right)
         pushed = np.einsum("nij,nj->ni", contact.known_rates, contact.missed)
         if way is not None:
             motion += way
@@ -86,7 +86,7 @@ class Tangent:
         motion[self._free] = -self.factor.solve(right[self._free])
         return motion
 
-    def keep(self, ratio: float, far: bool) -> None:
+    def record_solution(self, ratio: float, far: bool) -> None:
         """Register a solution from a state with a relative residual `ratio`; `far`: a new tangent is needed next."""
         self.stale, self._before = not far and ratio <= _SETTINGS.far, ratio
 

@@ -9,10 +9,10 @@ import numpy as np
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.fem.history import Memory
-from tissue_sim.fem.solid.assembly import assembly_kernel
+from tissue_sim.fem.solid.assembly import make_assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import SettingColumn
-from tissue_sim.fem.solid.point_effects import SolidEffects
+from tissue_sim.fem.solid.point_effects import SolidPointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
@@ -22,7 +22,7 @@ from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh.solid import SolidMesh
 
 
-class RegionParts(NamedTuple):
+class RegionDerivativeInputs(NamedTuple):
     """Data of the elements of one material for derivatives.
 
     Attributes:
@@ -94,7 +94,7 @@ class Tissue:
 
     def __init__(self, mesh: SolidMesh, x: np.ndarray, contact_radius: float,
                  element_layers: np.ndarray | None = None):
-        count, named = len(mesh.connectivity), element_groups(mesh)
+        count, named = len(mesh.connectivity), group_elements_by_region(mesh)
         self.batches = ElementBatches(mesh, tuple(named.values()))
         points = self.batches.weights.shape[1]
         self._regions = tuple(RegionElements(name, elements, points) for name, elements in named.items())
@@ -103,27 +103,27 @@ class Tissue:
         self.bulk_moduli = np.zeros(self.batches.batches)
         self.specific_weight = 0.0
         # Named regions have no point effects.
-        self.effects = SolidEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
+        self.effects = SolidPointEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
 
     @property
-    def memory(self) -> Memory:
+    def first_region_history(self) -> Memory:
         """History of the elements of the first region; of all elements if there is only one region."""
         return self._regions[0].memory
 
     @property
-    def bulk_by_element(self) -> np.ndarray:
+    def element_bulk_moduli(self) -> np.ndarray:
         """Bulk modulus of each element's material, Pa, shape (elements,)."""
         return np.repeat(self.bulk_moduli, LANES)[self.batches.lane_of]
 
     @property
-    def regions(self) -> tuple[RegionParts, ...]:
+    def region_derivative_inputs(self) -> tuple[RegionDerivativeInputs, ...]:
         """Data of each region for derivatives."""
-        def relaxation(name: str) -> Callable[[Material], Prony | None]:
+        def make_relaxation_function(name: str) -> Callable[[Material], Prony | None]:
             return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
 
         kappa = slice(SettingColumn.KAPPA, SettingColumn.KAPPA + 1)
-        return tuple(RegionParts((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
-                                 region.memory, relaxation(region.name))
+        return tuple(RegionDerivativeInputs((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
+                                            region.memory, make_relaxation_function(region.name))
                      for region, part in zip(self._regions, self.batches.parts, strict=True))
 
     def set_material(self, material: Material) -> None:
@@ -133,42 +133,42 @@ class Tissue:
             InputError: an effect that kernels do not support, a region that the mesh does not have, or a bulk ratio
                 outside of `BULK_RATIOS`; nothing is changed.
         """
-        require_regions(material, self._mesh)
+        require_mesh_regions(material, self._mesh)
         materials = [material.regions.get(region.name, material) for region in self._regions]
-        bulks = [bulk_modulus(each, self._mesh) for each in materials]
+        bulks = [find_finite_bulk_modulus(each, self._mesh) for each in materials]
         self.effects.set_effects(material.effects.values())
         self.material = material
-        self.batches.set_moduli(layer_ratios(material, self._layers))
+        self.batches.set_modulus_ratios(layer_modulus_ratios(material, self._layers))
         for region, own, bulk, part in zip(self._regions, materials, bulks, self.batches.parts, strict=True):
             named = region.set_material(own, bulk, self.contact_radius)
             region.settings[SettingColumn.REMEMBERS] = region.memory.works or bool(self.effects)
             self.bulk_moduli[part] = bulk
             with LOCK:
-                kernel = assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
-                region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.arrays(part)})
+                kernel = make_assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
+                region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.get_kernel_arrays(part)})
 
-    def assemble(self, tangent: bool = True) -> float:
+    def assemble_forces_and_tangent(self, tangent: bool = True) -> float:
         """Assemble forces, and optionally the stiffness, at the present displacements; returns the smallest J."""
-        self._run(self._regions, tangent)
+        self._run_region_kernels(self._regions, tangent)
         if self.effects:
-            self.effects.add(self._x, tangent)
+            self.effects.add_forces_and_stiffness(self._x, tangent)
         if self.specific_weight:
             self.batches.residual[2:-1:3] += self.specific_weight * self.batches.volumes
         return min(float(region.least[0]) for region in self._regions)
 
-    def assemble_regions(self, numbers: Sequence[int]) -> None:
+    def assemble_region_forces(self, numbers: Sequence[int]) -> None:
         """Assemble the forces of the elements of some regions, without weight and point effects."""
         self.batches.residual[:] = 0.0
-        self._run([self._regions[number] for number in numbers], False)
+        self._run_region_kernels([self._regions[number] for number in numbers], False)
 
-    def _run(self, regions: Sequence[RegionElements], tangent: bool) -> None:
+    def _run_region_kernels(self, regions: Sequence[RegionElements], tangent: bool) -> None:
         with LOCK:
             for region in regions:
                 region.settings[SettingColumn.TANGENT] = tangent
                 region.settings[SettingColumn.ADDS] = region is not regions[0]
                 region.kernel()
 
-    def element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
+    def compute_element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
         """Compute the forces of each element on its nodes, without weight, N, shape (elements, freedoms of an element).
 
         The bulk modulus is the element's, or `bulk_ratio` times its shear modulus if that is less.
@@ -181,50 +181,50 @@ class Tissue:
         for region, part in zip(self._regions, self.batches.parts, strict=True):
             region.settings[SettingColumn.KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
             left[part] = 1.0 - region.settings[SettingColumn.KAPPA] / region.bulk
-        self.assemble()
+        self.assemble_forces_and_tangent()
         for region in self._regions:
             region.settings[SettingColumn.KAPPA] = region.bulk
         lost = left[:, None, None] * standing.reshape(self.batches.batches, -1, LANES)
-        return self.batches.element_forces + self.batches.pressure_forces(lost.reshape(standing.shape))
+        return self.batches.element_forces + self.batches.compute_pressure_forces(lost.reshape(standing.shape))
 
     def update_pressures(self, motion: np.ndarray) -> None:
         """Update the pressures after a linear solution with displacement increments, m, shape (freedoms,)."""
         self.batches.update_pressures(motion, self.bulk_moduli)
 
-    def add_known_volumes(self, forces: np.ndarray) -> None:
-        """See `ElementBatches.add_known_volumes`."""
-        self.batches.add_known_volumes(forces, self.bulk_moduli)
+    def correct_forces_for_old_volume_rates(self, forces: np.ndarray) -> None:
+        """See `ElementBatches.correct_forces_for_old_volume_rates`."""
+        self.batches.correct_forces_for_old_volume_rates(forces, self.bulk_moduli)
 
-    def prepare(self, dt: float) -> None:
-        """Prepare a step of dt seconds; see `Memory.prepare`."""
+    def prepare_step(self, dt: float) -> None:
+        """Prepare a step of dt seconds; see `Memory.prepare_step`."""
         for region in self._regions:
-            region.memory.prepare(dt)
-        self.effects.prepare(dt)
+            region.memory.prepare_step(dt)
+        self.effects.prepare_step(dt)
 
-    def commit(self) -> None:
+    def commit_step(self) -> None:
         """Accept the last step, which converged."""
         for region in self._regions:
-            region.memory.commit()
+            region.memory.commit_step()
         if self.effects:
-            self.effects.commit()
+            self.effects.commit_step()
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that define the history of the committed state; writing saved copies into them restores it."""
         added = (self.effects.states, self.effects.stress) if self.effects else ()
-        return (*(array for region in self._regions for array in region.memory.kept), *added)
+        return (*(array for region in self._regions for array in region.memory.state_arrays), *added)
 
     @property
-    def remembers(self) -> bool:
+    def has_history(self) -> bool:
         """Whether the material has a history, so that the tissue may change with time while nothing moves."""
         return bool(self.effects) or any(region.memory.works for region in self._regions)
 
-    def stresses(self) -> np.ndarray | None:
+    def compute_committed_stresses(self) -> np.ndarray | None:
         """Isochoric second Piola-Kirchhoff stress of the last committed step, Pa, shape (elements, q, 6).
 
         None if no material has a history.
         """
-        if not self.remembers:
+        if not self.has_history:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
         for region in self._regions:
@@ -234,7 +234,7 @@ class Tissue:
         return found
 
 
-def element_groups(mesh: SolidMesh) -> dict[str, np.ndarray]:
+def group_elements_by_region(mesh: SolidMesh) -> dict[str, np.ndarray]:
     """Indices of the elements of each region by its name, "" for elements without a region; empty groups are left out.
 
     Raises:
@@ -248,7 +248,7 @@ def element_groups(mesh: SolidMesh) -> dict[str, np.ndarray]:
     return {name: np.asarray(elements, dtype=np.intp) for name, elements in groups.items() if len(elements)}
 
 
-def require_regions(material: Material, mesh: SolidMesh) -> None:
+def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
     """Require that the mesh has all regions of a material.
 
     Raises:
@@ -265,23 +265,23 @@ def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
 
 
-def layer_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
+def layer_modulus_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
     """Ratio of the moduli of elements to those of their material, by their layers, shape of `layers`."""
     ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
     return ratios[np.minimum(layers, ratios.size - 1)]
 
 
-def node_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
+def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
     """Initial shear modulus at each node, mean over its elements, Pa, shape (nodes,); layers: see `element_layers`."""
-    moduli = layer_ratios(material, layers)
-    for name, elements in element_groups(mesh).items():
+    moduli = layer_modulus_ratios(material, layers)
+    for name, elements in group_elements_by_region(mesh).items():
         moduli[elements] *= material.regions.get(name, material).mu0
     nodes = mesh.connectivity.ravel()
     total = np.bincount(nodes, np.repeat(moduli, mesh.connectivity.shape[1]), minlength=len(mesh.nodes))
     return total / np.maximum(1, np.bincount(nodes, minlength=len(mesh.nodes)))
 
 
-def bulk_modulus(material: Material, mesh: SolidMesh) -> float:
+def find_finite_bulk_modulus(material: Material, mesh: SolidMesh) -> float:
     """Bulk modulus of a material on a mesh, Pa; incompressible materials get a finite one.
 
     Raises:

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.solid.bodies import Body, Nearest, nearest
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.bodies import NearestSurfacePoints, RigidBody, find_nearest_surface_points
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.mesh.side_points import SidePoints
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose
@@ -48,7 +48,7 @@ _SETTINGS = TouchSettings()
 
 
 @dataclass(frozen=True)
-class Touch:
+class FirstTouch:
     """Position of a first touch on the top of a solid.
 
     Attributes:
@@ -63,7 +63,7 @@ class Touch:
     place: np.ndarray | None = None
     normal: np.ndarray | None = None
 
-    def rate(self, mesh: SolidMesh, ways: np.ndarray) -> float:
+    def differentiate_height(self, mesh: SolidMesh, ways: np.ndarray) -> float:
         """Derivative of the height, m per parameter, for derivatives of the nodal positions, shape (nodes, 3).
 
         Requires a touched face.
@@ -74,7 +74,7 @@ class Touch:
         return float(way @ self.normal / self.normal[2])
 
 
-def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) -> Touch:
+def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody], start: Pose) -> FirstTouch:
     """Find the height at which a tool that moves downwards first touches the top.
 
     The surface between the nodes counts. Contact acts at nodes only, but depths measured from the first node that a
@@ -92,38 +92,38 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
     """
     moving = [body for body in bodies if body.moves]
     if not moving:
-        return Touch(0.0)
-    tool = _Tool(moving, start, float(np.ptp(mesh.nodes[:, 2])))
+        return FirstTouch(0.0)
+    tool = _ConvexTool(moving, start, float(np.ptp(mesh.nodes[:, 2])))
     top = places[mesh.sets["top"]]
     if "top" not in mesh.faces:
-        return Touch(tool.find_touch_datum(top))
+        return FirstTouch(tool.find_touch_datum(top))
     sides = SidePoints(mesh.element, places[mesh.faces["top"]])
     datum = tool.find_touch_datum(np.concatenate([top, sides.middles]))
     # Other faces cannot be nearer than the point that was met first.
     reaches = sides.radii + sides.bulges + _SETTINGS.slack * tool.scale
-    near = np.flatnonzero(tool.gaps(sides.middles, datum) <= reaches)
+    near = np.flatnonzero(tool.compute_gaps(sides.middles, datum) <= reaches)
     heights = sides.lattice[near, :, 2]
     if np.ptp(heights) <= _SETTINGS.slack * tool.scale:
         # The lowest point of the tool touches a flat top.
         datum += float(heights.max()) - tool.find_lowest_height(datum)
-    found = _Found(sides, near, tool, datum)
+    found = _NearestFacePoint(sides, near, tool, datum)
     if found.is_all:
-        return found.touch(datum)
+        return found.make_first_touch(datum)
     missed, slope = found.gap, 1.0
     # Secant method: over one flat face the distance is a linear function of the height.
     for _ in range(_SETTINGS.most_lifts):
         if abs(missed) <= _SETTINGS.found * tool.scale:
-            return found.touch(datum)
+            return found.make_first_touch(datum)
         lift = -missed / slope
         datum, before = datum + lift, missed
-        found = _Found(sides, near, tool, datum)
+        found = _NearestFacePoint(sides, near, tool, datum)
         missed = found.gap
         slope = max((missed - before) / lift, _SETTINGS.least_slope)
     raise ConvergenceError(f"the tool's first touch was not found to better than {abs(missed) * 1e3:.2g} mm; check "
                            "whether the top of the mesh is folded")
 
 
-class _Tool:
+class _ConvexTool:
     """A convex tool, for a scene whose origin is at the height `datum` in the frame of the mesh.
 
     Args:
@@ -132,31 +132,31 @@ class _Tool:
         scale: height of the mesh, m.
     """
 
-    def __init__(self, bodies: list[Body], start: Pose, scale: float):
+    def __init__(self, bodies: list[RigidBody], start: Pose, scale: float):
         # Restrictions of nodes to parts of the tool have no meaning before the first touch.
         whole = {id(body.profile): replace(body, first_line=0, closed=False) for body in bodies}
         self._bodies, self._start, self.scale = list(whole.values()), start, scale
 
-    def nearest(self, points: np.ndarray, datum: float) -> list[Nearest]:
+    def find_nearest_on_parts(self, points: np.ndarray, datum: float) -> list[NearestSurfacePoints]:
         """Nearest points of each part to given points, m, shape (n, 3)."""
-        at = Frame(self._start, datum).transform_to_tool(points)
-        return [nearest(body, at, pressed_in=False) for body in self._bodies]
+        at = ToolFrame(self._start, datum).transform_to_tool(points)
+        return [find_nearest_surface_points(body, at, pressed_in=False) for body in self._bodies]
 
-    def gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
+    def compute_gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
         """Distances of points, m, shape (..., 3), from the tool, m, shape (...)."""
-        found = self.nearest(points.reshape(-1, 3), datum)
+        found = self.find_nearest_on_parts(points.reshape(-1, 3), datum)
         return np.min([each.gap for each in found], axis=0).reshape(points.shape[:-1])
 
-    def normals(self, points: np.ndarray, datum: float) -> np.ndarray:
+    def compute_normals(self, points: np.ndarray, datum: float) -> np.ndarray:
         """Outward normals of the tool at the nearest points, in the frame of the mesh, shape (n, 3)."""
-        found = self.nearest(points, datum)
+        found = self.find_nearest_on_parts(points, datum)
         part = np.argmin([each.gap for each in found], axis=0)
-        return np.array([each.normal for each in found])[part, np.arange(len(points))] @ Frame(
+        return np.array([each.normal for each in found])[part, np.arange(len(points))] @ ToolFrame(
             self._start, datum).rotation.T
 
     def find_lowest_height(self, datum: float) -> float:
         """Height of the lowest point of the tool in the frame of the mesh, m."""
-        frame = Frame(self._start, datum)
+        frame = ToolFrame(self._start, datum)
         across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
         return float(frame.origin[2]) + min(float((body.profile.vertices @ [-across, up]).min()) - body.profile.rounding
                                             for body in self._bodies)
@@ -164,12 +164,12 @@ class _Tool:
     def is_sharp_at(self, point: np.ndarray, datum: float) -> bool:
         """Whether the tool has an edge or a tip where it touches a point, shape (3,)."""
         away = datum + _SETTINGS.lift * self.scale
-        best = min(self.nearest(point[None], away), key=lambda each: each.gap[0])
+        best = min(self.find_nearest_on_parts(point[None], away), key=lambda each: each.gap[0])
         return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
 
     def find_touch_datum(self, points: np.ndarray) -> float:
         """Return the height `datum`, m, at which the descending tool touches the first of the points, m, (n, 3)."""
-        if abs(self.gaps(points, 0.0).min()) < _SETTINGS.slack * self.scale:
+        if abs(self.compute_gaps(points, 0.0).min()) < _SETTINGS.slack * self.scale:
             return 0.0
         from scipy.optimize import brentq
 
@@ -178,15 +178,15 @@ class _Tool:
         for _ in range(_SETTINGS.most_approaches):
             if high < -_SETTINGS.passed * self.scale:
                 break
-            low = high - max(float(self.gaps(points, high).min()), 1e-5 * self.scale)
-            if self.gaps(points, low).min() <= 0.0:
-                return brentq(lambda height: float(self.gaps(points, height).min()), low, high, xtol=1e-15)
+            low = high - max(float(self.compute_gaps(points, high).min()), 1e-5 * self.scale)
+            if self.compute_gaps(points, low).min() <= 0.0:
+                return brentq(lambda height: float(self.compute_gaps(points, height).min()), low, high, xtol=1e-15)
             high = low
         raise InputError("the tool comes down outside of the specimen, or between all of its nodes; move the tool, or "
                          "use a finer mesh", field="approach")
 
 
-class _Found:
+class _NearestFacePoint:
     """Point of some faces that is nearest to a tool, or deepest inside of it.
 
     On a flat face the distance from a convex tool is a convex function. A face is searched if it can be nearer than the
@@ -205,16 +205,16 @@ class _Found:
             horizontal one.
     """
 
-    def __init__(self, sides: SidePoints, near: np.ndarray, tool: _Tool, datum: float):
+    def __init__(self, sides: SidePoints, near: np.ndarray, tool: _ConvexTool, datum: float):
         self._sides, self._tool = sides, tool
         points = sides.lattice[near]
-        gaps = tool.gaps(points, datum)
+        gaps = tool.compute_gaps(points, datum)
         best = gaps.argmin(axis=1)
         least, rows = gaps.min(axis=1), np.arange(near.size)
         first = int(least.argmin())
         self.gap, self._side, self._place = float(least[first]), int(near[first]), sides.squares[best[first]]
         self.point = points[first, best[first]]
-        normals = tool.normals(points[rows, best], datum)
+        normals = tool.compute_normals(points[rows, best], datum)
         bounds = least + np.einsum("kqi,ki->kq", points - points[rows, best][:, None], normals).min(axis=1)
         bounds -= sides.bulges[near]
         slack, under = _SETTINGS.slack * tool.scale, points - self.point
@@ -232,18 +232,19 @@ class _Found:
                 self.gap, self._side, self._place = float(found[first]), int(searched[first]), place[first]
                 self.point = sides.at(searched[[first]], place[first][None, None])[0, 0]
 
-    def touch(self, datum: float) -> Touch:
+    def make_first_touch(self, datum: float) -> FirstTouch:
         """Return the touch at this point.
 
         The normal is that of the surface at an edge or a tip of the tool, else that of the tool.
         """
         sharp = self._tool.is_sharp_at(self.point, datum)
         normal = (self._sides.normal(self._side, self._place) if sharp
-                  else -self._tool.normals(self.point[None], datum)[0])
-        return Touch(datum, self._side, self._place, normal)
+                  else -self._tool.compute_normals(self.point[None], datum)[0])
+        return FirstTouch(datum, self._side, self._place, normal)
 
 
-def _minimise_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: float) -> tuple[np.ndarray, np.ndarray]:
+def _minimise_gaps(sides: SidePoints, numbers: np.ndarray, tool: _ConvexTool, datum: float) -> tuple[np.ndarray,
+                                                                                                     np.ndarray]:
     """Minimise the distances of faces from the tool.
 
     The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
@@ -252,16 +253,16 @@ def _minimise_gaps(sides: SidePoints, numbers: np.ndarray, tool: _Tool, datum: f
     Returns:
         Least distances, m, shape (k,), and their local coordinates, shape (k, 2).
     """
-    def distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def compute_distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         squares = np.stack([np.broadcast_to(u[..., None], v.shape), v], axis=-1)
-        return tool.gaps(sides.at(numbers, squares.reshape(len(numbers), -1, 2)), datum).reshape(v.shape)
+        return tool.compute_gaps(sides.at(numbers, squares.reshape(len(numbers), -1, 2)), datum).reshape(v.shape)
 
-    def along(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _minimise_convex(lambda v: distances(u, v), u.shape, end)
+    def minimise_along_line(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return _minimise_convex(lambda v: compute_distances(u, v), u.shape, end)
 
     end = _SETTINGS.slack * tool.scale
-    found, u = _minimise_convex(lambda u: along(u)[0], numbers.shape, end)
-    _, v = along(u[:, None])
+    found, u = _minimise_convex(lambda u: minimise_along_line(u)[0], numbers.shape, end)
+    _, v = minimise_along_line(u[:, None])
     return found, np.stack([u, v[:, 0]], axis=-1)
 
 
