@@ -111,7 +111,7 @@ def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, f
     go(bulk, stepper, pose)
     tangent = type(bulk._tangent)
     with monkeypatch.context() as patch:
-        for name in ("begin", "push"):
+        for name in ("begin_solution", "begin_solution_for_interface"):
             patch.setattr(tangent, name, five_times(getattr(tangent, name)))
         before = bulk.solver.save()
         assert bulk.linearise(stepper.state(0.0, further, 0.0, further)) is None

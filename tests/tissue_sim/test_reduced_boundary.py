@@ -149,7 +149,7 @@ class TestFile:
     def test_a_damaged_table_is_refused(self, ball, tmp_path):
         table = replace(ball.compliance, whole=ball.compliance.whole[:-1])
         ts.write_reduced(replace(ball, compliance=table), path := tmp_path / "ball.reduced.npz")
-        with pytest.raises(ts.InputError, match="do not fit each other"):
+        with pytest.raises(ts.InputError, match="agree with each other"):
             ts.load_reduced(path)
 
     @pytest.mark.slow

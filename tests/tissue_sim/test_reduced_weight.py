@@ -155,7 +155,7 @@ def test_a_file_without_it_is_refused(heavy, tmp_path, lost):
     with np.load(path) as stored:
         arrays = {name: stored[name] for name in stored.files if name != lost}
     np.savez(path, **arrays)
-    with pytest.raises(ts.InputError, match="its arrays do not fit each other"):
+    with pytest.raises(ts.InputError, match="must contain arrays whose shapes, types and values agree with each other"):
         ts.load_reduced(path)
 
 

@@ -106,7 +106,7 @@ def test_equal_stretches_have_the_tangent_of_ones_that_are_nearly_equal(element)
 def test_an_element_inside_out_is_named():
     mesh = block_mesh([0.0, 0.01, 0.02], [0.0, 0.01], [-0.01, 0.0], HEX8P0)
     mesh.nodes[mesh.connectivity[1, 0]] += [0.02, 0.0, 0.0]
-    with pytest.raises(ts.InputError, match="element 1 of the mesh is turned inside out or has no volume"):
+    with pytest.raises(ts.InputError, match="positive volume; element 1 is inside out or has no volume"):
         SolidSolver(mesh, ts.Material("neo_hooke", {"C10": 1500.0}), {"base": "xyz"}, mesh.sets["top"],
                     start=Pose.at_depth(0.0))
 

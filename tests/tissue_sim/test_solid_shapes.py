@@ -144,7 +144,8 @@ def test_a_shell_that_moves_as_a_whole_feels_nothing():
 
 @pytest.mark.parametrize(("changes", "field", "words"), [
     ({"friction_base": "frictionless"}, "friction_base", "must be 'bonded' below an ellipsoid shell"),
-    ({"tool": ts.Tool("plate"), "friction": "bonded"}, "friction", "a plate cannot be bonded to the curved top")])
+    ({"tool": ts.Tool("plate"), "friction": "bonded"}, "friction",
+     "must not be 'bonded' for a plate on the curved top")])
 def test_what_a_curved_surface_cannot_be(changes, field, words):
     stated = {"tool": ts.Tool("round", 4e-3), "friction": "stick", "friction_base": "bonded"} | changes
     experiment = ts.Experiment(SHELL, ts.Protocol.ramp(1e-3), **stated)
@@ -273,5 +274,5 @@ def test_what_nothing_holds_is_refused_off_its_middle():
     """A base without a node on the axis."""
     mesh = block_mesh(np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.0, 4), HEX8P0)
     experiment = ts.Experiment(ts.Block(0.02, 0.02, 0.01), ts.Protocol.ramp(1e-3, 2), friction=0.3, friction_base=0.3)
-    with pytest.raises(ts.InputError, match=r"neither base nor tool keeps the specimen.*; let it stick to one"):
+    with pytest.raises(ts.InputError, match=r"neither base nor tool keeps the specimen.*\. Use 'stick' for one"):
         make_solver(ts.Model(experiment, ts.Material("neo_hooke", {"C10": 400.0})), mesh=mesh)

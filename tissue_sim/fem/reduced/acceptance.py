@@ -21,7 +21,7 @@ from tissue_sim.pose import Pose
 
 def add_calibrated_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
                               snapshots: Sequence[TrainingSnapshots], materials: Sequence[Material]) -> ReducedModel:
-    """Return a reduced solid with the calibrated compliance table of its contact nodes.
+    """Return a copy of a reduced solid with the calibrated compliance table of its contact nodes.
 
     The reduced solid is simulated along the training paths. Its missing force and its true force error give the
     missing forces that are accepted, see `with_accepted_missing_forces`. A reduced solid with a bonded tool is returned

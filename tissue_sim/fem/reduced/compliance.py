@@ -46,7 +46,7 @@ class MissingComplianceForce:
         self._weights = np.zeros((table.nodes.size, 3))
 
     def compute_missing_force(self) -> float:
-        """Return the missing force at the present contact forces, N."""
+        """Return the missing force for the contact forces of the last evaluation, N."""
         touching = self._contact.touching_mask
         if (key := touching.tobytes()) != self._touching:
             self._touching = key
@@ -54,7 +54,7 @@ class MissingComplianceForce:
         return abs(float(np.vdot(self._weights, self._contact.forces)))
 
     def estimate_force_error(self, force: float) -> float:
-        """Return the estimated error, N, of a force on the tool of this norm, N."""
+        """Return the missing force beyond the accepted one, N, as error of a force on the tool of this norm, N."""
         return max(0.0, self.compute_missing_force() - self._table.accepted_missing_force_at(force))
 
     def _compute_weights(self, nodes: np.ndarray) -> np.ndarray:
@@ -69,19 +69,19 @@ class MissingComplianceForce:
 
 
 def make_missing_force_estimate(reduced: ReducedModel, contact: LayerContact) -> MissingComplianceForce | None:
-    """Return the estimate for a reduced solid; None for a bonded tool."""
+    """Return the error estimate by missing compliance for the contact of a reduced solid; None for a bonded tool."""
     if reduced.lifting:
         return None
     return MissingComplianceForce(reduced.compliance or compute_compliance_of_old_file(reduced), contact)
 
 
 def compute_contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes: np.ndarray) -> ContactCompliance:
-    """Compute the compliances of the contact nodes; the table accepts no missing force yet.
+    """Compute the compliance table of the contact nodes, in which all of the missing force counts as error.
 
     Args:
         reduced: modes, sampled elements and material.
         solver: full-order solver with the same material; it is at rest afterwards.
-        nodes: numbers of the nodes that may touch the tool, shape (n,).
+        nodes: indices of the nodes that may touch the tool, shape (n,).
     """
     axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation)[:, 2]
     whole = compute_node_compliance(solver, nodes, axis)
@@ -93,7 +93,7 @@ def compute_contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes
 
 
 def _compute_resting_stiffness(reduced: ReducedModel) -> np.ndarray:
-    """Return the modal stiffness of the sampled elements at rest, without contact, N/m, shape (modes, modes)."""
+    """Compute the modal stiffness of the sampled elements at rest, without contact, N/m, shape (modes, modes)."""
     experiment = reduced.model.experiment
     elements = SampledElements(reduced.mesh, reduced.basis, reduced.elements, reduced.shares, rest=reduced.rest,
                                layers=reduced.element_layers, contact_radius=experiment.contact_radius)
@@ -108,7 +108,7 @@ def _compute_resting_stiffness(reduced: ReducedModel) -> np.ndarray:
 
 @lru_cache(maxsize=2)
 def compute_compliance_of_old_file(reduced: ReducedModel) -> ContactCompliance:
-    """Compute the compliances of a reduced solid whose file does not contain them (written by an older version).
+    """Compute the compliance table of a reduced solid whose file was written by an older version without the table.
 
     The table accepts no missing force: all of the missing force counts as error.
     """

@@ -27,12 +27,12 @@ _SLIP_MARGIN = 1e-2
 
 
 class LayerContact:
-    """Contact forces and their derivatives on the modes of a reduced solid.
+    """Penalty contact of a reduced solid: contact forces and their derivatives, projected on the modes.
 
     The penalty stiffness per area is mu / (softness reach) with the shear modulus mu at the node.
 
     Args:
-        bodies: bodies that the nodes may touch; only bodies that move with the tool are used.
+        bodies: rigid bodies that the nodes may touch; bodies at rest are ignored.
         places: positions of all nodes without contact, m, shape (nodes, 3).
         areas: tributary areas of all nodes, m2, shape (nodes,).
         basis: displacements of the modes, m per amplitude, shape (freedoms, modes).
@@ -90,7 +90,7 @@ class LayerContact:
             self._press = BoundKernel(make_layer_contact_kernel(), self._arrays)
 
     def set_penalty_stiffness(self, moduli: np.ndarray) -> float:
-        """Set the penalty stiffness from the shear moduli at all nodes, Pa, shape (nodes,).
+        """Set the penalty stiffness of the contact nodes from the shear moduli at all nodes, Pa, shape (nodes,).
 
         Returns:
             Smallest shear modulus of the contact nodes, Pa.
@@ -101,7 +101,7 @@ class LayerContact:
 
     def evaluate_contact(self, amplitudes: np.ndarray, frame: ToolFrame, pressed_in: bool, *,
                          slips_on: bool = False) -> None:
-        """Evaluate the contact forces and their derivatives.
+        """Evaluate the contact forces and their derivatives, which the properties return.
 
         Args:
             amplitudes: modal amplitudes, shape (modes,).
@@ -130,7 +130,7 @@ class LayerContact:
 
     @property
     def wrench(self) -> np.ndarray:
-        """Wrench on the tool about its deepest point, N and N m, shape (6,)."""
+        """Force and torque on the tool about its deepest point in the last evaluation, N and N m, shape (6,)."""
         return -self._pushes[self._modes :]
 
     @property
@@ -140,12 +140,12 @@ class LayerContact:
         return -self._products[:modes, modes:]
 
     def compute_linear_force_change(self, change: np.ndarray) -> np.ndarray:
-        """Return the linear change of the force on the tool, N, shape (3,), for changed amplitudes, (modes,)."""
+        """Return the linearised change of the force on the tool, N, (3,), for a change of the amplitudes, (modes,)."""
         modes = self._modes
         return self._products[modes : modes + 3, :modes] @ change
 
     def compute_tool_stiffness(self, sensitivity: np.ndarray) -> np.ndarray:
-        """Return minus the derivative of the wrench with respect to the pose of the tool, shape (6, 6).
+        """Compute the stiffness of the contact at the tool: minus d wrench / d pose of the tool, shape (6, 6).
 
         Args:
             sensitivity: derivative of the amplitudes with respect to the pose, shape (modes, 6).
@@ -184,20 +184,20 @@ class LayerContact:
 
     @property
     def largest_penetration(self) -> float:
-        """Largest penetration of a node into the tool, m; the compression of the layer."""
+        """Largest penetration of a node into the tool in the last evaluation, m: the compression of the layer."""
         return float(self._report[LayerResult.DEPTH])
 
     def commit_step(self) -> None:
-        """Store stick anchors, touching nodes and the largest lateral force after a converged step."""
+        """Make stick anchors, touching nodes and largest lateral force of a converged step the committed ones."""
         self.anchors[:] = self._new_anchors
         self.touched[:] = self._states != NodeState.FREE
         self.largest_lateral[0] = self.largest_lateral_force
 
     def clear_contact(self) -> None:
-        """Mark all nodes as not touching."""
+        """Mark all nodes as not touching, and set the largest lateral force to zero."""
         self.touched[:], self.largest_lateral[:] = 0, 0.0
 
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that belong to the state of the solver; they are saved and restored."""
+        """Arrays of the committed contact state; writing saved copies into them restores the state."""
         return self.anchors, self.touched, self.largest_lateral

@@ -1,6 +1,6 @@
 """Taichi kernel of penalty contact between nodes and a rigid body of revolution with a thin elastic layer.
 
-The closest point of the body is found as in `tissue_sim.fem.solid.contact.find_nearest_surface_points`.
+The closest point of the body is found as in `tissue_sim.fem.solid.bodies.find_nearest_surface_points`.
 """
 
 from enum import IntEnum
@@ -10,7 +10,7 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 
 class NodeState(IntEnum):
-    """Contact state of a node."""
+    """Contact state of a node: free, in contact with stick (also without friction), or in contact with slip."""
 
     FREE = 0
     STICKS = 1
@@ -18,7 +18,7 @@ class NodeState(IntEnum):
 
 
 class LayerSetting(IntEnum):
-    """Columns of the array `settings` of the kernel."""
+    """Columns of the array ``settings`` of the contact kernel."""
 
     #: First of nine entries: rotation matrix of the body, row by row.
     ROTATION = 0
@@ -37,7 +37,7 @@ class LayerSetting(IntEnum):
 
 
 class LayerResult(IntEnum):
-    """Columns of the array `report` of the kernel."""
+    """Columns of the array ``report``, the results of the contact kernel that concern all nodes."""
 
     #: Number of touching nodes.
     TOUCHING = 0
@@ -51,7 +51,7 @@ class LayerResult(IntEnum):
 
 @cache
 def make_layer_contact_kernel():
-    """Return the kernel that computes nodal contact forces, their derivatives, and both on the modes.
+    """Return the kernel that computes the nodal contact forces, their derivatives, and the projections on the modes.
 
     A node with gap g is loaded by the pressure force k phi(g): phi(g) = -g for g < -zone, 0 for g > zone and the
     parabola (zone - g)^2 / (4 zone) between them. Tangentially the penalty stiffness k acts on the distance from the
@@ -75,7 +75,7 @@ def make_layer_contact_kernel():
                            moved: ti.template(), springs: ti.template(), friction: ti.template(), first: ti.template(),
                            closed: ti.template(), anchors: ti.template(), touched: ti.template(), forces: ti.template(),
              rates: ti.template(), gaps: ti.template(), new_anchors: ti.template(), states: ti.template()):
-        """Compute the force on a node and minus its derivative with respect to the position of the node."""
+        """Write gap, contact state, and if node n touches, its force and minus the derivative by its position."""
         turn = ti.Matrix([[settings[LayerSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
                           for i in ti.static(range(3))])
         offset = ti.Vector([places[n, i] + moved[n, i] - settings[LayerSetting.ORIGIN + i]
@@ -169,7 +169,7 @@ def make_layer_contact_kernel():
                                 forces: ti.template(),
                                 rates: ti.template(), rows: ti.template(), met: ti.template(), answers: ti.template(),
                                 pushes: ti.template(), twists: ti.template()):
-        """Add the force of a touching node and its derivative to the arrays on the modes, from row `at` on."""
+        """Project force and derivative of touching node n on the modes; its rows of ``met`` begin at `at`."""
         modes = rows.shape[1]
         force = ti.Vector([forces[n, i] for i in ti.static(range(3))])
         rate = ti.Matrix([[rates[n, i, k] for k in ti.static(range(3))] for i in ti.static(range(3))])

@@ -110,7 +110,7 @@ class SampledElements:
         return self._forces
 
     def _select_rows_of_batches(self, lanes: np.ndarray, part: slice) -> np.ndarray:
-        """Return the rows of an array of pressure modes that belong to a range of batches."""
+        """Return the rows of an array in the arrangement of `pressures` that belong to a range of batches, a view."""
         rows = len(lanes) // self._batches.batches
         return lanes[rows * part.start : rows * part.stop]
 
@@ -126,12 +126,12 @@ class SampledElements:
 
     @property
     def pressures(self) -> np.ndarray:
-        """Amplitudes of the pressure modes, Pa; part of the state of the solver."""
+        """Amplitudes of the pressure modes in the arrangement of `ElementBatches`, Pa; part of the solver's state."""
         return self._batches.pressures
 
     @property
     def has_history(self) -> bool:
-        """Whether the material of any element depends on its history."""
+        """Whether the stress of any element depends on its loading history."""
         return any(region.memory.works for region in self._regions)
 
     @property
@@ -146,13 +146,13 @@ class SampledElements:
             region.memory.prepare_step(dt)
 
     def commit_step(self) -> None:
-        """Store time and material history after a converged step."""
+        """Make time and material history of a converged step the committed ones."""
         self._time = self._now
         for region in self._regions:
             region.memory.commit_step()
 
     def compute_stiffness_age(self, amplitudes: np.ndarray) -> float | None:
-        """Return the age of the oldest outdated group of the stiffness at the end of the present step, s.
+        """Return the time since the oldest outdated stiffness group was computed, at the end of the step, s.
 
         Args:
             amplitudes: amplitudes at the equilibrium of the step, shape (modes,).
@@ -165,11 +165,11 @@ class SampledElements:
         return float((self._now - self._computed)[is_old].max()) if is_old.any() else None
 
     def set_material(self, material: Material, bulk_ratio: float) -> np.ndarray:
-        """Set the material of the elements.
+        """Set the material of the elements, and mark the stiffness of all groups as invalid.
 
         Args:
-            material: laws, parameters and history variables.
-            bulk_ratio: upper limit of the bulk modulus over the shear modulus.
+            material: material of the whole solid, with layers and regions.
+            bulk_ratio: upper limit of the bulk modulus over the shear modulus, 1.
 
         Returns:
             Ratio of the new to the previous shear modulus for each row of `pressures`; 1 for the first material.
@@ -204,7 +204,7 @@ class SampledElements:
 
     def evaluate_forces_and_stiffness(self, amplitudes: np.ndarray, updates_pressure: bool,
                                       groups_to_compute: int) -> None:
-        """Compute the modal forces and the stiffness of some groups.
+        """Compute `modal_forces`, and the stiffness of some groups of elements, at modal amplitudes.
 
         Args:
             amplitudes: modal amplitudes, shape (modes,).
@@ -238,7 +238,10 @@ class SampledElements:
             self._tangents[group] = np.dot(flat.T, pushed.reshape(flat.shape))
 
     def initialise_rest_state(self) -> None:
-        """Move to rest under self-weight and store the modal forces there; without self-weight do nothing."""
+        """Set pressures and history to rest under self-weight, whose modal forces are then subtracted from all.
+
+        Without self-weight the method does nothing.
+        """
         if not self._at_rest.any():
             return
         self.pressures[:], self._weight_forces[:] = self.rest_pressures, 0.0
@@ -250,19 +253,19 @@ class SampledElements:
         self._settled = tuple(array.copy() for array in self.state_arrays)
 
     def reset_history(self) -> None:
-        """Reset the material history to the state at rest."""
+        """Set the material history to that at rest without loading."""
         for number, array in enumerate(self.state_arrays):
             array[:] = self._settled[number] if self._settled else 0.0
 
     def invalidate_stiffness(self, amplitudes: np.ndarray) -> None:
-        """Evaluate the volumes of a restored state and mark the stiffness of all groups as invalid."""
+        """Evaluate forces and volumes at restored amplitudes, and mark the stiffness of all groups as invalid."""
         self._next = -1
         self.evaluate_forces_and_stiffness(amplitudes, False, 0)
         self._next = -1
 
     @property
     def modal_stiffness(self) -> np.ndarray:
-        """Modal stiffness of all groups, N/m, shape (modes, modes)."""
+        """Modal stiffness, the sum over all groups of elements, N/m, shape (modes, modes)."""
         if self._tangent is None:
             self._tangent = self._tangents.sum(axis=0)
         return self._tangent

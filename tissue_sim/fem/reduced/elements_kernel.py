@@ -11,7 +11,7 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
 class SampledSettingColumn(IntEnum):
-    """Columns of the settings of this kernel, after the columns of `SettingColumn`."""
+    """Additional columns of the array ``settings`` of the sampled elements, after those of `SettingColumn`."""
 
     #: Whether the pressures are updated with the linearised volume change of the last motion of the nodes.
     UPDATES_PRESSURE = 4
@@ -42,7 +42,7 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
     @ti.func
     def update_pressures(b, kappa, motion: ti.template(), dofs: ti.template(), pressures: ti.template(),
                          moduli: ti.template(), volume_rates: ti.template(), gaps: ti.template()):
-        """Update the pressures of a batch with the linearised pressure equation."""
+        """Update the pressures of batch b by the linearised pressure equation and the last nodal ``motion``."""
         bulk = kappa * moduli[b]
         for m in range(pressure_modes):
             at = b * pressure_modes + m
@@ -55,7 +55,7 @@ def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
 
     @ti.func
     def scatter_to_element_matrices(b, stiffness: ti.template(), blocks: ti.template()):
-        """Copy the stiffness of a batch to the element matrices."""
+        """Copy the stiffness blocks of a batch to one full matrix for each element."""
         for c in range(nodes):
             for a in range(c + 1):
                 # Index 3 k + i: force on node a along i for a displacement of node c along k.

@@ -24,14 +24,14 @@ _quadrature = lru_cache(maxsize=2)(compute_quadrature_data)
 
 def compute_reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
                            datum: float, layers: np.ndarray) -> SolidFields | None:
-    """Compute the fields of several states of a reduced solid.
+    """Return the fields of several states of a reduced solid in all elements of the mesh.
 
     Args:
         mesh: mesh of the full-order solid.
         material: an elastic material. For a material with history the result is None, because elements outside the
             sample have no history.
         displacements: displacements of the nodes, m, each of shape (nodes, 3).
-        datum: height at which the tool first touches, m.
+        datum: height of the scene's origin, which the tool reaches at its first touch, in the frame of the mesh, m.
         layers: number of the material's layer of each element, see `element_layers`.
 
     Returns:

@@ -80,6 +80,7 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
 
 
 def _describe_reduced_solid(reduced: ReducedModel) -> dict[str, Any]:
+    """Return the JSON description of a reduced solid: everything except the arrays."""
     experiment = reduced.model.experiment
     specimen, tool, box = experiment.specimen, experiment.tool, reduced.box
     require_reducible(reduced.model)
@@ -99,7 +100,7 @@ def _describe_reduced_solid(reduced: ReducedModel) -> dict[str, Any]:
 
 
 def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
-    """Return the keys from which the specimen is created again, without its mesh."""
+    """Return the keys from which `_make_experiment` makes the specimen, without the arrays of its mesh."""
     if not isinstance(specimen, MeshSpecimen):
         return dict(specimen.stated)
     mesh = specimen.mesh_of_file
@@ -107,7 +108,7 @@ def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
 
 
 def _describe_tool(tool: Tool) -> dict[str, Any]:
-    """Return the keys from which the tool is created again."""
+    """Return the keys from which `_make_experiment` makes the tool."""
     if not isinstance(tool, ProfileTool):
         return dict(to_keys(tool))
     return {**to_keys(tool), "profile": Path(tool.profile_file or "").name, "points": tool.outline.tolist()}
@@ -128,22 +129,24 @@ def load_reduced(path: str | Path) -> ReducedModel:
 
 
 def _read_arrays(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the JSON description and the arrays of a file by their names, unchecked."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         return parse_json(str(arrays.pop("description"))), arrays
     except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
-        raise InputError(f"expected {_EXPECTED}, and it is damaged or none; make it again with `tissue-sim reduce`",
-                         file=path) from None
+        raise InputError(f"must be {_EXPECTED}; the file is damaged or has another format. Make it again with "
+                         "`tissue-sim reduce`", file=path) from None
 
 
 def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
+    """Check description and arrays of a file, and make the reduced solid; InputError if they are inconsistent."""
     try:
         if description["schema"] != "tissue_sim.reduced":
             raise KeyError("schema")
         if description["version"] != VERSION:
-            raise InputError(f"version {description['version']} is not the one that this program reads, {VERSION}; "
-                             "make it again with `tissue-sim reduce`", field="version")
+            raise InputError(f"must be {VERSION}, the version that this program reads; got {description['version']}. "
+                             "Make the file again with `tissue-sim reduce`", field="version")
         element = SOLID_ELEMENTS[description["element"]]
         nodes, connectivity, basis = arrays["nodes"], arrays["connectivity"], arrays["basis"]
         elements, shares = arrays["elements"], arrays["shares"]
@@ -165,8 +168,8 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
         require_reducible(Model(experiment, material))
         require_mesh_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"expected {_EXPECTED}, and something is missing or of another kind ({error}); make it again "
-                         "with `tissue-sim reduce`") from None
+        raise InputError(f"must be {_EXPECTED}; an entry is missing or has another type ({error}). Make the file "
+                         "again with `tissue-sim reduce`") from None
     numbers = (connectivity, elements, *sets.values(), *faces.values(), *regions.values())
     reals = (nodes, basis, shares, *rest, *(() if depths is None else (depths,)))
     shapes = () if not experiment.specimen.specific_weight else (
@@ -187,7 +190,8 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
             and all(np.isfinite(each).all() for each in reals) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
     if not (fits and (compliance is None or (lifting == 0 and _is_consistent_table(compliance, len(nodes))))):
-        raise InputError("its arrays do not fit each other. Create it again with `tissue-sim reduce`")
+        raise InputError("must contain arrays whose shapes, types and values agree with each other. Make the file "
+                         "again with `tissue-sim reduce`")
     sets, faces, regions = ({name: each.astype(np.intp) for name, each in group.items()}
                             for group in (sets, faces, regions))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
@@ -198,7 +202,7 @@ def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarr
 
 
 def _is_consistent_table(table: ContactCompliance, nodes: int) -> bool:
-    """Whether the arrays of a compliance table are consistent with each other and with the number of nodes."""
+    """Whether shapes and values of a compliance table agree with each other and with the number of nodes."""
     count = table.nodes.size
     reals = (table.axis, table.whole, table.missing, table.forces, table.accepted)
     return (table.nodes.dtype.kind in "iu" and table.nodes.shape == (count,) and count > 0
@@ -211,7 +215,7 @@ def _is_consistent_table(table: ContactCompliance, nodes: int) -> bool:
 
 
 def _make_experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:
-    """Create the experiment from its description and the arrays of a specimen mesh file."""
+    """Make the experiment from its description in the file and the arrays of a specimen mesh that was read."""
     specimen, tool = dict(stated["specimen"]), dict(stated["tool"])
     shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")
     more: dict[str, Any] = {name: stated["weight"][name] for name in (_WEIGHT if "weight" in stated else ())}

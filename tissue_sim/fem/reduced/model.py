@@ -50,7 +50,7 @@ class PoseBox:
                              field="box.depth")
 
     def holds(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
-        """Whether a pose is inside the box of a tool that starts at `start`.
+        """Whether a pose is inside the box, which is relative to the pose `start`.
 
         Args:
             pose: pose of the tool.
@@ -63,13 +63,13 @@ class PoseBox:
                 and math.hypot(*turn) <= self.turn * most + slack)
 
     def has_pose_above(self, pose: Pose, start: Pose) -> bool:
-        """Whether a pose is above the box of a tool that starts at `start`."""
+        """Whether a pose is above the box, which is relative to the pose `start`; it would be inside if lowered."""
         (x, y, z), (_, _, top) = pose.position, start.position
         return z > top and self.holds(Pose((x, y, top), pose.orientation), start)
 
 
 def require_reducible(model: Model) -> None:
-    """Check that a model can be reduced.
+    """Check that a model is one that a reduced solid supports.
 
     Raises:
         InputError: the tool is a plate, the base has friction, or there are contact laws or point effects.
@@ -99,7 +99,12 @@ def require_no_effects(material: Material) -> None:
 
 
 def require_same_layers_and_regions(material: Material, made_of: Material, mesh: SolidMesh) -> None:
-    """Check that a material has the layers and regions of the material of the training.
+    """Check that a material has the layers and regions of the material for which a solid was reduced.
+
+    Args:
+        material: material to be checked.
+        made_of: material of the training.
+        mesh: mesh of the reduced solid.
 
     Raises:
         InputError: the material has point effects, other layer thicknesses, or a region that the mesh does not have.
@@ -189,7 +194,7 @@ class ReducedModel:
 
     @property
     def rest_positions(self) -> np.ndarray:
-        """Positions of the nodes at rest without contact, m, shape (nodes, 3)."""
+        """Positions of the nodes at rest under self-weight without contact, m, shape (nodes, 3)."""
         return self.mesh.nodes if self.rest is None else self.mesh.nodes + self.rest.displacement.reshape(-1, 3)
 
     @cached_property
@@ -205,7 +210,7 @@ class ReducedModel:
 
     @property
     def sag(self) -> float:
-        """Area mean of the settlement of the top under self-weight, m."""
+        """Mean downward displacement of the top under self-weight, m."""
         if self.rest is None:
             return 0.0
         return -float(np.average(self.rest.displacement[2::3], weights=self.mesh.areas("top")))

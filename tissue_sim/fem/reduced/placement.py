@@ -26,7 +26,7 @@ PLACEMENT = BondedPlacementSettings()
 
 
 class ReducedSolverBase(KernelOwner, Solver):
-    """Base class of the reduced solver: methods of `FreeTool`, for a tool without contact and its first contact."""
+    """Base class of `ReducedSolver`: methods of `FreeTool` for a tool without contact and its first contact."""
 
     ignores_twist = True
     reduced: ReducedModel
@@ -43,7 +43,7 @@ class ReducedSolverBase(KernelOwner, Solver):
     _placement: FirstTouchPlacement
 
     def _make_placement(self, bodies: list[RigidBody]) -> None:
-        """Set `_placement`, which computes the height of first contact."""
+        """Set `_placement`, which computes the height of first contact of the tool, a list of rigid bodies."""
         reduced = self.reduced
         mesh, places, specimen = reduced.mesh, reduced.rest_positions, reduced.model.experiment.specimen
         self._placement = FirstTouchPlacement(

@@ -10,7 +10,7 @@ _MAX_STEP_RATIO = 2.0
 
 
 class AmplitudePredictor:
-    """Second-order extrapolation of the modal amplitudes along the motion of the tool.
+    """Predictor of the modal amplitudes: second-order extrapolation along the motion of the tool.
 
     The prediction is du = S dx + c + a^2 e with the sensitivity S, the correction c by the remaining residual, the
     error e of the last linear prediction and the ratio a of the present to the last step of the tool.
@@ -31,7 +31,7 @@ class AmplitudePredictor:
         self._weights = np.array([1.0] * 3 + [reach**2] * 3)
 
     def predict_amplitude_change(self, tool_step: np.ndarray) -> np.ndarray:
-        """Predict the change of the amplitudes, shape (modes,).
+        """Predict the change of the amplitudes in the next step, shape (modes,).
 
         Args:
             tool_step: displacement, m, and rotation vector, rad, of the tool in the next step, shape (6,).
@@ -46,7 +46,7 @@ class AmplitudePredictor:
 
     def record_step(self, tool_step: np.ndarray, change: np.ndarray, sensitivity: np.ndarray,
                     correction: np.ndarray) -> None:
-        """Record a converged step.
+        """Record a converged step for the next predictions.
 
         Args:
             tool_step: displacement, m, and rotation vector, rad, of the tool in the step, shape (6,).
@@ -58,15 +58,15 @@ class AmplitudePredictor:
         self._last_step[:], self.sensitivity[:], self.correction[:] = tool_step, sensitivity, correction
 
     def reset_predictions(self) -> None:
-        """Set all predictions to zero."""
+        """Discard all recorded steps; the predicted change is then zero."""
         for array in self.state_arrays:
             array[:] = 0.0
 
     def clear_corrections(self) -> None:
-        """Drop the corrections and keep the sensitivity, after a change of the material."""
+        """Set the corrections to zero and keep the sensitivity, after a change of the material."""
         self.correction[:], self._error[:], self._last_step[:] = 0.0, 0.0, 0.0
 
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that belong to the state of the solver; they are saved and restored."""
+        """Arrays of the recorded steps; writing saved copies into them restores an earlier state."""
         return self.sensitivity, self.correction, self._error, self._last_step

@@ -43,7 +43,7 @@ class Progress(Protocol):
     """Callback that receives the progress of a reduction."""
 
     def __call__(self, stage: str, done: int, of: int, *, note: str = "") -> None:
-        """Report that `done` of `of` parts of a stage are finished."""
+        """Report that `done` of `of` parts of a stage are finished; `note`: text for the user."""
 
 
 def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
@@ -154,7 +154,15 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
 
 
 class _TrainingPathStore:
-    """Folder with the finished training paths of one model, one file per path."""
+    """Store of the finished training paths of one model in a folder, one file per path; None: no folder.
+
+    Args:
+        folder: the folder; None: nothing is stored.
+        model: text that identifies the model.
+
+    Raises:
+        InputError: the folder belongs to another model.
+    """
 
     def __init__(self, folder: Path | None, model: str):
         self._folder = folder
@@ -167,6 +175,7 @@ class _TrainingPathStore:
         write_bytes(label, model.encode())
 
     def read_snapshots(self, number: int) -> training.TrainingSnapshots | None:
+        """Return the snapshots of a path; None if they are not stored or the file is damaged."""
         path = self._make_file_path(number)
         if path is None or not path.exists():
             return None
@@ -177,6 +186,7 @@ class _TrainingPathStore:
             return None  # an unreadable file is computed again
 
     def write_snapshots(self, number: int, snapshots: training.TrainingSnapshots) -> None:
+        """Write the snapshots of a path to its file, if there is a folder."""
         path = self._make_file_path(number)
         if path is not None:
             stream = io.BytesIO()
@@ -184,6 +194,7 @@ class _TrainingPathStore:
             write_bytes(path, stream.getvalue())
 
     def _make_file_path(self, number: int) -> Path | None:
+        """Return the path of the file of a training path; None without a folder."""
         return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
 
 

@@ -11,7 +11,9 @@ from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox
 
 
 class ToolResponse:
-    """Derivatives at an equilibrium. One factorisation of the tangent solves all linear systems.
+    """Linear response at an equilibrium: sensitivity to the tool, tool stiffness, and estimated force error.
+
+    One factorisation of the tangent solves all linear systems.
 
     Args:
         tangent: stiffness of tissue and contact between the modes, N/m, shape (modes, modes).
@@ -72,7 +74,7 @@ class ToolResponse:
         return known
 
     def _estimate_missing_mode_error(self, factors: ErrorFactors, force: np.ndarray) -> float:
-        """Return the estimated error by missing modes, N."""
+        """Return the error of the force on the tool by missing modes, N, see `estimate_force_error`."""
         free, held = self._free, self._free.start
         tangent = self._tangent
         # The residual of the unknown modes is an iteration error; only the residual of the error modes counts.
@@ -88,7 +90,7 @@ class ToolResponse:
         return changed * euclidean_norm(added) + own * euclidean_norm(force)
 
     def compute_tool_stiffness(self, box: PoseBox) -> np.ndarray:
-        """Return minus the derivative of the wrench with respect to the pose of the tool, shape (6, 6).
+        """Compute the stiffness of tissue and contact at the tool: minus d wrench / d pose, shape (6, 6).
 
         The entries of directions in which the box has no size are 0.
         """

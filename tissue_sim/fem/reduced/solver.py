@@ -86,7 +86,7 @@ class ReducedSolver(ReducedSolverBase):
         self.set_material(material)
 
     def set_material(self, material: Material) -> None:
-        """Set parameters, bulk response or law and keep the state. See `Solver.set_material`."""
+        """Set another material and keep the displacements. See `Solver.set_material`."""
         self.reduced.require_material(material)
         stiffer = self.elements.set_material(material, self.reduced.bulk_ratio)
         self.material = material
@@ -103,7 +103,7 @@ class ReducedSolver(ReducedSolverBase):
         return self._pose
 
     def ask_for_stiffness(self) -> None:
-        """Compute the stiffness matrix in every following step."""
+        """Make every following step compute its stiffness matrix."""
         self._returns_stiffness = True
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = TOLERANCE, max_iterations: int = 20,
@@ -228,7 +228,7 @@ class ReducedSolver(ReducedSolverBase):
                     contact.largest_penetration, contact.slipping_count, force_error=error, stiffness_age=stiffness_age)
 
     def _step_without_contact(self, pose: Pose) -> Step:
-        """Set elastic tissue to rest, and use the free time of the step to compute one stiffness group at rest."""
+        """Return the step of a tool in air: elastic tissue is set to rest, and one stiffness group is computed."""
         if self._committed[0].any():
             self._groups_at_rest = 0
         if self._groups_at_rest < SETTINGS.stiffness_groups:
@@ -248,7 +248,7 @@ class ReducedSolver(ReducedSolverBase):
 
     def _evaluate_contact(self, amplitudes: np.ndarray, frame: ToolFrame, pressed_in: bool, *,
                           slips_on: bool = False) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modal contact forces and their derivatives."""
+        """Evaluate the contact; return the modal contact forces, (modes,), and derivatives, (modes, modes)."""
         self.contact.evaluate_contact(amplitudes, frame, pressed_in, slips_on=slips_on)
         return self.contact.get_modal_forces()
 
@@ -257,7 +257,7 @@ class ReducedSolver(ReducedSolverBase):
         return euclidean_norm(contact_forces) + euclidean_norm(forces[: self._lifting])
 
     def _compute_reference_force(self, force_norm: float) -> float:
-        """Return the force by which the residual norm is divided."""
+        """Return the force by which the residual norm is divided for the relative residual."""
         return max(force_norm, self._floor, SETTINGS.min_reference_force * self._largest_force)
 
     def _solve_contact(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: ToolFrame,
@@ -299,7 +299,7 @@ class ReducedSolver(ReducedSolverBase):
         return any(self._classify_pose_in_box(pose, ToolFrame(pose, self.datum)))
 
     def _classify_pose_in_box(self, pose: Pose, frame: ToolFrame) -> tuple[bool, bool]:
-        """Return whether the pose is inside the box, and whether it is outside and without contact."""
+        """Return whether a pose counts as inside the box, and whether it is outside and without contact."""
         box, start = self.reduced.box, self._start
         inside = box.holds(pose, start)
         clear = not inside and self._is_clear_of(frame)
@@ -314,7 +314,7 @@ class ReducedSolver(ReducedSolverBase):
         self._evaluated_at, self._forces = self.amplitudes.copy(), self.elements.modal_forces.copy()
 
     def _restore_committed_state(self) -> None:
-        """Restore amplitudes and pressures of the last committed state."""
+        """Set amplitudes and pressures to those of the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
     def lift_off(self) -> None:
@@ -326,7 +326,7 @@ class ReducedSolver(ReducedSolverBase):
         self._invalidate_stiffness()
 
     def reset_to_rest(self) -> None:
-        """Reset the solver to tissue without loading history."""
+        """Remove the tool, and set tissue and material history to rest without loading."""
         self.elements.reset_history()
         self.lift_off()
 
@@ -335,7 +335,7 @@ class ReducedSolver(ReducedSolverBase):
         return SavedState(tuple(map(np.copy, self._state_arrays)), self._pose, self._largest_force, self._landed)
 
     def restore(self, saved: SavedState) -> None:
-        """Restore a state that was returned by `save`."""
+        """Make a state that was returned by `save` the committed state."""
         self.place_tool(saved.start or self._start)
         for array, before in zip(self._state_arrays, saved.arrays, strict=True):
             array[:] = before

@@ -24,7 +24,7 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """A rotation or reflection that maps the mesh onto itself, about a vertical line.
+    """A rotation about a vertical line, or reflection in a vertical plane, that maps the mesh onto itself.
 
     Attributes:
         matrix: orthogonal matrix that maps directions, shape (3, 3).
@@ -40,7 +40,7 @@ class Symmetry:
         return bool((self.matrix == np.eye(3)).all())
 
     def map_displacements(self, states: np.ndarray) -> np.ndarray:
-        """Return the images of displacements, m, shape (states, freedoms)."""
+        """Return the images of nodal displacements, m, shape (states, freedoms)."""
         states = np.asarray(states)
         images = np.empty((len(states), self.nodes.size, 3))
         images[:, self.nodes] = states.reshape(len(states), -1, 3) @ self.matrix.T

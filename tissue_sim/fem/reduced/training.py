@@ -35,18 +35,18 @@ LIFTING = 12
 
 
 def make_full_order_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
-    """Create the full-order solver of a model on a mesh."""
+    """Make the full-order solver of a model on a mesh."""
     return make_solver(model, mesh=mesh)
 
 
 def copy_settled_history(solver: SolidSolver) -> tuple[np.ndarray, ...]:
-    """Return the material history at rest under self-weight; empty without self-weight."""
+    """Return copies of the material history at rest under self-weight; empty without self-weight."""
     return tuple(array.copy() for array in solver.tissue.state_arrays) if solver.tissue.specific_weight else ()
 
 
 def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
               tolerance: float = 1e-7) -> TrainingSnapshots:
-    """Simulate the full-order solid along poses, from rest without loading history.
+    """Simulate the full-order solid along poses of the tool, from rest without loading history.
 
     Args:
         solver: full-order solver.
@@ -74,7 +74,7 @@ def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Se
 
 
 def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Step:
-    """Move the full-order solid to a pose; divide the motion if a step does not converge. Return the last step."""
+    """Step the full-order solver from pose `here` to `goal`, in smaller steps if needed; return the last step."""
     for cut in range(TRAINING.max_subdivisions + 1):
         count = 4**cut
         for k in range(count):
@@ -90,7 +90,7 @@ def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, toleranc
 
 
 def compute_lifting_modes(solver: SolidSolver) -> np.ndarray:
-    """Compute the linear elastic solutions for twelve motions of a bonded tool: 3 translations, 9 entries of a matrix.
+    """Compute the modes that a bonded tool prescribes: linear responses to 3 translations and 9 matrix entries.
 
     Returns:
         Displacements per amplitude, shape (freedoms, 12); (freedoms, 0) for a tool that can lift off.
@@ -149,7 +149,7 @@ def _compute_singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarra
 
 
 class SamplingState(NamedTuple):
-    """State that is used to choose the sampled elements.
+    """Full-order state that is used to choose the sampled elements.
 
     Attributes:
         displacement: nodal displacements, m, shape (freedoms,).
@@ -167,7 +167,7 @@ class SamplingState(NamedTuple):
 def iterate_sampling_states(taken: Sequence[TrainingSnapshots], poses: Sequence[Sequence[Pose]],
                             materials: Sequence[Material],
                             group: Sequence[Symmetry], start: Pose) -> Iterator[SamplingState]:
-    """Yield states for the choice of the sampled elements, evenly spaced, each mapped by the next symmetry in turn.
+    """Yield evenly spaced training states, each mapped by the next symmetry in turn, to choose sampled elements.
 
     Args:
         taken: full-order states on each training path.

@@ -93,9 +93,9 @@ def make_reversing_paths(box: PoseBox, start: Pose, *, reach: float, images: Seq
 
 def _iterate_boundary_points(is_wide: bool, images: Sequence[np.ndarray]
                              ) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
-    """Yield corners and edge midpoints of a square, each with the point to which the tool is dragged.
+    """Yield pairs of an indentation point, a corner or edge midpoint of a square, and the goal of the drag there.
 
-    A box without width has only its centre.
+    Coordinates are -1, 0 or 1. A box without width has only its centre.
     """
     if not is_wide:
         yield (0, 0), (0, 0)
@@ -108,13 +108,13 @@ def _iterate_boundary_points(is_wide: bool, images: Sequence[np.ndarray]
 
 
 def _make_deepest_pose(box: PoseBox, start: Pose, point: tuple[int, int]) -> Pose:
-    """Return the pose at the full depth of the box; the point is in units of `box.sideways`."""
+    """Return the upright pose at the full depth of the box; `point`: lateral position over `box.sideways`."""
     x, y, z = start.position
     return Pose((x + box.sideways * point[0], y + box.sideways * point[1], z - box.depth), start.orientation)
 
 
 def _interpolate_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
-    """Interpolate poses between corner poses, at most one step apart."""
+    """Return poses along straight motions between corner poses, at most `TrainingPathSettings.step` apart."""
     poses = [corners[0]]
     for one, other in pairwise(corners):
         x, y, z, *turn = motion(one, other)
@@ -139,6 +139,6 @@ def _map_coordinates_to_box_pose(coordinates: np.ndarray, box: PoseBox, start: P
 
 
 def _move_to_depth(pose: Pose, start: Pose, depth: float) -> Pose:
-    """Return the pose moved to another depth, m."""
+    """Return a copy of a pose moved vertically to another depth below `start`, m."""
     x, y, _ = pose.position
     return Pose((x, y, start.position[2] - depth), pose.orientation)

@@ -11,9 +11,14 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 @cache
 def make_assembly_kernel(element_name: str, energy: KernelEnergy):
-    """Return the kernel that assembles the nodal forces, and the tangent if `settings` request it.
+    """Return the kernel that assembles the nodal forces, and the tangent if the array `settings` requests it.
 
-    It writes the smallest volume ratio J to `least`.
+    The kernel adds the forces, N, to the array ``residual`` and the stiffness, N/m, to ``data``, and writes the
+    smallest volume ratio J of all quadrature points to ``least[0]``. The columns of ``settings`` are `SettingColumn`.
+
+    Args:
+        element_name: a key of `SOLID_ELEMENTS`.
+        energy: strain energy of the material.
     """
     ti = initialise()
     nodes = SOLID_ELEMENTS[element_name].nodes

@@ -11,16 +11,15 @@ from tissue_sim.experiment.tools.outline import Profile
 
 @dataclass(frozen=True, eq=False)
 class RigidBody:
-    """A rigid body of revolution, and the nodes that may touch it.
+    """A rigid body of revolution (a part of the tool, or the base), and the nodes that may touch it.
 
     Attributes:
         profile: outline in the frame of the body.
-        nodes: indices of the nodes.
-        friction: of its face and of its shaft: a coefficient, 0 for frictionless, `STICK` for no
-            slip.
-        moves: whether the body moves with the tool; else its frame is that of the mesh.
-        tied: whether an interface without slip holds the nodes from the start.
-        stays: whether the nodes cannot lift off.
+        nodes: indices of the nodes in the mesh, shape (n,).
+        friction: Coulomb coefficients of the face and of the shaft, 1; 0: frictionless; `STICK`: no slip.
+        moves: whether the body moves with the tool; else it is at rest in the frame of the mesh.
+        tied: whether nodes that touch the body at the first touch are held there without slip.
+        stays: whether the contact also transmits tension, so that the nodes cannot lift off.
         first_line: index of the first segment of the profile that the nodes may touch.
         closed: whether a sharp shaft is extended downwards while the tool is pressed in, because the tissue that is
             held below an upright face occupies the space there.
@@ -45,7 +44,7 @@ class NearestSurfacePoints:
         normal: outward normal, shape (n, 3).
         curvature: derivative of the normal with respect to position, 1/m, shape (n, 3, 3).
         on_shaft: whether the nearest point belongs to the shaft, shape (n,).
-        meridian: direction along the outline, shape (n, 3).
+        meridian: unit tangent of the outline, shape (n, 3).
     """
 
     gap: np.ndarray

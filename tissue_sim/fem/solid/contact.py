@@ -35,7 +35,7 @@ class ContactEvaluation:
         violation: largest violation of a contact condition, m.
         slipping: number of slipping nodes.
         switched: number of nodes that changed their state.
-        wanting: number of nodes that should have changed their state but were not allowed to.
+        wanting: number of nodes whose state violates a contact condition, but that were not allowed to change it.
     """
 
     violation: float
@@ -59,9 +59,9 @@ class ContactNodes:
         nodes: indices in the mesh, shape (n,).
         moves, stays: `RigidBody.moves` and `RigidBody.stays` of each node, shape (n,).
         parts: bodies, and indices of their nodes in these arrays.
-        bound: bond of each node, a `Bond`, shape (n,).
+        bound: committed bond of each node to its body, a `Bond`, shape (n,).
         anchors: displacements at which nodes are held or stick, in the frame of the body, m, shape (n, 3).
-        pressed, slips: active sets of the present step, shape (n,).
+        pressed, slips: active sets of the present step: nodes in contact, and nodes that slip, shape (n,).
         slipped: nodes that slipped at the last equilibrium, shape (n,).
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
         rates: derivative of all forces with respect to nodal motions relative to the bodies, N/m, shape (n, 3, 3).
@@ -104,7 +104,7 @@ class ContactNodes:
 
     @property
     def total_forces(self) -> np.ndarray:
-        """All forces on the bodies at the last evaluation, with those of the laws, N, shape (n, 3)."""
+        """Forces on the bodies at the last evaluation, `forces` plus those of the contact laws, N, shape (n, 3)."""
         return self.forces + self._law_forces if self.laws else self.forces
 
     @property
@@ -119,7 +119,7 @@ class ContactNodes:
 
     def place_at_first_touch(self, start: Pose, datum: float, displacement: np.ndarray,
                              settled: ContactNodes | None = None) -> None:
-        """Place the tool at its first touch, and connect the nodes that touch a body with friction there.
+        """Set the frame of the first touch, and bind the nodes that touch a body there, with stick or friction.
 
         Args:
             start: pose of the tool.
@@ -142,17 +142,17 @@ class ContactNodes:
         self._first_bonds = tuple(array.copy() for array in self.state_arrays)
 
     def reset_to_first_touch(self) -> None:
-        """Restore connections and forces of the first touch."""
+        """Restore bonds, anchors, slip and forces of the first touch."""
         for array, first in zip(self.state_arrays, self._first_bonds, strict=True):
             array[:] = first
 
     def begin_step(self) -> None:
-        """Begin a step with the connections of the last equilibrium."""
+        """Copy bonds, anchors and slip states of the last committed equilibrium to the step that begins."""
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:], self._about[:] = False, self.slipped, self.ways_before, 0.0
 
     def compute_contact_kinematics(self, displacement: np.ndarray, frame: ToolFrame) -> tuple[np.ndarray, ...]:
-        """Measure the nodes relative to their bodies, and store the normals.
+        """Compute displacement and gap of the nodes relative to their bodies, and store `normals`.
 
         Returns:
             Displacement in the frame of the body since the first touch, m, (n, 3); gap, m, (n,); derivative of the
@@ -292,32 +292,39 @@ class ContactNodes:
         return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
 
     def store_assembled_contact_rates(self) -> None:
-        """Store the present derivatives, without those of the laws, as those in the matrix."""
+        """Copy `rates` without those of the laws to `known_rates`, because the factorised matrix contains them."""
         self.known_rates[:] = self.rates - self.law_rates
 
     def update_linearised_forces(self, motion: np.ndarray) -> None:
-        """Update the forces after a linear solution with nodal increments relative to the bodies, m, shape (n, 3)."""
+        """Add the linearised change after a linear solution to `forces`.
+
+        Args:
+            motion: displacement increments of the nodes relative to their bodies, m, shape (n, 3).
+        """
         self.forces += np.einsum("nij,nj->ni", self.known_rates, self.missed + motion)
         self._about[:] = 0.0
 
     def release_pulled_nodes(self) -> int:
-        """Release held nodes that pull more than the laws bear at an equilibrium; returns their number."""
+        """Release held nodes whose tension at an equilibrium exceeds the adhesion of the laws; return their number."""
         bears = np.where(self.moves, self.laws.compute_largest_adhesive_pull(self.nodes), 0.0)
         pulls = (self.held == Bond.HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
         self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), Bond.TOUCHED, Bond.FREE)
         return int(pulls.sum())
 
     def bind_touching_nodes(self) -> None:
-        """Connect the nodes to the bodies that they touch at this equilibrium."""
+        """Bind the nodes to the bodies that they touch at this equilibrium, with their new anchors."""
         loose = self.held != Bond.HELD
         self.held[loose], self.held_at[loose] = self._met[loose], self._met_at[loose]
 
     def commit_step(self) -> None:
-        """Accept the last step, which converged."""
+        """Make bonds, anchors and slip states of the converged step the committed ones."""
         self.bound[:], self.anchors[:] = self.held, self.held_at
         self.slipped[:], self.ways_before[:] = self.slips & self.pressed, self._ways
 
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that define the committed state; writing saved copies into them restores the state."""
+        """Arrays of the committed contact state: bonds, anchors, slip, slip directions, forces.
+
+        Writing saved copies into these arrays restores the state.
+        """
         return self.bound, self.anchors, self.slipped, self.ways_before, self.forces

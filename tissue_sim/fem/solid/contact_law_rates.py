@@ -48,7 +48,7 @@ class ContactLawDerivatives(NamedTuple):
     @classmethod
     def differentiate_at_equilibrium(cls, contact: ContactNodes, displacement: np.ndarray,
                                      frame: ToolFrame) -> ContactLawDerivatives | None:
-        """Compute the derivatives at the last evaluated equilibrium; None if no law acts.
+        """Compute the derivatives by differences at the last evaluated equilibrium; None if no law acts.
 
         Args:
             contact: contact nodes.
@@ -61,6 +61,7 @@ class ContactLawDerivatives(NamedTuple):
             return None
 
         def evaluate_law_forces(moved: np.ndarray, slip: np.ndarray, normal: np.ndarray) -> np.ndarray:
+            """Return the forces of the laws on the tool, N, for moved nodes, other slip and other normal forces."""
             _, gap, curved, _, _, meridians = contact.compute_contact_kinematics(displacement + moved, frame)
             out = contact.normals[near]
             along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
@@ -83,7 +84,7 @@ class ContactLawDerivatives(NamedTuple):
         return cls(by_place, by_slip, by_force, normals)
 
     def differentiate_forces(self, motion: np.ndarray, slipped: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
-        """Derivatives of the forces with respect to m parameters, shape (n, 3, m).
+        """Return the derivatives of the law forces with respect to m parameters, shape (n, 3, m), by the chain rule.
 
         Args:
             motion: derivatives of the positions relative to the tool, shape (n, 3, m).
@@ -94,6 +95,10 @@ class ContactLawDerivatives(NamedTuple):
         return self.by_place @ motion + self.by_slip @ slipped + self.by_force[:, :, None] * normal[:, None]
 
     def differentiate_by_motion(self, rates: np.ndarray) -> np.ndarray:
-        """Derivatives of the forces with respect to nodal motions, N/m, shape (n, 3, 3), for those of the contact."""
+        """Return the derivatives of the law forces with respect to nodal displacements, N/m, shape (n, 3, 3).
+
+        Args:
+            rates: derivatives of the contact forces with respect to nodal displacements, N/m, shape (n, 3, 3).
+        """
         normal = np.einsum("ni,nij->nj", self.normals, rates)
         return self.by_place + self.by_slip + self.by_force[:, :, None] * normal[:, None]

@@ -37,12 +37,13 @@ _LEAST_LARGEST = 0.17
 
 
 class Resolution(NamedTuple):
-    """Element type and sizes of a resolution.
+    """Element type and element sizes that belong to the name of a resolution, see `RESOLUTIONS`.
 
     Attributes:
         element: element type.
-        smallest, growth, largest: intervals from the edge of a tool's face outwards, in its radii, and their ratio.
-        around: number of elements along a quarter of the edge.
+        smallest: size of the elements at the edge of the tool's face, over the radius of the face, 1.
+        growth, largest: ratio of successive sizes away from the edge; largest size over the radius of the face, 1.
+        around: number of elements along a quarter of the circumference of the face.
         layer_elements: smallest number of elements through a layer of the material.
     """
 
@@ -71,13 +72,12 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     Args:
         model: experiment and material.
         resolution: a key of `RESOLUTIONS`.
-        mesh: mesh to use instead.
+        mesh: mesh to use instead of the mesh of `resolution`.
         topology: model whose mesh (or `mesh`, which belongs to it) is moved to the geometry of `model`.
     """
     experiment = model.experiment
     _require_possible_interfaces(experiment)
-    origin = topology or model
-    own = mesh is not None
+    origin, own = topology or model, mesh is not None
     if mesh is None:
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
@@ -150,8 +150,8 @@ def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: floa
         solver: solver whose material, mass and requests are copied.
 
     Returns:
-        None if the tool would reach beyond the specimen, or if the mesh would have to be moved but cannot: the edge of
-        a flat tool must coincide with element edges.
+        The solver; None if the tool would reach beyond the specimen, or if the mesh would have to be moved but cannot:
+        the edge of a flat tool must coincide with element edges.
     """
     experiment = model.experiment
     (x, y, _), (u, v, _) = pose.position, start.position
@@ -173,7 +173,7 @@ def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: floa
 
 
 def _compute_ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
-    """Heights that a plate ignores at all nodes, m, shape (nodes, ...).
+    """Return the height of the nearest node of the top above the plate, for all nodes, m, shape (nodes, ...).
 
     A plate touches an unevenly settled top at all nodes at once, as if the top had been cut flat in its settled state.
 
@@ -189,7 +189,7 @@ def _compute_ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray
 
 def _differentiate_first_touch(settling: SelfWeightLoadSteps, experiment: Experiment, first: FirstTouch,
                                neighbours: Neighbours) -> FirstTouchDerivatives | None:
-    """Derivatives of the state of the first touch with respect to parameters; None if they are not available."""
+    """Differentiate the state of the first touch with respect to parameters; None if no derivatives are available."""
     mesh = settling.mesh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
     if specimen.height_is == "placed" and experiment.acting_laws and over_sides:
@@ -211,7 +211,7 @@ def _get_fixed_node_sets(experiment: Experiment) -> dict[str, str]:
 
 
 def _make_solver_without_tool(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
-    """Make the solver of the specimen on its base, without a tool."""
+    """Make the solver of the specimen on its base without tool and weight, to which the weight is applied."""
     experiment, pins = model.experiment, []
     if experiment.base_interface not in ("bonded", "stick"):
         # Three pins without reaction forces, because the weight has no component along the base.
@@ -227,13 +227,13 @@ def _make_solver_without_tool(model: Model, mesh: SolidMesh, layers: np.ndarray)
 
 
 def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
-    """Pins against rigid motions of a specimen between frictionless faces, or faces with friction before pressure acts.
+    """Choose pins (node, fixed axes) against rigid motions of a specimen that no face holds horizontally.
 
-    The middle of the base is fixed horizontally, and one more node against rotation. By symmetry the pins carry no
-    force under a tool on the axis.
+    Faces without friction, and plates with friction before pressure acts, do not hold it. One pin is the middle of the
+    base, one is another node. By symmetry they carry no force under a tool on the axis.
 
     Raises:
-        InputError: a tool off the axis, whose side force the pins would carry.
+        InputError: the tool is off the axis, so that the pins would carry its lateral force.
     """
     faces = experiment.base_interface, experiment.friction
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
@@ -243,8 +243,8 @@ def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[t
     x, y = mesh.nodes[base, 0], mesh.nodes[base, 1]
     middle, second = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
-        remedy = "give one of them friction" if without and not experiment.tool.is_plate else "let it stick to one"
-        raise InputError(f"neither base nor tool keeps the specimen from sliding; {remedy}", field="friction_base")
+        remedy = "Give one of them friction" if without and not experiment.tool.is_plate else "Use 'stick' for one"
+        raise InputError(f"neither base nor tool keeps the specimen from sliding. {remedy}", field="friction_base")
     return [(int(middle), "xy"), (int(second), "y")]
 
 
@@ -257,25 +257,25 @@ def _may_slip(face: str | float) -> bool:
 
 
 def _require_possible_interfaces(experiment: Experiment) -> None:
-    """Check that the interfaces are possible on a curved specimen."""
+    """Raise InputError if a specimen with curved faces has a base that is not bonded, or a bonded plate."""
     if not experiment.specimen.is_flat:
         shape = add_article(experiment.specimen.shape)
         if experiment.base_interface != "bonded":
-            raise InputError(f"must be 'bonded' below {shape}, whose curved base is held.", field="friction_base")
+            raise InputError(f"must be 'bonded' below {shape}; got {experiment.base_interface}", field="friction_base")
         if experiment.tool.is_plate and experiment.friction == "bonded":
-            raise InputError(f"a plate cannot be bonded to the curved top of {shape}; use 'stick', 'frictionless' or "
-                             "a coefficient of friction", field="friction")
+            raise InputError(f"must not be 'bonded' for a plate on the curved top of {shape}. Use 'stick', "
+                             "'frictionless' or a coefficient of friction", field="friction")
 
 
 def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[Layer, ...] = (),
                distance: float = 0.0) -> SolidMesh:
-    """Make the mesh of a resolution; element boundaries coincide with the interfaces of layers.
+    """Make the undeformed mesh of a resolution; element boundaries coincide with the interfaces of layers.
 
     Args:
         experiment: specimen, tool and approach.
         resolution: a key of `RESOLUTIONS`.
         layers: layers of the material.
-        distance: around the tool up to which the mesh is as fine as under the tool, m.
+        distance: distance from the edge of the tool up to which the mesh is as fine as under the tool, m.
 
     Raises:
         InputError: unknown resolution, or layers thicker than the specimen.
@@ -301,20 +301,20 @@ def _move_mesh(mesh: SolidMesh, topology: Model, experiment: Experiment) -> Soli
     """Move the mesh of a model to the geometry of an experiment, if that differs.
 
     Raises:
-        InputError: layers, or a shape whose mesh cannot be moved.
+        InputError: the geometry differs, and the model has layers or a shape whose mesh cannot be moved.
     """
     before, after = (each.specimen for each in (topology.experiment, experiment))
     circles = _find_mesh_ring_circle(topology.experiment), _find_mesh_ring_circle(experiment)
     if circles[0] == circles[1] and (before.shape, before.stated) == (after.shape, after.stated):
         return mesh
     if topology.material.layers:
-        raise InputError("the mesh of a solid with layers cannot be moved to another geometry; do not fit its sizes",
-                         field="topology")
+        raise InputError("must have no layers if the geometry differs, because the mesh of layers cannot be moved. Do "
+                         "not fit sizes of specimen and tool", field="topology")
     return after.moved_mesh(mesh, before, circles)
 
 
 def _find_mesh_ring_circle(experiment: Experiment) -> Circle:
-    """Circle about which the rings of the mesh are arranged."""
+    """Return the circle at the edge of the tool, around which the rings of elements are arranged."""
     tool = experiment.tool
     if tool.is_plate:
         return Circle(O_GRID.plate_ring * experiment.specimen.margin(), (0.0, 0.0))
@@ -323,14 +323,14 @@ def _find_mesh_ring_circle(experiment: Experiment) -> Circle:
 
 
 def _get_friction_coefficient(interface: str | float) -> float:
-    """Coefficient of friction of an interface, for tissue that touches it during the test; `STICK` without slip."""
+    """Return the coefficient of friction of an interface, 1; `STICK` for 'bonded' and 'stick'."""
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
 def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[RigidBody]:
-    """Bodies at rest: the base, which the nodes of the base and of the lower half of the side may touch."""
+    """Return the bodies at rest: the base, which nodes of the base and of the lower half of the side may touch."""
     bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
     mu = _get_friction_coefficient(experiment.base_interface)
@@ -382,7 +382,7 @@ def make_tool_bodies_and_datum(experiment: Experiment, mesh: SolidMesh, bonded: 
 
 
 def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
-    """Area that each node represents for tractions of the tool, m2, shape (nodes,).
+    """Compute the area that each node represents for tractions of the tool, m2, shape (nodes,).
 
     At the rim of the top only the area of the top counts, at the edge of a flat face only that of the face.
     """
@@ -396,5 +396,5 @@ def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
 
 
 def _select_side_nodes(mesh: SolidMesh) -> np.ndarray:
-    """Nodes of the side that belong neither to the base nor to the top."""
+    """Return the indices of the nodes of the side that belong neither to the base nor to the top."""
     return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))

@@ -13,19 +13,19 @@ from tissue_sim.pose import Pose
 
 
 def held_node_positions(solver: SolidSolver) -> np.ndarray:
-    """Positions of the nodes that the tool holds, in the frame of the tool, m, shape (n, 3)."""
+    """Return the positions of the nodes that a bonded tool holds, in the frame of the tool, m, shape (n, 3)."""
     return solver._held_at
 
 
 def held_freedom_mask(solver: SolidSolver) -> np.ndarray:
-    """Whether nodes are held, by the tool or by the base, along each axis, shape (nodes, 3)."""
+    """Return whether each node is held along x, y and z, by a bonded tool or by the base, shape (nodes, 3)."""
     held = np.ones(solver.x.size, dtype=bool)
     held[solver._free] = False
     return held.reshape(-1, 3)
 
 
 def tool_motion_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
-    """Return the motion of a tool that holds tissue from its first touch to a pose, shape (12,).
+    """Return the motion of a bonded tool from its first touch to a pose: 3 displacements, m, and 9 matrix entries.
 
     See `ToolFrame.compute_motion_from`.
     """
@@ -33,11 +33,14 @@ def tool_motion_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
 
 
 def solve_linear_response(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
-    """Displacements of the resting solid for small motions of the nodes that the tool holds, m, shape (freedoms, n).
+    """Solve for the linear response of the resting solid to small motions of the nodes that a bonded tool holds.
 
     Args:
-        solver: solver; it is reset to the resting state.
-        motions: displacements of these degrees of freedom, m, shape (3 nodes, n).
+        solver: solver of the solid; it is reset to the resting state.
+        motions: displacements of the held degrees of freedom, m, shape (3 held nodes, n).
+
+    Returns:
+        Displacements of all degrees of freedom, m, shape (freedoms, n); the free ones are 0 if the tangent is singular.
     """
     solver.lift_off()
     solver._assemble_forces_and_tangent()
@@ -52,7 +55,7 @@ def solve_linear_response(solver: SolidSolver, motions: np.ndarray) -> np.ndarra
 
 
 def element_forces_at_displacement(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: float) -> np.ndarray:
-    """Forces of single elements at a displacement, m, shape (freedoms,), from the resting state.
+    """Return the nodal forces of each element, N, at a displacement from the resting state, m, shape (freedoms,).
 
     The state of the solver is kept. See `Tissue.compute_element_forces`.
     """
@@ -69,9 +72,9 @@ def compute_node_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.nda
     Column k contains the displacements of the nodes along the axis under a unit force on node k along the axis.
 
     Args:
-        solver: is at rest afterwards.
-        nodes: numbers, shape (n,).
-        axis: of unit length, shape (3,).
+        solver: solver of the solid; it is at rest afterwards.
+        nodes: indices of the nodes, shape (n,).
+        axis: unit vector, shape (3,).
 
     Raises:
         ConvergenceError: the tangent at rest is singular or indefinite.

@@ -19,7 +19,7 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
 class SettingColumn(IntEnum):
-    """Columns of the settings of a kernel."""
+    """Columns of the array ``settings`` of the assembly kernels."""
 
     #: Bulk modulus, Pa.
     KAPPA = 0
@@ -58,14 +58,14 @@ class ElementFunctions(NamedTuple):
 
 @cache
 def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
-    """Return the functions of an element type and an energy."""
+    """Return the Taichi functions of an element type, a key of `SOLID_ELEMENTS`, and a strain energy."""
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
     s = scratch(LANES, SCRATCH)
-    stress_and_tangent = point.make_stress_function(energy)
-    inverse_root, cofactor = inverse_root_function(), point.make_cofactor_function()
-    soften, relax = soften_function(9), point.make_relax_function()
+    compute_stress_and_tangent = point.make_stress_function(energy)
+    inverse_root, compute_cofactor = inverse_root_function(), point.make_cofactor_function()
+    soften, apply_relaxation = soften_function(9), point.make_relax_function()
     vec = ti.types.vector(LANES, ti.f64)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
@@ -79,10 +79,10 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                                  moduli: ti.template(),
                  coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
                                  largest: ti.template(), stresses: ti.template(), energies: ti.template()):
-        """Compute stress and dJ/dF of a point times its weight, and store its tangent in the scratch field."""
+        """Return dW/dF and dJ/dF of quadrature point q times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
-        W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
-        cof = cofactor(F)
+        W, P, T = compute_stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
+        cof = compute_cofactor(F)
         if remembers > 0.0:
             f = past[PastColumn.FACTOR]
             W = f * W
@@ -99,7 +99,7 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                     T1[n] = T2[n]
             h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                  for i in ti.static(range(6))]
-            S, P3, T3 = relax(F, cof, J, past[PastColumn.INSTANT], h, P1, T1)
+            S, P3, T3 = apply_relaxation(F, cof, J, past[PastColumn.INSTANT], h, P1, T1)
             for i in ti.static(range(6)):
                 for l in ti.static(range(LANES)):
                     stresses[elements[b, l], q, i] = S[i][l]
@@ -124,7 +124,7 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                          elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
                   stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(), gaps: ti.template(),
                          forces: ti.template()):
-        """Compute the nodal forces of a batch, with the eliminated pressure increments; returns the smallest J.
+        """Integrate the nodal forces of a batch, with the eliminated pressure increments; return the smallest J.
 
         The material history is that of `tissue_sim.fem.history`.
         """
@@ -202,7 +202,7 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
     @ti.func
     def compute_stiffness_blocks(b, kappa, moduli: ti.template(), gx: ti.template(), gy: ti.template(),
                                  gz: ti.template(), stiffness: ti.template()):
-        """Compute the stiffness of all pairs of nodes (c, a), a <= c.
+        """Compute the 3 x 3 stiffness blocks of all pairs of nodes (c, a), a <= c, with eliminated pressures.
 
         Entry 3 k + i of the nine of a pair is the force on a along i for a displacement of c along k.
         """

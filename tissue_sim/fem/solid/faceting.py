@@ -34,10 +34,10 @@ _SETTINGS = FacetingSettings()
 
 @dataclass(frozen=True)
 class FacetingGeometry:
-    """Distance between flat sides of elements and the round outline of the tool.
+    """Geometry of the flat sides of elements under a round tool, means weighted by the contact forces.
 
     Attributes:
-        inside: mean distance between the sides and the outline, m.
+        inside: mean distance by which the sides lie inside the outline of the tool, m.
         depth: largest displacement under the tool, along its normal, m.
         size: mean width of the sides, m.
     """
@@ -54,7 +54,7 @@ class FacetingGeometry:
 
 def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
                                displacement: np.ndarray) -> FacetingGeometry | None:
-    """Compute the faceting error of a round tool that presses on nodes only.
+    """Estimate how far flat sides of elements lie inside the outline of a round tool that presses on nodes only.
 
     A flat side between nodes at distance h is inside of a surface with principal curvatures k1 and k2 by
     h^2 (k1 + k2) / 12 in the mean.
@@ -84,7 +84,7 @@ def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
 
 def estimate_faceting_force_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray,
                                   force: float) -> float | None:
-    """Estimate the error of a force, N, because of flat sides under a round tool.
+    """Estimate the force that is missing because of flat sides under a round tool, N.
 
     Args:
         contact: contact nodes at an equilibrium.
@@ -93,7 +93,7 @@ def estimate_faceting_force_error(contact: ContactNodes, mesh: SolidMesh, displa
         force: magnitude of the force on the tool, N.
 
     Returns:
-        N; None if the error is not known.
+        Missing force, N, positive; None if `estimate_faceting_geometry` returns None.
     """
     found = estimate_faceting_geometry(contact, mesh, displacement)
     if found is None:
@@ -114,7 +114,7 @@ def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
         displacement: displacement of all nodes, m, shape (nodes, 3).
 
     Returns:
-        One sentence, or none: the error is small, or the elements have curved sides.
+        One message; an empty list if the error is small or the elements have curved sides.
     """
     found = estimate_faceting_geometry(contact, mesh, displacement)
     if found is None or not found.depth or found.missing_fraction <= _SETTINGS.warning_fraction:

@@ -37,20 +37,26 @@ _SETTINGS = LinearisationSettings()
 
 @dataclass(frozen=True, eq=False)
 class _NewtonIncrement:
-    """Increment of the displacements, m: total, part of the contact forces, and part of the held nodes."""
+    """Increment of the displacements in a Newton step, in the rows of `SolidLinearisation._select_rows_for_norm`, m.
+
+    Attributes:
+        motion: total increment.
+        pushed: contribution of the contact forces.
+        carried: contribution of the motion of the held nodes.
+    """
 
     motion: np.ndarray
     pushed: np.ndarray
     carried: np.ndarray
 
     def reduces_next_step(self, settles: np.ndarray, share: float, rounding: float) -> bool:
-        """Whether a damped step reduces the next step (restricted monotonicity test).
+        """Whether the next Newton step after a damped step is shorter (restricted monotonicity test).
 
         Source: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3.
 
         Args:
             settles: new increment that balances the tissue without contact, m.
-            share: fraction of the step that was made.
+            share: damping factor: fraction of the step that was made, 1.
             rounding: length below which a step is zero, m.
         """
         following = settles + self.pushed + (1.0 - share) * self.carried
@@ -58,7 +64,9 @@ class _NewtonIncrement:
 
 
 class SolidLinearisation:
-    """`tissue_sim.fem.condensed.model.BulkLinearisation` of a solid; no other code may step the solver.
+    """Linearisation of a solid for multirate simulation, see `tissue_sim.fem.condensed.model.BulkLinearisation`.
+
+    The linearisation owns the solver: no other code may step it.
 
     Args:
         solver: solver at the first touch.
@@ -106,7 +114,7 @@ class SolidLinearisation:
         self.residual = 0.0
 
     def _make_contact_surface(self, candidates: int) -> ContactSurface:
-        """Make the description of the surface and of the tool for the contact."""
+        """Return the description of surface and tool for the contact solver, with at most `candidates` nodes."""
         solver, contact, mine = self._solver, self._solver.contact, self._mine
         bodies = [body for body in contact.bodies if body.moves]
         lines = max((len(body.profile.vertices) - 1 - body.first_line for body in bodies), default=1)
@@ -132,7 +140,7 @@ class SolidLinearisation:
 
     @property
     def solver(self) -> SolidSolver:
-        """Solver whose last committed state is the last iterate."""
+        """Solver of the solid; its committed state is the last iterate."""
         return self._solver
 
     def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
@@ -183,7 +191,7 @@ class SolidLinearisation:
         return None
 
     def _restore_untouched_state(self) -> None:
-        """Return to the tissue before the first touch, with the present material."""
+        """Restore the solver's state before the first touch, with the present material."""
         solver = self._solver
         solver.restore(self._untouched)
         for array, rest in zip(solver._committed, solver._rest, strict=True):
@@ -192,7 +200,7 @@ class SolidLinearisation:
         solver._restore_committed_state()
 
     def _relinearise_from_committed(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
-        """Linearise at the present state, or at rest if that is not possible."""
+        """Linearise with a new tangent at the committed state, or at rest if that tangent is singular; else None."""
         solver, self._coming = self._solver, None
         for go_back in (solver._restore_committed_state, self._restore_untouched_state):
             go_back()
@@ -208,7 +216,7 @@ class SolidLinearisation:
         return None
 
     def _apply_newton_increment(self, state: ContactState) -> _NewtonIncrement:
-        """Make the step to the pose and the contact forces of a state."""
+        """Add the Newton increment for the pose and the contact forces of a state to displacements and pressures."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
         motion, carried = np.zeros_like(solver.x), np.zeros(solver._free.size)
@@ -230,22 +238,22 @@ class SolidLinearisation:
         return _NewtonIncrement(*(self._select_rows_for_norm(each) for each in (begun, pushed, carried)))
 
     def _select_rows_for_norm(self, begun: np.ndarray) -> np.ndarray:
-        """Return the part of a begun solution whose length is compared.
+        """Return the displacements of a begun solution that the norms of the step control use, m.
 
-        The part is the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
+        These are the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
         """
         assert self._tangent is not None
         return self._tangent.finish_solution(begun) if self._holds else begun[self._tangent.interface_rows]
 
     @property
     def _displacement_norm(self) -> float:
-        """Length of the displacement in the same norm, m."""
+        """Norm of the displacement in the rows of `_select_rows_for_norm`, m."""
         assert self._tangent is not None
         displacement = self._solver.x[self._solver._free]
         return float(np.linalg.norm(displacement if self._holds else displacement[self._tangent.interface_rows]))
 
     def _store_contact_free_increment(self) -> None:
-        """Store the increment that balances the tissue as it was assembled last, without contact."""
+        """Store the Newton increment without contact forces for the residual that was assembled last."""
         solver, tangent, right = self._solver, self._tangent, self._solver.batches.residual[:-1].copy()
         assert tangent is not None
         if self._stale:
@@ -256,7 +264,7 @@ class SolidLinearisation:
             self._reactions = right[solver._moved] + tangent.held[solver._free].T @ motion
 
     def _assemble_forces(self, tangent: bool) -> bool:
-        """Assemble forces, and optionally the tangent, without contact; returns whether no element is inside out."""
+        """Assemble forces, and optionally the tangent, without contact; return False if an element is inside out."""
         solver = self._solver
         solver._least = solver.tissue.assemble_forces_and_tangent(tangent)
         if tangent:
@@ -264,14 +272,14 @@ class SolidLinearisation:
         return 0.0 < solver._least < 1e30
 
     def _commit_iterate(self, pose: Pose) -> None:
-        """Accept the iterate."""
+        """Make the present iterate, with this pose of the tool, the committed state of the solver."""
         solver = self._solver
         solver.tissue.commit_step()
         solver._committed = solver.x.copy(), solver.batches.pressures.copy(), solver.contact.forces.copy()
         solver._pose = pose
 
     def _store_relative_residual(self, state: ContactState) -> None:
-        """Store the relative residual with the contact forces of a state."""
+        """Set `residual`, the relative residual with the contact forces of a state."""
         solver, unbalanced = self._solver, self._solver.batches.residual[:-1].copy()
         unbalanced[self._freedoms] += state.forces
         held = float(np.linalg.norm(unbalanced[solver._reacting]))
@@ -279,7 +287,7 @@ class SolidLinearisation:
 
     def _start_condensation(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
                             executor: Executor) -> CondensedTangent | None:
-        """Start the condensation of the tangent that was assembled last; None while another one is in progress."""
+        """Start the condensation of the tangent assembled last and return it; None while another one is in progress."""
         # A finished tangent that is not in use may be overwritten.
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
         if spare is None or self._coming is not None:
@@ -294,7 +302,7 @@ class SolidLinearisation:
         return spare
 
     def _adopt_finished_tangent(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
-        """Use the tangent whose condensation has ended; returns False if there is none or it is singular."""
+        """Use the tangent whose condensation has ended; return False if there is none or it is singular."""
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:
             return False
@@ -310,14 +318,14 @@ class SolidLinearisation:
         """Order the nodes that the tool may touch: loaded nodes first, then by gap.
 
         Returns:
-            Indices, and the number of loaded nodes.
+            Indices in the `ContactSurface`, shape (k,), and the number of loaded nodes.
         """
         meets, loaded = self._meets, np.abs(state.forces).sum(axis=1) > 0.0
         gaps = np.stack([self._compute_gaps(each) for each in (pose, *ahead)])[:, meets]
         return meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))], int(loaded.sum())
 
     def _compute_gaps(self, pose: Pose) -> np.ndarray:
-        """Distances of the surface nodes from the tool at a pose, m, shape (s,)."""
+        """Return the gaps between the surface nodes and a tool at a pose, m, shape (s,)."""
         solver, contact = self._solver, self._solver.contact
         frame, gaps = ToolFrame(pose, solver.datum), np.full(self.nodes.size, np.inf)
         at = frame.transform_to_tool(contact.places[self._mine] + solver.x[self._freedoms])
@@ -328,7 +336,7 @@ class SolidLinearisation:
         return gaps
 
     def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedContact:
-        """Make the linearisation at the last iterate."""
+        """Return the linearisation at the last iterate, condensed onto the published nodes."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
         free_displacement = solver.x[self._freedoms[tangent.nodes]] + self._settles[self._equations[tangent.nodes]]
@@ -373,7 +381,7 @@ def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: Soli
 
 
 def _pack_outline(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Segments of a body's outline, and its row in `ContactSurface.shapes`."""
+    """Return the segments of a body's outline, shape (lines, 5), and its row of `ContactSurface.shapes`."""
     profile, first = body.profile, body.first_line
     start, segment = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)
     length = np.linalg.norm(segment, axis=1)

@@ -11,7 +11,7 @@ from tissue_sim.mesh.solid import SolidMesh
 
 
 def compute_lumped_volumes(mesh: SolidMesh, weights: np.ndarray) -> np.ndarray:
-    """Lump the volume of the elements at the nodes, m3, shape (nodes,).
+    """Return the lumped volume of each node, m3, shape (nodes,).
 
     The diagonal of the consistent mass matrix is scaled so that each element keeps its volume; all entries are positive
     (Hinton, Rock and Zienkiewicz, Earthquake Eng. Struct. Dyn. 4 (1976) 245). For rectangular hexahedra the result is
@@ -28,18 +28,18 @@ def compute_lumped_volumes(mesh: SolidMesh, weights: np.ndarray) -> np.ndarray:
 
 
 class LumpedMass:
-    """Mass and inertial forces of the degrees of freedom; see `tissue_sim.fem.inertia`.
+    """Lumped mass of a solid and its inertial forces; see `tissue_sim.fem.inertia`.
 
     Args:
         mesh: undeformed mesh.
         weights: volumes of its quadrature points, m3, shape (elements, q).
-        density: kg/m3.
+        density: mass density, kg/m3.
         matrix: stiffness matrix of all degrees of freedom, a `scipy.sparse.csc_array`.
 
     Attributes:
-        rate: of this step, 1/s2: the acceleration at its end is (u - rest) rate; 0 in a static step.
-        motion: velocities and history.
-        density: kg/m3.
+        rate: factor of the present step, 1/s2; the acceleration at its end is rate (u - u0); 0 in a static step.
+        motion: velocities, and the displacements u0 that the acceleration refers to.
+        density: mass density, kg/m3.
     """
 
     def __init__(self, mesh: SolidMesh, weights: np.ndarray, density: float, matrix: Any):
@@ -51,11 +51,11 @@ class LumpedMass:
         self.rate, self.density = 0.0, density
 
     def prepare_step(self, x: np.ndarray, dt: float, inertial: bool) -> None:
-        """Prepare a step of dt seconds from displacements x, m, shape (freedoms,)."""
+        """Set `rate` for a step of dt seconds from displacements x, m, shape (freedoms,); 0 unless `inertial`."""
         self.rate = self.motion.prepare_step(x, dt) if inertial else 0.0
 
     def add_inertial_forces(self, x: np.ndarray, residual: np.ndarray, matrix: Any | None) -> None:
-        """Add inertial forces at displacements x, m, to the residual, N, and their derivatives to the matrix."""
+        """Add inertial forces at displacements x, m, to the residual, N, and their stiffness to the matrix, N/m."""
         if self.rate:
             residual[:] += self.rate * self._masses * (x - self._rest)
             if matrix is not None:

@@ -56,11 +56,14 @@ class HistoryDerivatives:
 
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that are carried from step to step, parameters first; overwriting them restores another state."""
+        """Derivatives of stresses, internal variables and largest energy density, parameters first.
+
+        Writing saved copies into these arrays restores the derivatives of another step.
+        """
         return self._before, self._internal, self._largest
 
     def begin_step(self) -> None:
-        """Prepare the derivatives of a step, after the history has been prepared for the step."""
+        """Set `inherited` for a step, after `Memory.prepare_step`."""
         memory = self.memory
         if not len(memory.internal):
             return
@@ -100,7 +103,7 @@ class HistoryDerivatives:
             array[:] = before
 
     def get_input_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the arrays of the history that the assembly reads, with their derivatives by parameter k."""
+        """Return pairs (history array that the assembly reads, its derivative with respect to parameter k)."""
         memory = self.memory
         if not memory.works:
             return []
@@ -108,7 +111,7 @@ class HistoryDerivatives:
                 (memory.largest, self._largest[k])]
 
     def commit_parameter(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
-        """Update the derivatives of the history when a step is committed.
+        """Update the derivatives of the history with respect to parameter k when a step is committed.
 
         Args:
             k: index of the parameter.

@@ -43,7 +43,10 @@ PLACEMENT = PlacementTolerances()
 
 
 class RelocatableSolver(KernelOwner, Solver):
-    """Solver whose mesh belongs to one position of the first touch, and that can be made again for another one.
+    """Base class of `SolidSolver`: placement and motion of the tool without contact.
+
+    The mesh belongs to one position of the first touch. For a first touch at another position the solver is replaced by
+    one with a moved mesh.
 
     Attributes:
         placement: makes the solver for a first touch at another pose; None: the solver cannot be moved.
@@ -68,7 +71,7 @@ class RelocatableSolver(KernelOwner, Solver):
         return pose.position[2] if self.placement is None else self.placement.height_above(pose)
 
     def place_tool(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool`. The mesh is moved, so that it has the same fineness under the tool."""
+        """See `FreeTool.place_tool`. The mesh is moved with the tool, so that it is equally fine under the tool."""
         if self.placement is None or self.placement.is_at_mesh_position(self._start, pose):
             return True
         other = self.placement.make_solver_for_touch_pose(pose, self)
@@ -78,7 +81,7 @@ class RelocatableSolver(KernelOwner, Solver):
         return True
 
     def _add_error_estimate(self, step: Step) -> Step:
-        """Add the estimated error of the force to a converged step, if stiffness is requested in every step."""
+        """Return a converged step with its estimated force error, if stiffness is requested in every step."""
         if not self._asked:
             return step
         error = estimate_faceting_force_error(self.contact, self.mesh, self.committed_displacement,
@@ -86,7 +89,7 @@ class RelocatableSolver(KernelOwner, Solver):
         return step if error is None else replace(step, force_error=error)
 
     def copy_settings_to(self, other: Any) -> None:
-        """Copy material, mass and requests to another solver of the same model."""
+        """Copy material, density and the request for stiffness to another solver of the same model."""
         if self._asked:
             other.ask_for_stiffness()
         if self._mass is not None:
@@ -145,17 +148,17 @@ class RelocatableSolver(KernelOwner, Solver):
 
 
 class FirstTouchPlacement:
-    """Positions of a first touch on the top of a solid.
+    """Height of the first touch of a tool on the top of a solid, and the solver for a first touch at another pose.
 
     Args:
         places: positions of the nodes of the top without a tool, m, shape (n, 3).
-        bodies: the tool and others.
+        bodies: parts of the tool; bodies at rest are ignored.
         datum: height of the scene's origin in the frame of the mesh, m.
         is_level: whether the top is flat and has not settled.
         margin: returns the distance of a point from the edge of the top, m.
         touch_height: returns the height of the scene's origin at which a tool at a pose touches, m; raises InputError
             outside of the top.
-        remake: returns the solver for a first touch at a pose; None if there is none.
+        remake: returns the solver for a first touch at a pose, or None if no solver can be made; None: never remake.
     """
 
     def __init__(self, places: np.ndarray, bodies: list[RigidBody], datum: float, is_level: bool,
@@ -168,7 +171,7 @@ class FirstTouchPlacement:
         self._touch_height, self._remake = touch_height, remake
 
     def is_at_mesh_position(self, start: Pose, pose: Pose) -> bool:
-        """Whether a first touch at a pose is at the position of the mesh."""
+        """Whether a first touch at a pose needs no other mesh than the first touch at `start`."""
         x, y, z, *turn = motion(start, pose)
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
 
@@ -194,6 +197,6 @@ class FirstTouchPlacement:
 
         Args:
             pose: pose of the tool at the first touch.
-            solver: solver whose material and mass the new solver gets.
+            solver: solver whose material and density are copied to the new solver.
         """
         return None if self._remake is None else self._remake(pose, solver)

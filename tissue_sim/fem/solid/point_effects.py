@@ -23,16 +23,16 @@ _AT_ONCE = 200
 
 
 class SolidPointEffects:
-    """All point effects of a material.
+    """Point effects of a material: additional stress at the quadrature points, with state variables.
 
     Args:
         batches: batches of the mesh.
-        connectivity: shape (elements, nodes of an element).
+        connectivity: indices of the nodes of each element of the mesh, shape (elements, nodes of an element).
         elements: indices of the elements of the material, shape (n,).
 
     Attributes:
         states: state variables of all effects at the last committed step, shape (n, q, variables).
-        stress: sum of the stresses there, Pa, in the order of a memory, shape (n, q, 6).
+        stress: sum of their second Piola-Kirchhoff stresses there, Pa, shape (n, q, 6: XX, XY, XZ, YY, YZ, ZZ).
     """
 
     def __init__(self, batches: ElementBatches, connectivity: np.ndarray, elements: np.ndarray):
@@ -68,15 +68,15 @@ class SolidPointEffects:
         self._effects = points
 
     def prepare_step(self, dt: float) -> None:
-        """Set the length of the next step, dt in s."""
+        """Set the duration dt of the next step, s."""
         self._dt = min(dt, LONGEST)
 
     def commit_step(self) -> None:
-        """Accept the state variables of the last step, which converged."""
+        """Make state variables and stresses of the converged step the committed ones."""
         self.states[:], self.stress[:] = self._found, self._stress
 
     def add_forces_and_stiffness(self, x: np.ndarray, tangent: bool) -> None:
-        """Add forces, and optionally stiffness, at displacements x, m, shape (freedoms,), to those of the batches."""
+        """Add forces, and if `tangent` stiffness, at displacements x, m, shape (freedoms,), to those of the batches."""
         gradients = self._batches.point_gradients_and_modes[0]
         ratios = self._batches.element_modulus_ratios
         forces, stiffness = np.zeros(self._dofs.shape), []
@@ -112,14 +112,15 @@ class SolidPointEffects:
             matrix.data += np.bincount(self._places, np.concatenate(stiffness).ravel(), minlength=matrix.nnz)
 
     def _evaluate_effects(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate the effects of some elements, and store their new state variables.
+        """Evaluate the effects in a range of elements, and store their new state variables.
 
         Args:
-            part: elements.
+            part: range of the elements in the constructor's `elements`.
             F: deformation gradients, shape (e, q, 3, 3).
 
         Returns:
-            Stress, Pa, shape (e, q, 6), and tangent, Pa, shape (e, q, 6, 6).
+            Second Piola-Kirchhoff stress, Pa, shape (e, q, 6: 11, 22, 33, 12, 13, 23), and its derivative with respect
+            to the Green strains (shears doubled), Pa, shape (e, q, 6, 6).
         """
         C = [np.einsum("eqi,eqi->eq", F[..., I], F[..., J]) for I, J in _PAIRS]
         S, D, at = np.zeros((*F.shape[:2], 6)), np.zeros((*F.shape[:2], 6, 6)), 0

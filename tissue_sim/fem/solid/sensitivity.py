@@ -30,7 +30,7 @@ _WIDTH = 10.0
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """Iterative refinement of the linear solutions.
+    """Settings of the iterative refinement of the linear solutions.
 
     Attributes:
         tolerance: relative residual at which the refinement ends, 1.
@@ -48,7 +48,7 @@ _SETTINGS = RefinementSettings()
 
 @dataclass(frozen=True, eq=False)
 class SensitivityInputs:
-    """Parts of a solver that its derivatives use.
+    """Data of a solver from which its derivatives are computed.
 
     Attributes:
         nodes: undeformed positions of the nodes, m, shape (nodes, 3).
@@ -76,11 +76,12 @@ class FirstTouchDerivatives:
     """Derivatives of the state of the first touch with respect to m parameters.
 
     Attributes:
-        stretch: of the logarithm of the height of the undeformed mesh, shape (m,).
-        settled: `SolidSensitivity.state_derivatives` of the settled specimen; None: it is undeformed.
-        resting: indices of the nodes of its contact.
-        datum: of the height of the scene's origin in the frame of the mesh, m, shape (m,).
-        lift: of the height of nodes above the surface that the tool is assumed to touch, m, shape (nodes, m); None: 0.
+        stretch: derivative of the logarithm of the height of the undeformed mesh, shape (m,).
+        settled: `SolidSensitivity.state_derivatives` of the settled specimen; None: the specimen is undeformed.
+        resting: indices of the contact nodes of the settled specimen, shape (n,).
+        datum: derivative of the height of the scene's origin in the frame of the mesh, m, shape (m,).
+        lift: derivative of the height of the nodes above the surface that the tool is assumed to touch, m, shape
+            (nodes, m); None: 0.
     """
 
     stretch: np.ndarray
@@ -91,7 +92,7 @@ class FirstTouchDerivatives:
 
     @classmethod
     def from_undeformed_specimen(cls, stretch: np.ndarray) -> FirstTouchDerivatives:
-        """Make the derivatives for an undeformed specimen."""
+        """Make the derivatives of an undeformed specimen from those of the logarithm of its height, shape (m,)."""
         return cls(stretch, None, np.zeros(0, dtype=np.intp), np.zeros_like(stretch), None)
 
 
@@ -105,8 +106,8 @@ class SolidSensitivity:
         widths: distance of each parameter's neighbours, shape (m,).
 
     Attributes:
-        force: derivatives of the force along z, N per unit, shape (m,).
-        vector: derivatives of all three components, shape (m, 3).
+        force: derivatives of the force on the tool along z, N per unit of the parameter, shape (m,).
+        vector: derivatives of all three components of this force, shape (m, 3).
     """
 
     def __init__(self, parts: SensitivityInputs, input_rates: Sequence[Sequence[np.ndarray]],
@@ -134,15 +135,18 @@ class SolidSensitivity:
     @classmethod
     def from_neighbours(cls, parts: SensitivityInputs, neighbours: Neighbours, here: Material,
                         set_material: Callable[[Material], None]) -> SolidSensitivity:
-        """Make the derivatives from the neighbours of a material, which are set in turn; the material is restored.
+        """Make the derivatives from materials with increased and decreased parameters, set one after the other.
+
+        The material of the solver is restored.
 
         Args:
             parts: parts of a solver before its first step.
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
-            here: material of the solver.
+            here: present material of the solver, which is restored.
             set_material: sets the material of the solver.
         """
         def copy_material_inputs(material: Material) -> list[list[np.ndarray]]:
+            """Set a material, and return copies of the arrays that it sets, for each region."""
             set_material(material)
             return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
 
@@ -194,7 +198,7 @@ class SolidSensitivity:
 
     @property
     def state_derivatives(self) -> list[np.ndarray]:
-        """Derivatives of displacements, anchors and history at the last committed step, parameters first."""
+        """Derivatives of displacements, anchors and history arrays at the last committed step, parameters first."""
         return [self._motion.T, np.moveaxis(self._anchors, -1, 0), *(array for each in self._memories
                                                                      for array in each.state_arrays)]
 
@@ -240,7 +244,7 @@ class SolidSensitivity:
         parts.tissue.batches.residual[:] = residual
 
     def _differentiate_forces(self, k: int) -> np.ndarray:
-        """Derivative of the forces at constant displacements with respect to parameter k, N per unit, (freedoms,)."""
+        """Return d forces / d parameter k at constant displacements, N per unit, shape (freedoms,)."""
         acting = {number: [(array, rate) for array, rate in self._material_input_directions(k, number) if rate.any()]
                   for number in self._regions}
         stretched, tissue = self._mesh_input_directions(k), self._parts.tissue
@@ -261,23 +265,23 @@ class SolidSensitivity:
                                                                                    [memory.stresses, memory.energies]))
 
     def _material_input_directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Inputs of the assembly of a region, and their derivatives with respect to parameter k at rest."""
+        """Return pairs (input array of a region's assembly, its derivative with respect to parameter k)."""
         return self._inputs[k][number] + self._memories[number].get_input_directions(k)
 
     def _mesh_input_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Inputs of the assembly that depend on the undeformed mesh, and their derivatives for parameter k."""
+        """Return pairs (input array that depends on the undeformed mesh, its derivative by parameter k)."""
         return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
 
     def _differentiate_assembly_numerically(self, k: int, regions: Sequence[int],
                                             directions: Sequence[tuple[np.ndarray, np.ndarray]],
                                             results: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Central difference of the assembly of some regions.
+        """Differentiate the assembly of some regions in a direction, by central differences.
 
         Args:
             k: index of the parameter, which determines the step.
             regions: indices of the regions.
             directions: input arrays and their derivatives.
-            results: arrays whose derivatives are returned. All arrays are restored.
+            results: arrays that the assembly writes and whose derivatives are returned. All arrays are restored.
         """
         arrays = [array for array, _ in directions]
         written: list[np.ndarray] = [self._parts.tissue.batches.residual]
@@ -297,14 +301,15 @@ class SolidSensitivity:
         return [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
 
     def _solve_for_derivatives(self, rates: np.ndarray, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for the derivatives of displacements and contact forces.
+        """Solve for the derivatives of displacements and contact forces with respect to m parameters.
 
         Args:
             rates: derivatives of the forces at constant displacements, shape (freedoms, m).
             follows: derivatives of the displacements of the held nodes, shape (3 held nodes, m).
 
         Returns:
-            Displacements, m per unit, shape (freedoms, m), and contact forces, N per unit, shape (n, 3, m).
+            Derivatives of displacements, m per unit, shape (freedoms, m), and of contact forces, N per unit, shape
+            (n, 3, m); NaN if the tangent is singular or the refinement does not reach the acceptable residual.
         """
         parts, contact = self._parts, self._parts.contact
         state, m, own = contact.state, rates.shape[1], contact.rates - contact.law_rates
@@ -337,7 +342,7 @@ class SolidSensitivity:
 
     def _differentiate_contact_forces(self, motion: np.ndarray, forces: np.ndarray
                                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the derivatives of the forces on the contact nodes.
+        """Differentiate the forces of the contact nodes with respect to m parameters.
 
         Returns:
             Derivatives of the contact forces, of the residuals of the constraints, and of all acting forces with those
@@ -351,13 +356,14 @@ class SolidSensitivity:
         return found, missing, acting
 
     def _multiply_by_tangent(self, motion: np.ndarray) -> np.ndarray:
-        """Forces of the tissue alone for displacements; the contact stiffness in the matrix is subtracted."""
+        """Return the tissue's stiffness times displacements, N per unit; the contact stiffness is excluded."""
         product = self._parts.matrix.all @ motion
         np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,
                   -(self._added @ self._select_contact_rows(motion)))
         return product
 
     def _select_contact_rows(self, motion: np.ndarray) -> np.ndarray:
+        """Return the rows of the contact nodes, shape (n, 3, m), of an array of shape (freedoms, m)."""
         return motion.reshape(-1, 3, motion.shape[1])[self._parts.contact.nodes]
 
 

@@ -17,7 +17,10 @@ from tissue_sim.specimen import Specimen
 
 
 class SettledStateDerivatives(NamedTuple):
-    """Derivatives of a settled specimen with respect to m parameters; see `FirstTouchDerivatives`."""
+    """Derivatives of a settled specimen with respect to m parameters.
+
+    The attributes are those of `FirstTouchDerivatives` with the same names.
+    """
 
     stretch: np.ndarray
     settled: list[np.ndarray]
@@ -30,8 +33,9 @@ class SelfWeightLoadSteps(NamedTuple):
     Attributes:
         stand: makes the solver of a mesh without tool and weight.
         mesh: undeformed mesh.
-        specimen: weight, and meaning of the height.
-        steps: specific weight of each step, N/m3, and its state: displacements, pressures, contact forces.
+        specimen: specimen with its weight; `height_is` states whether its height is that before settling.
+        steps: specific weight of each load step, N/m3, and its equilibrium: displacements, m, pressures, Pa, contact
+            forces, N.
     """
 
     stand: Callable[[SolidMesh], SolidSolver]
@@ -40,7 +44,14 @@ class SelfWeightLoadSteps(NamedTuple):
     steps: list[tuple[float, list[np.ndarray]]]
 
     def differentiate_settled_state(self, neighbours: Neighbours) -> SettledStateDerivatives | None:
-        """Repeat the steps from their stored states with derivatives; None if the solver has no derivatives."""
+        """Repeat the load steps from their stored equilibria, and differentiate the last one.
+
+        Args:
+            neighbours: see `tissue_sim.fem.solver.Neighbours`.
+
+        Returns:
+            Derivatives; None if the solver has none or a step does not converge.
+        """
         solver, m = self.stand(self.mesh), len(neighbours)
         # An undeformed height that was determined from the settled one is an additional parameter.
         height = (solver.material, solver.material, SETTLING.height_width)
@@ -75,7 +86,7 @@ def solve_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver], mes
     Args:
         stand: makes the solver of a mesh without tool and weight.
         mesh: mesh with the stated height of the specimen.
-        specimen: weight, and meaning of the height.
+        specimen: specimen with its weight; `height_is` states whether its height is that before settling.
 
     Returns:
         Solver in equilibrium under the weight, and the load steps.
@@ -95,11 +106,11 @@ def solve_self_weight_equilibrium(stand: Callable[[SolidMesh], SolidSolver], mes
         loss = (factor * height - stands) / (factor**2 * height)
         factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
     raise ConvergenceError(f"no undeformed height settles to {height * 1e3:g} mm under a specific weight of "
-                           f"{specimen.specific_weight:g} N/m3; check density and moduli")
+                           f"{specimen.specific_weight:g} N/m3. Check density and moduli")
 
 
 def _apply_weight_in_steps(solver: SolidSolver, specific_weight: float) -> list[tuple[float, list[np.ndarray]]]:
-    """Apply the weight in as few steps as converge; returns `SelfWeightLoadSteps.steps`."""
+    """Apply the weight in as few load steps as converge; return them as in `SelfWeightLoadSteps.steps`."""
     carried, part, steps = 0.0, 1.0, []
     while carried < 1.0:
         solver.tissue.specific_weight = min(1.0, carried + part) * specific_weight
@@ -113,10 +124,11 @@ def _apply_weight_in_steps(solver: SolidSolver, specific_weight: float) -> list[
             part /= 2.0
             if part < SETTLING.smallest_part:
                 raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
-                                       f"{carried:.0%} of the weight ({step.status.message}); check density and moduli")
+                                       f"{carried:.0%} of the weight ({step.status.message}). Check density and moduli")
     solver.set_resting_state()
     return steps
 
 
 def _get_iterate_arrays(solver: SolidSolver) -> tuple[np.ndarray, ...]:
+    """Return displacements, pressures and contact forces of the present iterate, not copied."""
     return solver.x, solver.batches.pressures, solver.contact.forces

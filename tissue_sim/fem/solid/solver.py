@@ -34,7 +34,7 @@ from tissue_sim.tool_force import Matrix, NextForce
 
 
 class SolidSolver(RelocatableSolver):
-    """Stateful Newton solver of one three-dimensional boundary-value problem.
+    """Newton solver of one three-dimensional boundary-value problem; it holds the state of the tissue.
 
     Args:
         mesh: undeformed mesh.
@@ -47,7 +47,7 @@ class SolidSolver(RelocatableSolver):
         start: pose of the tool at its first touch, in the frame of the scene.
         datum: height of that frame's origin in the frame of the mesh, m.
         contact_radius: m, for the time of drainage, see `Material.relaxation`.
-        pins: nodes and axes, ``"xy"``, along which they are fixed if nothing else prevents rigid motions.
+        pins: pairs of a node and the axes, ``"xy"``, along which it is fixed if nothing else prevents rigid motions.
         element_layers: see `Tissue`.
         specific_weight: density times gravity, N/m3, towards -z.
         settled: solver on this mesh without a tool, in the state of the first touch; None: the undeformed mesh.
@@ -149,13 +149,13 @@ class SolidSolver(RelocatableSolver):
         return outcome
 
     def _restore_committed_state(self) -> None:
-        """Return to the last committed state."""
+        """Set displacements, pressures and contact forces to those of the last committed state."""
         self.x[:], self.batches.pressures[:], self.contact.forces[:] = self._committed
         self.contact.begin_step()
         self._here = ToolFrame(self._pose, self.datum)
 
     def _solve_newton(self, frame: ToolFrame, tolerance: float, max_iterations: int) -> Step:
-        """Newton's method from the present iterate."""
+        """Solve for equilibrium at a frame of the tool by Newton's method, from the present iterate."""
         contact, batches, x, tangent = self.contact, self.batches, self.x, self._tangent
         goal = self.compute_held_displacement(frame)
         here = self._here
@@ -251,7 +251,7 @@ class SolidSolver(RelocatableSolver):
             bending = 1.0 if ratio < 0.1 else 0.0
 
     def compute_held_displacement(self, frame: ToolFrame) -> np.ndarray:
-        """Displacements of the nodes that the tool holds, for a frame of the tool, m, shape (3 n,)."""
+        """Return the displacements of the nodes that a bonded tool holds, for a frame of the tool, m, (3 n,)."""
         return (frame.transform_to_mesh(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
 
     @property
@@ -259,7 +259,7 @@ class SolidSolver(RelocatableSolver):
         return self.x, self.batches.pressures, self.contact.forces
 
     def _contact_positions(self) -> np.ndarray:
-        """Positions of the contact nodes, m, shape (n, 3)."""
+        """Return the deformed positions of the contact nodes, m, shape (n, 3)."""
         return self._node_positions(self.contact.nodes)
 
     def _assemble_forces_and_tangent(self, tangent: bool = True) -> None:
@@ -275,7 +275,7 @@ class SolidSolver(RelocatableSolver):
 
     def _make_step_result(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation,
                           frame: ToolFrame, factor: Factor | None = None) -> Step:
-        """Make the result of a step, with its stiffness if there is a factor of the last matrix."""
+        """Return the result of a step, with its stiffness matrix if a factor of the last matrix is given."""
         stiffness, constraint = None, self._make_tool_constraint(frame)
         if factor is not None:
             stiffness, self._along = constraint.condense_stiffness(self._matrix.all, factor, self._free)
@@ -284,7 +284,7 @@ class SolidSolver(RelocatableSolver):
                     evaluation.slipping)
 
     def _compute_static_stiffness(self, frame: ToolFrame) -> Matrix | None:
-        """Static stiffness of the tissue directly after an inertial step; None if the static tangent is indefinite."""
+        """Return the stiffness without mass after an inertial step; None if the static tangent is indefinite."""
         assert self._mass is not None
         self._mass.rate, rate = 0.0, self._mass.rate
         self._assemble_forces_and_tangent()
@@ -338,12 +338,12 @@ class SolidSolver(RelocatableSolver):
         self._restore_committed_state()
 
     def save(self) -> SavedState:
-        """Return the committed state for `restore`."""
+        """Return a copy of the committed state, for `restore`."""
         return SavedState(tuple(array.copy() for array in self._state_arrays), self._pose, self._largest_force,
                           self._start)
 
     def restore(self, saved: SavedState) -> None:
-        """Restore a state of `save`."""
+        """Make a state that was returned by `save` the committed state."""
         self.place_tool(saved.start or self._start)
         for array, before in zip(self._state_arrays, saved.arrays, strict=True):
             array[:] = before
@@ -360,7 +360,7 @@ class SolidSolver(RelocatableSolver):
 
     @property
     def sag(self) -> float:
-        """Mean settlement of the top under the weight at the first touch, m."""
+        """Mean downward displacement of the top under self-weight at the first touch, m."""
         return -float(np.average(self._rest[0][2::3], weights=self.mesh.areas("top")))
 
     def field_sample(self) -> FieldSample:
@@ -370,7 +370,7 @@ class SolidSolver(RelocatableSolver):
                            self.tissue.compute_committed_stresses())
 
     def fields(self, samples: Sequence[FieldSample]) -> SolidFields:
-        """Return fields of states, given by `field_sample`."""
+        """Return the fields of states that were returned by `field_sample`."""
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]
         return SolidFields(self.mesh, self.material, self.tissue.element_bulk_moduli,
                            np.array([sample.displacement for sample in samples]),
@@ -379,7 +379,7 @@ class SolidSolver(RelocatableSolver):
                            else None, self.datum)
 
     def deformed_surface(self) -> SolidSurface:
-        """Return the surface at the last committed state."""
+        """Return the deformed surface at the last committed state."""
         return SolidSurface(self.mesh, self.committed_displacement, self.datum)
 
     def warnings(self) -> list[str]:

@@ -23,12 +23,12 @@ from tissue_sim.mesh.solid import SolidMesh
 
 
 class RegionDerivativeInputs(NamedTuple):
-    """Data of the elements of one material for derivatives.
+    """Data of the elements of one region that `SolidSensitivity` differentiates.
 
     Attributes:
         inputs: arrays that the material sets in place and the assembly reads.
         memory: history of these elements.
-        relaxation: returns the relaxing terms of these elements for a material of the whole solid.
+        relaxation: returns the Prony series of these elements, or None, for a material of the whole solid.
     """
 
     inputs: tuple[np.ndarray, ...]
@@ -37,7 +37,7 @@ class RegionDerivativeInputs(NamedTuple):
 
 
 class RegionElements:
-    """Elements of one material: history, and kernel.
+    """Elements of one region: their material, its history, and the assembly kernel.
 
     Args:
         name: name of the region of the mesh; "" for elements without a region.
@@ -59,7 +59,7 @@ class RegionElements:
         self.kernel: BoundKernel
 
     def set_material(self, own: Material, bulk: float, contact_radius: float) -> dict[str, np.ndarray]:
-        """Set a material and a bulk modulus, Pa; returns the arrays that the kernel reads, by name."""
+        """Set material and bulk modulus, Pa; return argument name of the kernel -> array of this region."""
         coefficients = own.energy_law.kernel_coefficients(own.parameters)
         if coefficients.size == self.coefficients.size:
             self.coefficients[:] = coefficients
@@ -107,7 +107,7 @@ class Tissue:
 
     @property
     def first_region_history(self) -> Memory:
-        """History of the elements of the first region; of all elements if there is only one region."""
+        """Material history of the elements of the first region; these are all elements if there is one region only."""
         return self._regions[0].memory
 
     @property
@@ -117,8 +117,9 @@ class Tissue:
 
     @property
     def region_derivative_inputs(self) -> tuple[RegionDerivativeInputs, ...]:
-        """Data of each region for derivatives."""
+        """Data of each region that `SolidSensitivity` differentiates."""
         def make_relaxation_function(name: str) -> Callable[[Material], Prony | None]:
+            """Return the function material of the whole solid -> Prony series of a region."""
             return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
 
         kappa = slice(SettingColumn.KAPPA, SettingColumn.KAPPA + 1)
@@ -127,7 +128,7 @@ class Tissue:
                      for region, part in zip(self._regions, self.batches.parts, strict=True))
 
     def set_material(self, material: Material) -> None:
-        """Change parameters, bulk responses or laws.
+        """Set the materials of all regions; the history is kept.
 
         Raises:
             InputError: an effect that kernels do not support, a region that the mesh does not have, or a bulk ratio
@@ -148,7 +149,7 @@ class Tissue:
                 region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.get_kernel_arrays(part)})
 
     def assemble_forces_and_tangent(self, tangent: bool = True) -> float:
-        """Assemble forces, and optionally the stiffness, at the present displacements; returns the smallest J."""
+        """Assemble residual and optionally matrix at the present displacements; return the smallest volume ratio J."""
         self._run_region_kernels(self._regions, tangent)
         if self.effects:
             self.effects.add_forces_and_stiffness(self._x, tangent)
@@ -157,11 +158,12 @@ class Tissue:
         return min(float(region.least[0]) for region in self._regions)
 
     def assemble_region_forces(self, numbers: Sequence[int]) -> None:
-        """Assemble the forces of the elements of some regions, without weight and point effects."""
+        """Set the residual to the forces of some regions, given by their indices, without weight and point effects."""
         self.batches.residual[:] = 0.0
         self._run_region_kernels([self._regions[number] for number in numbers], False)
 
     def _run_region_kernels(self, regions: Sequence[RegionElements], tangent: bool) -> None:
+        """Run the assembly kernels; the first region overwrites residual and matrix, the others add to them."""
         with LOCK:
             for region in regions:
                 region.settings[SettingColumn.TANGENT] = tangent
@@ -196,13 +198,13 @@ class Tissue:
         self.batches.correct_forces_for_old_volume_rates(forces, self.bulk_moduli)
 
     def prepare_step(self, dt: float) -> None:
-        """Prepare a step of dt seconds; see `Memory.prepare_step`."""
+        """Prepare material history and point effects for a step of dt seconds; see `Memory.prepare_step`."""
         for region in self._regions:
             region.memory.prepare_step(dt)
         self.effects.prepare_step(dt)
 
     def commit_step(self) -> None:
-        """Accept the last step, which converged."""
+        """Make the history of the converged step the committed one."""
         for region in self._regions:
             region.memory.commit_step()
         if self.effects:
@@ -210,17 +212,17 @@ class Tissue:
 
     @property
     def state_arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that define the history of the committed state; writing saved copies into them restores it."""
+        """Arrays of the committed material history; writing saved copies into them restores an earlier state."""
         added = (self.effects.states, self.effects.stress) if self.effects else ()
         return (*(array for region in self._regions for array in region.memory.state_arrays), *added)
 
     @property
     def has_history(self) -> bool:
-        """Whether the material has a history, so that the tissue may change with time while nothing moves."""
+        """Whether the stress depends on the history, so that the force may change while the tool is at rest."""
         return bool(self.effects) or any(region.memory.works for region in self._regions)
 
     def compute_committed_stresses(self) -> np.ndarray | None:
-        """Isochoric second Piola-Kirchhoff stress of the last committed step, Pa, shape (elements, q, 6).
+        """Return isochoric second Piola-Kirchhoff stresses of the committed step, Pa, shape (elements, q, 6).
 
         None if no material has a history.
         """
@@ -235,7 +237,7 @@ class Tissue:
 
 
 def group_elements_by_region(mesh: SolidMesh) -> dict[str, np.ndarray]:
-    """Indices of the elements of each region by its name, "" for elements without a region; empty groups are left out.
+    """Return region name -> indices of its elements; "" for elements without a region. Empty groups are omitted.
 
     Raises:
         InputError: an element in two regions.
@@ -249,30 +251,30 @@ def group_elements_by_region(mesh: SolidMesh) -> dict[str, np.ndarray]:
 
 
 def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
-    """Require that the mesh has all regions of a material.
+    """Check that the mesh has all regions of a material.
 
     Raises:
         InputError: the mesh lacks a region.
     """
     for name in material.regions:
         if name not in mesh.regions:
-            known = nearest(name, mesh.regions) if mesh.regions else "; it names none"
+            known = nearest(name, mesh.regions) if mesh.regions else "; it has no named regions"
             raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
 
 
 def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
-    """Index of the layer that contains the centre of each element, shape (elements,); after the last one: no layer."""
+    """Return the index of the layer that contains the centre of each element; the number of layers: in no layer."""
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
 
 
 def layer_modulus_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
-    """Ratio of the moduli of elements to those of their material, by their layers, shape of `layers`."""
+    """Return the factors of layers on the moduli of their material, 1, for layer indices, shape of `layers`."""
     ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
     return ratios[np.minimum(layers, ratios.size - 1)]
 
 
 def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
-    """Initial shear modulus at each node, mean over its elements, Pa, shape (nodes,); layers: see `element_layers`."""
+    """Return the shear modulus mu0 at each node, Pa, (nodes,), mean over its elements; layers: `element_layers`."""
     moduli = layer_modulus_ratios(material, layers)
     for name, elements in group_elements_by_region(mesh).items():
         moduli[elements] *= material.regions.get(name, material).mu0
@@ -282,7 +284,7 @@ def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -
 
 
 def find_finite_bulk_modulus(material: Material, mesh: SolidMesh) -> float:
-    """Bulk modulus of a material on a mesh, Pa; incompressible materials get a finite one.
+    """Return the bulk modulus of a material, Pa; an incompressible material gets a finite one that suits the mesh.
 
     Raises:
         InputError: a bulk ratio outside of `BULK_RATIOS`.

@@ -32,7 +32,7 @@ class ToolConstraint(NamedTuple):
     places: np.ndarray
 
     def compute_wrench(self) -> np.ndarray:
-        """Force, then torque about the tool's deepest point, on the tool, N and N m, shape (6,)."""
+        """Return force and torque about the tool's deepest point, of tissue on the tool, N and N m, shape (6,)."""
         moves = self.contact.moves
         rates = np.concatenate([self.frame.differentiate_points(self.held),
                                 self.frame.differentiate_points(self.places[moves])])
@@ -41,7 +41,7 @@ class ToolConstraint(NamedTuple):
         return np.einsum("nik,ni->k", rates, forces)
 
     def condense_stiffness(self, matrix: Any, factor: Factor, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the stiffness of the tissue by condensation onto the pose of the tool.
+        """Condense the stiffness of the tissue onto the pose of the tool (Schur complement).
 
         Args:
             matrix: stiffness matrix of all degrees of freedom, contact included.

@@ -64,9 +64,11 @@ class FirstTouch:
     normal: np.ndarray | None = None
 
     def differentiate_height(self, mesh: SolidMesh, ways: np.ndarray) -> float:
-        """Derivative of the height, m per parameter, for derivatives of the nodal positions, shape (nodes, 3).
+        """Differentiate `height` with respect to a parameter, m per unit. Requires a touched face.
 
-        Requires a touched face.
+        Args:
+            mesh: mesh of the solid.
+            ways: derivatives of the nodal positions, m per unit, shape (nodes, 3).
         """
         assert self.place is not None and self.normal is not None
         side = mesh.faces["top"][[self.side]]
@@ -83,7 +85,7 @@ def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody
     Args:
         mesh: mesh of the solid.
         places: positions of its nodes, m, shape (nodes, 3).
-        bodies: the tool and others.
+        bodies: parts of the tool; bodies at rest are ignored.
         start: pose of the tool.
 
     Raises:
@@ -119,12 +121,12 @@ def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody
         found = _NearestFacePoint(sides, near, tool, datum)
         missed = found.gap
         slope = max((missed - before) / lift, _SETTINGS.least_slope)
-    raise ConvergenceError(f"the tool's first touch was not found to better than {abs(missed) * 1e3:.2g} mm; check "
+    raise ConvergenceError(f"the search for the first touch ended with a gap of {abs(missed) * 1e3:.2g} mm. Check "
                            "whether the top of the mesh is folded")
 
 
 class _ConvexTool:
-    """A convex tool, for a scene whose origin is at the height `datum` in the frame of the mesh.
+    """Distances from a convex tool, for a scene whose origin is at the height `datum` in the frame of the mesh.
 
     Args:
         bodies: parts of the tool.
@@ -138,31 +140,31 @@ class _ConvexTool:
         self._bodies, self._start, self.scale = list(whole.values()), start, scale
 
     def find_nearest_on_parts(self, points: np.ndarray, datum: float) -> list[NearestSurfacePoints]:
-        """Nearest points of each part to given points, m, shape (n, 3)."""
+        """Return the surface points of each part of the tool that are nearest to given points, m, shape (n, 3)."""
         at = ToolFrame(self._start, datum).transform_to_tool(points)
         return [find_nearest_surface_points(body, at, pressed_in=False) for body in self._bodies]
 
     def compute_gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
-        """Distances of points, m, shape (..., 3), from the tool, m, shape (...)."""
+        """Return the signed distances of points, m, shape (..., 3), from the tool, m, shape (...); negative inside."""
         found = self.find_nearest_on_parts(points.reshape(-1, 3), datum)
         return np.min([each.gap for each in found], axis=0).reshape(points.shape[:-1])
 
     def compute_normals(self, points: np.ndarray, datum: float) -> np.ndarray:
-        """Outward normals of the tool at the nearest points, in the frame of the mesh, shape (n, 3)."""
+        """Return outward normals of the tool at the points nearest to given ones, in the frame of the mesh, (n, 3)."""
         found = self.find_nearest_on_parts(points, datum)
         part = np.argmin([each.gap for each in found], axis=0)
         return np.array([each.normal for each in found])[part, np.arange(len(points))] @ ToolFrame(
             self._start, datum).rotation.T
 
     def find_lowest_height(self, datum: float) -> float:
-        """Height of the lowest point of the tool in the frame of the mesh, m."""
+        """Return the height of the lowest point of the tool in the frame of the mesh, m."""
         frame = ToolFrame(self._start, datum)
         across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
         return float(frame.origin[2]) + min(float((body.profile.vertices @ [-across, up]).min()) - body.profile.rounding
                                             for body in self._bodies)
 
     def is_sharp_at(self, point: np.ndarray, datum: float) -> bool:
-        """Whether the tool has an edge or a tip where it touches a point, shape (3,)."""
+        """Whether the tool has an edge or a tip where it touches a point, m, shape (3,)."""
         away = datum + _SETTINGS.lift * self.scale
         best = min(self.find_nearest_on_parts(point[None], away), key=lambda each: each.gap[0])
         return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
@@ -182,7 +184,7 @@ class _ConvexTool:
             if self.compute_gaps(points, low).min() <= 0.0:
                 return brentq(lambda height: float(self.compute_gaps(points, height).min()), low, high, xtol=1e-15)
             high = low
-        raise InputError("the tool comes down outside of the specimen, or between all of its nodes; move the tool, or "
+        raise InputError("the tool comes down outside of the specimen, or between all of its nodes. Move the tool, or "
                          "use a finer mesh", field="approach")
 
 
@@ -233,7 +235,7 @@ class _NearestFacePoint:
                 self.point = sides.at(searched[[first]], place[first][None, None])[0, 0]
 
     def make_first_touch(self, datum: float) -> FirstTouch:
-        """Return the touch at this point.
+        """Return the first touch at this point, for a height `datum` of the scene's origin, m.
 
         The normal is that of the surface at an edge or a tip of the tool, else that of the tool.
         """
@@ -245,13 +247,13 @@ class _NearestFacePoint:
 
 def _minimise_gaps(sides: SidePoints, numbers: np.ndarray, tool: _ConvexTool, datum: float) -> tuple[np.ndarray,
                                                                                                      np.ndarray]:
-    """Minimise the distances of faces from the tool.
+    """Find the point of each face that is nearest to the tool.
 
     The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
     the same way.
 
     Returns:
-        Least distances, m, shape (k,), and their local coordinates, shape (k, 2).
+        Distances, m, shape (k,), and local coordinates of the points, shape (k, 2).
     """
     def compute_distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         squares = np.stack([np.broadcast_to(u[..., None], v.shape), v], axis=-1)
@@ -276,7 +278,7 @@ def _minimise_convex(values: Callable[[np.ndarray], np.ndarray], shape: tuple[in
         end: the search ends when the values at the points differ by less.
 
     Returns:
-        Minima and their positions, shape `shape` each.
+        Smallest values and the arguments at which they occur, shape `shape` each.
     """
     low, high = np.zeros(shape), np.ones(shape)
     for _ in range(_SETTINGS.rounds):
