@@ -74,7 +74,7 @@ class TestStrokes:
         box, start = ts.PoseBox(2e-3, DEPTH, 0.1), ts.Pose((1e-3, 0.0, 0.0))
         poses = [pose for number in range(20) for pose in make_training_path(number, box, start, holds=holds,
                                                                              reach=5e-3)]
-        assert all(box.holds(pose, start) for pose in poses if holds or pose.depth >= 0.0)
+        assert all(box.contains_pose(pose, start) for pose in poses if holds or pose.depth >= 0.0)
         assert np.ptp([pose.position[0] for pose in poses]) > 3e-3      # and fill it
         assert max(pose.depth for pose in poses) > 0.9 * DEPTH
 

@@ -79,7 +79,7 @@ class TestStrokes:
         box = ts.PoseBox(2e-3, 1e-3, 0.1)
         strokes = make_boundary_training_paths(box, START, holds=holds, reach=5e-3)
         poses = [pose for each in strokes for pose in each]
-        assert len(strokes) == 8 and all(box.holds(pose, START) for pose in poses if pose.depth >= 0.0)
+        assert len(strokes) == 8 and all(box.contains_pose(pose, START) for pose in poses if pose.depth >= 0.0)
         deepest = {tuple(np.round(pose.position, 6)) for pose in poses if pose.depth > 0.999e-3}
         assert {(x, y, -1e-3) for x in (-2e-3, 0.0, 2e-3) for y in (-2e-3, 0.0, 2e-3)} <= deepest
         assert max(np.linalg.norm(motion(START, pose)[3:]) for pose in poses) == pytest.approx(0.1)
@@ -97,7 +97,7 @@ class TestStrokes:
     def test_a_fraction_stays_inside(self):
         small = ts.PoseBox(0.9 * BOX.sideways, 0.9 * BOX.depth)
         for each in make_boundary_training_paths(BOX, START, holds=False, reach=5e-3, fraction=0.9):
-            assert all(small.holds(pose, START) for pose in each if pose.depth >= 0.0)
+            assert all(small.contains_pose(pose, START) for pose in each if pose.depth >= 0.0)
 
 
 class TestForce:

@@ -87,7 +87,8 @@ def test_the_factor_is_calibrated_on_reversing_paths(ball):
         positions = np.array([pose.position for pose in path])
         touching = positions[positions[:, 2] <= 0.0]
         np.testing.assert_allclose(touching, touching[::-1], atol=1e-12)
-        assert touching[:, 2].min() == pytest.approx(-BOX.depth) and all(BOX.holds(pose, START) for pose in path[2:])
+        assert touching[:, 2].min() == pytest.approx(-BOX.depth)
+        assert all(BOX.contains_pose(pose, START) for pose in path[2:])
 
 
 def test_a_file_of_an_older_version_has_the_largest_lateral_factor(ball, tmp_path):

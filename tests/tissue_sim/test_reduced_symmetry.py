@@ -53,7 +53,7 @@ def test_images_are_what_the_solid_does(name):
     for symmetry in group[1::3]:
         ways = [symmetry.map_pose(pose, start) for pose in poses]
         assert max(math.dist(one.position, other.position) for one, other in zip(ways, poses, strict=True)) > 1e-4
-        assert all(box.holds(pose, start) for pose in ways if pose.depth >= 0.0)
+        assert all(box.contains_pose(pose, start) for pose in ways if pose.depth >= 0.0)
         solved = training.simulate_snapshots(solver, ways, tolerance=1e-10)
         images = np.array([symmetry.map_wrench(wrench) for wrench in own.wrenches])
         for part in (slice(3), slice(3, 6)):

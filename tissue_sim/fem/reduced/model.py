@@ -18,6 +18,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, motion
+from tissue_sim.public_names import OldName
 
 #: Factors of the error estimate, see `ReducedModel.error_factors`.
 ErrorFactors = tuple[float, float, float]
@@ -40,6 +41,8 @@ class PoseBox:
     depth: float
     turn: float = 0.0
 
+    holds = OldName("contains_pose")
+
     def __post_init__(self):
         for name in ("sideways", "depth", "turn"):
             value = getattr(self, name)
@@ -49,7 +52,7 @@ class PoseBox:
             raise InputError(f"must be positive; got {self.depth:g}. A box without depth contains no contact",
                              field="box.depth")
 
-    def holds(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
+    def contains_pose(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
         """Whether a pose is inside the box, which is relative to the pose `start`.
 
         Args:
@@ -65,7 +68,7 @@ class PoseBox:
     def has_pose_above(self, pose: Pose, start: Pose) -> bool:
         """Whether a pose is above the box, which is relative to the pose `start`; it would be inside if lowered."""
         (x, y, z), (_, _, top) = pose.position, start.position
-        return z > top and self.holds(Pose((x, y, top), pose.orientation), start)
+        return z > top and self.contains_pose(Pose((x, y, top), pose.orientation), start)
 
 
 def require_reducible(model: Model) -> None:

@@ -154,7 +154,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
 
 
 class _TrainingPathStore:
-    """Store of the finished training paths of one model in a folder, one file per path; None: no folder.
+    """Store of the finished training paths of one model in a folder, one file per path.
 
     Args:
         folder: the folder; None: nothing is stored.

@@ -301,7 +301,7 @@ class ReducedSolver(ReducedSolverBase):
     def _classify_pose_in_box(self, pose: Pose, frame: ToolFrame) -> tuple[bool, bool]:
         """Return whether a pose counts as inside the box, and whether it is outside and without contact."""
         box, start = self.reduced.box, self._start
-        inside = box.holds(pose, start)
+        inside = box.contains_pose(pose, start)
         clear = not inside and self._is_clear_of(frame)
         # A tool that leaves the box upwards may still touch within the thickness of the layer.
         return inside or (not (clear or self._lifting) and box.has_pose_above(pose, start)), clear

@@ -342,7 +342,7 @@ class SolidLinearisation:
         free_displacement = solver.x[self._freedoms[tangent.nodes]] + self._settles[self._equations[tangent.nodes]]
         wrench = np.zeros(6)
         if self._holds:
-            levers = ToolFrame(pose, solver.datum).differentiate_points(solver._node_positions(solver._bonded))
+            levers = ToolFrame(pose, solver.datum).differentiate_points(solver._get_node_positions(solver._bonded))
             forces = -self._reactions.reshape(-1, 3)
             wrench = np.einsum("nik,ni->k", levers, forces)
             if self._number + 1 == self._base:

@@ -81,7 +81,7 @@ class SolidSolver(RelocatableSolver):
         self._reacting = np.flatnonzero(stays | moved)
         self._moved = freedoms[self._bonded].ravel()
         # Positions of the bonded nodes in the frame of the tool.
-        self._held_at = ToolFrame(start, datum).transform_to_tool(self._node_positions(self._bonded))
+        self._held_at = ToolFrame(start, datum).transform_to_tool(self._get_node_positions(self._bonded))
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
@@ -162,7 +162,7 @@ class SolidSolver(RelocatableSolver):
         way = np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
         # Nodes in contact with the tool move with it in the first linear solution.
-        positions = self._contact_positions()
+        positions = self._get_contact_positions()
         tool_way = frame.transform_to_mesh(here.transform_to_tool(positions)) - positions
         pending = (max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0))
                    > NEWTON.rest_motion * float(np.ptp(self.mesh.nodes)))
@@ -258,9 +258,9 @@ class SolidSolver(RelocatableSolver):
     def _iterate_arrays(self) -> tuple[np.ndarray, ...]:
         return self.x, self.batches.pressures, self.contact.forces
 
-    def _contact_positions(self) -> np.ndarray:
+    def _get_contact_positions(self) -> np.ndarray:
         """Return the deformed positions of the contact nodes, m, shape (n, 3)."""
-        return self._node_positions(self.contact.nodes)
+        return self._get_node_positions(self.contact.nodes)
 
     def _assemble_forces_and_tangent(self, tangent: bool = True) -> None:
         self._least = self.tissue.assemble_forces_and_tangent(tangent)
@@ -270,8 +270,8 @@ class SolidSolver(RelocatableSolver):
             self._mass.add_inertial_forces(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
     def _make_tool_constraint(self, frame: ToolFrame) -> ToolConstraint:
-        return ToolConstraint(frame, self._moved, self._node_positions(self._bonded),
-                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._contact_positions())
+        return ToolConstraint(frame, self._moved, self._get_node_positions(self._bonded),
+                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._get_contact_positions())
 
     def _make_step_result(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation,
                           frame: ToolFrame, factor: Factor | None = None) -> Step:
@@ -309,7 +309,7 @@ class SolidSolver(RelocatableSolver):
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
         return NextForce(wrench, to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
-    def _node_positions(self, nodes: np.ndarray) -> np.ndarray:
+    def _get_node_positions(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
