@@ -39,7 +39,7 @@ BULK_RATIOS = (1.0, 1000.0)
 _SYMMETRY_SAVING = {True: 4, False: 2}
 
 
-class Progress(Protocol):
+class ReductionProgressCallback(Protocol):
     """Callback that receives the progress of a reduction."""
 
     def __call__(self, stage: str, done: int, of: int, *, note: str = "") -> None:
@@ -51,7 +51,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
                  bulk_ratio: float | None = None, softness: float = training.TRAINING.softness,
                  also: Sequence[Material] = (), tried: int = training.VERIFICATION.test_paths,
                  folder: Path | None = None,
-                 progress: Progress | None = None) -> ReducedModel:
+                 progress: ReductionProgressCallback | None = None) -> ReducedModel:
     """Reduce a solid for real-time simulation of a tool that stays in a box of poses.
 
     Args:
