@@ -80,10 +80,10 @@ def condensation(size: int, repeats: int) -> dict:
     bulk = SolidLinearisation(make_solver(MODEL, mesh=mesh_of(size)))
     solver, sparse = bulk._solver, SparseSolver()
     solver.step(Pose((0.0, 0.0, -1e-3)), tolerance=1e-6, max_iterations=40)
-    assemble = cpu(solver._assemble, repeats)
-    solver._matrix.add(0.0 * solver.contact.rates)
+    assemble = cpu(solver._assemble_forces_and_tangent, repeats)
+    solver._matrix.add_contact_stiffness(0.0 * solver.contact.rates)
     matrix = solver._matrix.free
-    near = np.argsort(bulk._gaps(Pose((0.0, 0.0, -1e-3))))
+    near = np.argsort(bulk._compute_gaps(Pose((0.0, 0.0, -1e-3))))
     near = near[np.isin(near, bulk._meets)]
     row = {"freedoms": matrix.shape[0], "assembly": assemble}
     for name, symmetric in (("factor", True), ("not symmetric", False)):

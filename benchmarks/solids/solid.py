@@ -79,8 +79,8 @@ def ours(mesh: SolidMesh) -> tuple[SolidSolver, dict]:
     if step.status is not StepStatus.CONVERGED:
         raise SystemExit(f"ours: {step.status.message}")
     free = solver._matrix.free
-    assembly = timed(solver._assemble)
-    solver._matrix.add(solver.contact.rates)
+    assembly = timed(solver._assemble_forces_and_tangent)
+    solver._matrix.add_contact_stiffness(solver.contact.rates)
     factors = []
 
     def factor() -> None:

@@ -23,7 +23,7 @@ import time
 import numpy as np
 
 import tissue_sim as ts
-from tissue_sim.fem.solid.bodies import Body
+from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.axisymmetric import growing_line
@@ -89,7 +89,7 @@ def turned(mesh: SolidMesh, offset: float, depth: float, radius: float = 8e-3, s
     for degrees in angles:
         angle = math.radians(degrees)
         x, y = offset * math.cos(angle), offset * math.sin(angle)
-        ball = Body(ts.Tool("sphere", radius=radius).profile, mesh.sets["top"], (0.0, 0.0))
+        ball = RigidBody(ts.Tool("sphere", radius=radius).profile, mesh.sets["top"], (0.0, 0.0))
         solver = SolidSolver(mesh, PHANTOM, {"base": "xyz"}, np.zeros(0, int), bodies=[ball], tolerance=1e-4 * radius,
                              start=Pose((x, y, 0.0)))
         force = stepped(solver, *(Pose((x, y, -depth * k / steps)) for k in range(1, steps + 1)))
@@ -139,7 +139,7 @@ class Mindlin:
         material = ts.Material("neo_hooke", {"C10": 0.5 * self.modulus}, ts.Bulk("bulk_ratio", self.RATIO))
         top = self.mesh.sets["top"]
         near = top[np.hypot(*self.mesh.nodes[top, :2].T) < reach]
-        ball = Body(ts.Tool("sphere", radius=self.RADIUS).profile, near, (mu, mu))
+        ball = RigidBody(ts.Tool("sphere", radius=self.RADIUS).profile, near, (mu, mu))
         self.solver = SolidSolver(self.mesh, material, {"base": "xyz", "mirror": "y"}, np.zeros(0, int), bodies=[ball],
                                   tolerance=1e-7 * a, start=Pose((0.0, 0.0, 0.0)))
         # Poisson's ratio of the material, and the plane-strain modulus of the contact.

@@ -302,7 +302,8 @@ def judged(case: Case, reduced: ts.ReducedModel | None, mesh: SolidMesh | None, 
         expected, answered = replayed(reduced, case, ticks)
         error = np.linalg.norm(forces - expected, axis=1)
         start, box = case.model().experiment.tool_pose(0.0), reduced.box
-        inside = np.array([box.holds(pose, start) or (not case.holds and pose.depth < 0.0) for pose in poses_of(ticks)])
+        inside = np.array([box.contains_pose(pose, start) or (not case.holds and pose.depth < 0.0)
+                           for pose in poses_of(ticks)])
         # An answer that is none without a clock either, or a stop inside of the box.
         stopped = ticks["status"] == ts.ForceStatus.STOPPED
         wrong = (good & answered & (error > SHARE * rms)) | (good & ~answered) | (stopped & inside)

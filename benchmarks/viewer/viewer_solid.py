@@ -62,8 +62,8 @@ def block(element: Hexahedron) -> SolidFields:
     mesh = create_block_mesh(line, line, line - 0.5 * EDGE, element)
     batches, count = ElementBatches(mesh), len(mesh.connectivity)
     return SolidFields(mesh, MATERIAL, 3e7, np.zeros((1, len(mesh.nodes), 3)),
-                       np.zeros((1, count, element.pressure_modes)), *batches.of_points, batches.weights,
-                       np.ones(count))
+                       np.zeros((1, count, element.pressure_modes)), *batches.point_gradients_and_modes,
+                       batches.weights, np.ones(count))
 
 
 def state(fields: SolidFields, number: int) -> Snapshot:

@@ -118,7 +118,7 @@ class SolidBody:
         """
         small = fields.weights.size <= SETTINGS.max_points
         means = fields if small else self._cached_element_means(fields)
-        sample = fields if small else means.part(self.for_range)
+        sample = fields if small else means.select_elements(self.for_range)
         at_points = sample.at_points(name)
         if name == "displacement":
             return fields.at_nodes(name), at_points, sample
@@ -131,15 +131,15 @@ class SolidBody:
             at_cut[self.mesh.connectivity[elements]] = True
         # The value of a node is the mean over its elements, so all elements at these nodes are needed.
         visible |= _has_flagged_node(at_cut, self.corners)
-        return means.part(np.flatnonzero(visible)).at_nodes(name), at_points, sample
+        return means.select_elements(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
     def _cached_element_means(self, fields: SolidFields) -> SolidFields:
         """Return `SolidFields.means`, with a cache of the parts that stay the same from frame to frame."""
         cached = self._means.get(0)
         if cached is None or cached[0] is not fields.gradients:
-            cached = self._means[0] = fields.gradients, fields.means()
+            cached = self._means[0] = fields.gradients, fields.average_over_elements()
         if fields.stresses is not None:
-            return fields.means()
+            return fields.average_over_elements()
         mean = cached[1]
         return replace(fields, gradients=mean.gradients, pressure_modes=mean.pressure_modes, weights=mean.weights)
 

@@ -398,7 +398,7 @@ def test_design_asks_for_the_sizes_that_a_specimen_has(tmp_path, coarse):
 
 
 @pytest.mark.parametrize(("stated", "kind", "test", "words"), [
-    (SHELL, "bonded_compression", "", "cannot be bonded to the curved top"),
+    (SHELL, "bonded_compression", "", "must not be 'bonded' for a plate on the curved top"),
     (SHELL, "needle_indentation", NEEDLE + "\noffset_mm = 45.0", "outside of the specimen")])
 def test_what_a_solid_cannot_be_made_of_is_said_of_its_test(folder, coarse, capsys, stated, kind, test, words):
     load(folder, stated, kind, test)

@@ -159,7 +159,7 @@ def test_a_tilted_tool_stays_in_the_box_of_a_reduced_model(asked, monkeypatch):
     file, start = reduced_file(monkeypatch, 0.3, ts.Approach(5e-3, 0.3))
     _, source, *_ = asked("--reduced", "any.reduced.npz", "--top-speed-mm-s", "50")
     poses = [source.pose(t) for t in np.arange(0.0, 20.0, 0.05)]
-    assert all(file.box.holds(pose, start) for pose in poses if pose.depth >= 0.0)
+    assert all(file.box.contains_pose(pose, start) for pose in poses if pose.depth >= 0.0)
     assert np.ptp([pose.position[1] for pose in poses]) > 1e-3 and max(pose.depth for pose in poses) > 2e-3
 
 
@@ -195,7 +195,7 @@ def test_no_motion_leaves_the_box_of_a_reduced_model(friction, asked, monkeypatc
     for motion in ("random", "sine"):
         _, source, *_ = asked("--reduced", "any.reduced.npz", "--motion", motion, "--top-speed-mm-s", "50")
         poses = [source.pose(t) for t in np.arange(0.0, 20.0, 0.05)]
-        assert all(box.holds(pose, start) for pose in poses if holds or pose.depth >= 0.0)
+        assert all(box.contains_pose(pose, start) for pose in poses if holds or pose.depth >= 0.0)
         assert (min(pose.depth for pose in poses) < 0.0) is not holds, "only a tool that is not bonded lifts off"
         if motion == "random":
             assert np.ptp([pose.position[1] for pose in poses]) > 2e-3 and isinstance(source, SpatialWalk)

@@ -26,7 +26,7 @@ def fields_of(mesh, displacement):
     """Return fields without a solver; the origin of the scene is 1 mm above that of the mesh."""
     batches, count = ElementBatches(mesh), len(mesh.connectivity)
     return SolidFields(mesh, MATERIAL, 3e6, displacement[None], np.zeros((1, count, mesh.element.pressure_modes)),
-                       *batches.of_points, batches.weights, np.ones(count), datum=1e-3)
+                       *batches.point_gradients_and_modes, batches.weights, np.ones(count), datum=1e-3)
 
 
 def bent(mesh):

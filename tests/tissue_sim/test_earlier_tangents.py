@@ -111,7 +111,7 @@ def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, f
     go(bulk, stepper, pose)
     tangent = type(bulk._tangent)
     with monkeypatch.context() as patch:
-        for name in ("begin", "push"):
+        for name in ("begin_solution", "begin_solution_for_interface"):
             patch.setattr(tangent, name, five_times(getattr(tangent, name)))
         before = bulk.solver.save()
         assert bulk.linearise(stepper.state(0.0, further, 0.0, further)) is None
@@ -127,7 +127,7 @@ def test_tissue_that_no_tangent_is_found_for_begins_again_from_rest(monkeypatch)
     pose = Pose((0.0, 0.0, -1e-3))
     go(bulk, stepper, pose)
     go(bulk, stepper, pose)
-    assembled, asked = Tissue.assemble, []
+    assembled, asked = Tissue.assemble_forces_and_tangent, []
 
     def fails(self, tangent=True):
         asked.append(np.abs(bulk.solver.x).max())
@@ -135,7 +135,7 @@ def test_tissue_that_no_tangent_is_found_for_begins_again_from_rest(monkeypatch)
         return least if asked[-1] == 0.0 else -1.0
 
     with monkeypatch.context() as patch:
-        patch.setattr(Tissue, "assemble", fails)
+        patch.setattr(Tissue, "assemble_forces_and_tangent", fails)
         assert bulk.linearise(stepper.state(0.0, pose, 0.0, pose)) is None
         model = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
     assert model is not None and model.has_own_tangent and asked[-1] == 0.0

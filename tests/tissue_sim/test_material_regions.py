@@ -96,7 +96,7 @@ def test_what_has_no_regions_says_so():
         specimen=ts.Specimen(0.02, 0.02), protocol=ts.Protocol.ramp(1e-3, 2)), MATERIAL)
     with pytest.raises(ts.InputError, match="--solid"):
         ts.simulate(model)
-    with pytest.raises(ts.InputError, match="the mesh has no region 'part:1'; it names none"):
+    with pytest.raises(ts.InputError, match="the mesh has no region 'part:1'; it has no named regions"):
         ts.simulate(model, solver="solid", resolution="realtime")
     with pytest.raises(ts.InputError, match="no form for regions"):
         EXPORTERS.find("abaqus")(MATERIAL)

@@ -264,13 +264,13 @@ def test_tangent_is_the_derivative_of_the_residual(element):
         tangent[i + d, i] = tangent[i, i + d] = lower[d, : solver.equations.free - d]
 
     freedoms = 2 * len(mesh.nodes)
-    state, remembered = solver.state[:freedoms], [array.copy() for array in solver.equations.memory.kept]
+    state, remembered = solver.state[:freedoms], [array.copy() for array in solver.equations.memory.state_arrays]
     shared = np.unique(mesh.connectivity[:, : element.boundary_nodes])
     everything_held = type(mesh)(element, mesh.nodes, mesh.connectivity, {**mesh.sets, "shared": shared})
 
     def nodal_forces(displacement):
         held = AxisymmetricSolver(everything_held, stuff, {"shared": "rz"}, {}, element_layers=layers)
-        for array, before in zip(held.equations.memory.kept, remembered, strict=True):
+        for array, before in zip(held.equations.memory.state_arrays, remembered, strict=True):
             array[:] = before
         held.equations.direction[:] = displacement / depth
         assert held.step(depth, 0.0, tolerance=1e-13).status is StepStatus.CONVERGED

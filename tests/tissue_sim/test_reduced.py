@@ -9,10 +9,10 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.reduction import reduce_solid, remove_training_path_files
-from tissue_sim.fem.reduced.sampling import sparse_weights
+from tissue_sim.fem.reduced.sampling import compute_sparse_weights
 from tissue_sim.fem.reduced.solver import TOLERANCE, ReducedSolver
-from tissue_sim.fem.reduced.training_paths import training_path
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.reduced.training_paths import make_training_path
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.pose import between, turned
 
@@ -59,27 +59,28 @@ class TestSampling:
         rng = np.random.default_rng(0)
         # Twelve kinds of elements: one of each kind is enough.
         contributions = rng.normal(size=(12, 12))[:, rng.integers(0, 12, 300)]
-        weights = sparse_weights(contributions, 1e-3)
+        weights = compute_sparse_weights(contributions, 1e-3)
         assert (weights >= 0.0).all() and (weights > 0.0).sum() <= 12
         goal = contributions.sum(axis=1)
         assert np.linalg.norm(contributions @ weights - goal) <= 1.1e-3 * np.linalg.norm(goal)
 
     def test_all_where_nothing_acts(self):
-        np.testing.assert_array_equal(sparse_weights(np.zeros((3, 4)), 1e-3), np.ones(4))
+        np.testing.assert_array_equal(compute_sparse_weights(np.zeros((3, 4)), 1e-3), np.ones(4))
 
 
 class TestStrokes:
     @pytest.mark.parametrize("holds", [True, False])
     def test_they_stay_in_the_box(self, holds):
         box, start = ts.PoseBox(2e-3, DEPTH, 0.1), ts.Pose((1e-3, 0.0, 0.0))
-        poses = [pose for number in range(20) for pose in training_path(number, box, start, holds=holds, reach=5e-3)]
-        assert all(box.holds(pose, start) for pose in poses if holds or pose.depth >= 0.0)
+        poses = [pose for number in range(20) for pose in make_training_path(number, box, start, holds=holds,
+                                                                             reach=5e-3)]
+        assert all(box.contains_pose(pose, start) for pose in poses if holds or pose.depth >= 0.0)
         assert np.ptp([pose.position[0] for pose in poses]) > 3e-3      # and fill it
         assert max(pose.depth for pose in poses) > 0.9 * DEPTH
 
     def test_the_same_on_every_call(self):
         box, start = ts.PoseBox(2e-3, DEPTH), ts.Pose((0.0, 0.0, 0.0))
-        first, second = (training_path(7, box, start, holds=True, reach=5e-3) for _ in range(2))
+        first, second = (make_training_path(7, box, start, holds=True, reach=5e-3) for _ in range(2))
         assert first == second
 
 
@@ -107,7 +108,7 @@ class TestForces:
         """Three states in three modes, every element once: at these states the forces are those of the whole."""
         whole = model(ts.Tool("flat", radius=8e-3), friction="bonded")
         box = ts.PoseBox(0.0, DEPTH)
-        mesh = training.training_mesh(whole, box, coarse)
+        mesh = training.build_training_mesh(whole, box, coarse)
         solver = training.make_full_order_solver(whole, mesh)
         poses = [ts.Pose.at_depth(depth) for depth in (1e-3, 2e-3, 3e-3)]
         taken = training.simulate_snapshots(solver, poses)
@@ -165,7 +166,7 @@ class TestForces:
         solver.ask_for_stiffness()
         for depth in np.linspace(0.0, 0.9 * DEPTH, 400):
             arriving = solver.step(ts.Pose.at_depth(depth))
-        assert arriving.status is StepStatus.CONVERGED and solver.contact.slipping
+        assert arriving.status is StepStatus.CONVERGED and solver.contact.slipping_count
         for _ in range(10):
             standing = solver.step(ts.Pose.at_depth(depth))
         assert standing.stiffness == pytest.approx(arriving.stiffness, rel=0.02)
@@ -207,7 +208,7 @@ def followed(finely_held):
     """Poses of two strokes that it was neither made of nor calibrated on, and the whole solid's forces."""
     start = finely_held.model.experiment.tool_pose(0.0)
     first = training.VERIFICATION.first_test_path
-    ways = [training_path(first + number, finely_held.box, start, holds=True, reach=8e-3) for number in (11, 12)]
+    ways = [make_training_path(first + number, finely_held.box, start, holds=True, reach=8e-3) for number in (11, 12)]
     solver = training.make_full_order_solver(finely_held.model, finely_held.mesh)
     return [(way, training.simulate_snapshots(solver, way).wrenches[:, :3]) for way in ways]
 
@@ -347,8 +348,10 @@ class TestBox:
         solver, fresh = ReducedSolver(touched, MATERIAL), ReducedSolver(touched, MATERIAL)
         for depth in (1e-3, 2e-3):
             solver.step(ts.Pose.at_depth(depth))
-        evaluate, asked = type(solver.elements).evaluate, []
-        monkeypatch.setattr(type(solver.elements), "evaluate", lambda *how: (asked.append(how[-1]), evaluate(*how)))
+        elements = type(solver.elements)
+        evaluate, asked = elements.evaluate_forces_and_stiffness, []
+        monkeypatch.setattr(elements, "evaluate_forces_and_stiffness",
+                            lambda *how: (asked.append(how[-1]), evaluate(*how)))
         for k in range(30):
             step = solver.step(ts.Pose((1e-4 * k, 0.0, 1e-3)))
             assert step.status is StepStatus.CONVERGED and step.wrench == (0.0,) * 6
@@ -480,16 +483,16 @@ def test_a_smooth_motion_needs_few_further_looks(held):
 def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_least):
     """A linear solution with a small residual is accepted; here a second solver checks each."""
     solver, checker = ReducedSolver(held, MATERIAL), ReducedSolver(held, MATERIAL)
-    looks, evaluate = [], solver.elements.evaluate
+    looks, evaluate = [], solver.elements.evaluate_forces_and_stiffness
 
     def looked(*asked):
         looks.append(asked)
         evaluate(*asked)
 
-    solver.elements.evaluate = looked
+    solver.elements.evaluate_forces_and_stiffness = looked
     start = held.model.experiment.tool_pose(0.0)
     first = training.VERIFICATION.first_test_path
-    ways = [training_path(first + number, held.box, start, holds=True, reach=8e-3)[:20] for number in (5, 6)]
+    ways = [make_training_path(first + number, held.box, start, holds=True, reach=8e-3)[:20] for number in (5, 6)]
     believed, off = [], []
     for pose, elsewhere in zip(*ways, strict=False):
         before = solver.pose
@@ -510,12 +513,13 @@ def test_what_is_not_looked_at_again_is_in_equilibrium(held, between_steps, at_l
                 continue
             checker.restore(solver.save())
             # Pressures follow what the volumes there miss.
-            checker.elements.evaluate(solver.amplitudes, True, 0)
-            pushed, _ = checker._evaluate_contact(solver.amplitudes, frame := Frame(to, solver.datum), True)
-            residual = checker.elements.forces + pushed
-            scale = solver._reference_force(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))
+            checker.elements.evaluate_forces_and_stiffness(solver.amplitudes, True, 0)
+            pushed, _ = checker._evaluate_contact(solver.amplitudes, frame := ToolFrame(to, solver.datum), True)
+            residual = checker.elements.modal_forces + pushed
+            scale = solver._compute_reference_force(np.linalg.norm(residual[:held.lifting]) + np.linalg.norm(pushed))
             believed.append(np.linalg.norm(residual[held.lifting:len(residual) - held.watched]) / scale)
-            wrench = checker.contact.wrench - checker._tool_motion.rates(frame).T @ residual[:held.lifting]
+            rates = checker._tool_motion.compute_amplitude_rates(frame)
+            wrench = checker.contact.wrench - rates.T @ residual[:held.lifting]
             off.append(np.linalg.norm(np.subtract(step.wrench, wrench)[:3]) / max(np.linalg.norm(wrench[:3]), scale))
     assert len(believed) >= at_least
     assert max(believed) <= TOLERANCE

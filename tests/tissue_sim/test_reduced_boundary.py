@@ -7,10 +7,10 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.acceptance import with_compliance
+from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance, with_accepted_missing_forces
 from tissue_sim.fem.reduced.symmetry import find_symmetries
-from tissue_sim.fem.reduced.training_paths import boundary_training_paths, training_path
+from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_training_path
 from tissue_sim.pose import motion
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -40,12 +40,12 @@ def central(fine_ball):
     """The same solid of strokes near the middle of the box, as one whose strokes do not reach the corners."""
     reach = fine_ball.model.experiment.contact_radius
     small = ts.PoseBox(0.5e-3, BOX.depth)
-    poses = [training_path(number, small, START, holds=False, reach=reach) for number in range(4)]
+    poses = [make_training_path(number, small, START, holds=False, reach=reach) for number in range(4)]
     solver = training.make_full_order_solver(fine_ball.model, fine_ball.mesh)
     taken = [training.simulate_snapshots(solver, each) for each in poses]
     made = training.build_reduced_model(fine_ball.model, fine_ball.mesh, BOX, taken, poses, count=20, tolerance=6e-3,
                                         softness=fine_ball.softness, bulk_ratio=fine_ball.bulk_ratio)
-    return with_compliance(made, solver, poses, taken, [MATERIAL] * len(poses))
+    return add_calibrated_compliance(made, solver, poses, taken, [MATERIAL] * len(poses))
 
 
 @pytest.fixture(scope="module")
@@ -77,9 +77,9 @@ class TestStrokes:
     @pytest.mark.parametrize("holds", [True, False])
     def test_they_reach_each_corner_and_edge_at_full_depth(self, holds):
         box = ts.PoseBox(2e-3, 1e-3, 0.1)
-        strokes = boundary_training_paths(box, START, holds=holds, reach=5e-3)
+        strokes = make_boundary_training_paths(box, START, holds=holds, reach=5e-3)
         poses = [pose for each in strokes for pose in each]
-        assert len(strokes) == 8 and all(box.holds(pose, START) for pose in poses if pose.depth >= 0.0)
+        assert len(strokes) == 8 and all(box.contains_pose(pose, START) for pose in poses if pose.depth >= 0.0)
         deepest = {tuple(np.round(pose.position, 6)) for pose in poses if pose.depth > 0.999e-3}
         assert {(x, y, -1e-3) for x in (-2e-3, 0.0, 2e-3) for y in (-2e-3, 0.0, 2e-3)} <= deepest
         assert max(np.linalg.norm(motion(START, pose)[3:]) for pose in poses) == pytest.approx(0.1)
@@ -88,16 +88,16 @@ class TestStrokes:
     def test_images_are_not_followed(self, ball):
         solver = training.make_full_order_solver(ball.model, ball.mesh)
         images = [each.matrix for each in find_symmetries(solver, START)]
-        assert len(boundary_training_paths(BOX, START, holds=False, reach=5e-3, images=images)) == 2
+        assert len(make_boundary_training_paths(BOX, START, holds=False, reach=5e-3, images=images)) == 2
 
     def test_a_box_without_width_has_one(self):
-        (only,) = boundary_training_paths(ts.PoseBox(0.0, 1e-3), START, holds=False, reach=5e-3)
+        (only,) = make_boundary_training_paths(ts.PoseBox(0.0, 1e-3), START, holds=False, reach=5e-3)
         assert max(pose.depth for pose in only) == 1e-3
 
     def test_a_fraction_stays_inside(self):
         small = ts.PoseBox(0.9 * BOX.sideways, 0.9 * BOX.depth)
-        for each in boundary_training_paths(BOX, START, holds=False, reach=5e-3, fraction=0.9):
-            assert all(small.holds(pose, START) for pose in each if pose.depth >= 0.0)
+        for each in make_boundary_training_paths(BOX, START, holds=False, reach=5e-3, fraction=0.9):
+            assert all(small.contains_pose(pose, START) for pose in each if pose.depth >= 0.0)
 
 
 class TestForce:
@@ -149,7 +149,7 @@ class TestFile:
     def test_a_damaged_table_is_refused(self, ball, tmp_path):
         table = replace(ball.compliance, whole=ball.compliance.whole[:-1])
         ts.write_reduced(replace(ball, compliance=table), path := tmp_path / "ball.reduced.npz")
-        with pytest.raises(ts.InputError, match="do not fit each other"):
+        with pytest.raises(ts.InputError, match="agree with each other"):
             ts.load_reduced(path)
 
     @pytest.mark.slow

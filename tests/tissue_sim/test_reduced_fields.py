@@ -69,7 +69,7 @@ def test_what_is_published_is_where_the_nodes_are(solver, fields):
     again = shown.at(shown.pose, shown.datum, (0.5 * displacement,))
     assert again.fields.at_nodes("displacement").max() == pytest.approx(
         0.5 * fields.at_nodes("displacement").max(), rel=1e-12)
-    part = fields.part(np.arange(5)).means()
+    part = fields.select_elements(np.arange(5)).average_over_elements()
     assert part.at_points("von_mises").shape == (5, 1) and (part.at_points("von_mises") > 0.0).all()
 
 

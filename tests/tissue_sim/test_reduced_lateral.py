@@ -9,10 +9,10 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.path_steps import iterate_steps
+from tissue_sim.fem.reduced.path_steps import iterate_reduced_steps
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.training_paths import reversing_paths
+from tissue_sim.fem.reduced.training_paths import make_reversing_paths
 from tissue_sim.pose import between
 
 MATERIAL = ts.Material("neo_hooke", {"C10": 2000.0}, ts.Bulk("bulk_ratio", 1e3))
@@ -46,7 +46,7 @@ def lateral(force):
 def test_the_stated_error_covers_the_error_after_a_reversal(ball):
     path = there_and_back(DEEPEST)
     true = training.simulate_snapshots(training.make_full_order_solver(ball.model, ball.mesh), path).wrenches[:, :3]
-    steps = list(iterate_steps(ReducedSolver(ball, MATERIAL), path))
+    steps = list(iterate_reduced_steps(ReducedSolver(ball, MATERIAL), path))
     errors = np.linalg.norm(np.array([step.wrench[:3] for step in steps]) - true, axis=1)
     negligible = VERIFICATION.negligible_error * np.sqrt(np.mean(np.sum(true**2, axis=1)))
     unloading = slice(COUNT + 1, 2 * COUNT)
@@ -59,7 +59,7 @@ def test_the_stated_error_covers_the_error_after_a_reversal(ball):
 def test_indentation_along_the_axis_has_hardly_any_lateral_error(ball):
     path = [ts.Pose((0.0, 0.0, -z)) for z in np.linspace(0.0, BOX.depth, COUNT)]
     without = replace(ball, error_factors=(*ball.error_factors[:2], 0.0))
-    with_lateral, axial = (list(iterate_steps(ReducedSolver(each, MATERIAL), path)) for each in (ball, without))
+    with_lateral, axial = (list(iterate_reduced_steps(ReducedSolver(each, MATERIAL), path)) for each in (ball, without))
     for one, other in zip(with_lateral[1:], axial[1:], strict=True):
         assert one.force_error - other.force_error <= 0.01 * np.linalg.norm(one.wrench[:3])
 
@@ -67,7 +67,7 @@ def test_indentation_along_the_axis_has_hardly_any_lateral_error(ball):
 def test_the_largest_lateral_force_is_stored_until_the_tool_lifts_off(ball):
     solver = ReducedSolver(ball, MATERIAL)
     forces, largest = [], []
-    for step in iterate_steps(solver, there_and_back(DEEPEST)[: -COUNT // 2]):
+    for step in iterate_reduced_steps(solver, there_and_back(DEEPEST)[: -COUNT // 2]):
         forces.append(lateral(step.wrench[:3]))
         largest.append(solver.contact.largest_lateral_force)
     assert largest[-1] >= max(forces) > 1.5 * forces[-1]
@@ -81,13 +81,14 @@ def test_the_largest_lateral_force_is_stored_until_the_tool_lifts_off(ball):
 
 def test_the_factor_is_calibrated_on_reversing_paths(ball):
     assert 0.0 < ball.error_factors[2] < 1.0
-    paths = reversing_paths(BOX, START, reach=5e-3)
+    paths = make_reversing_paths(BOX, START, reach=5e-3)
     assert len(paths) == 8
     for path in paths:
         positions = np.array([pose.position for pose in path])
         touching = positions[positions[:, 2] <= 0.0]
         np.testing.assert_allclose(touching, touching[::-1], atol=1e-12)
-        assert touching[:, 2].min() == pytest.approx(-BOX.depth) and all(BOX.holds(pose, START) for pose in path[2:])
+        assert touching[:, 2].min() == pytest.approx(-BOX.depth)
+        assert all(BOX.contains_pose(pose, START) for pose in path[2:])
 
 
 def test_a_file_of_an_older_version_has_the_largest_lateral_factor(ball, tmp_path):

@@ -12,7 +12,7 @@ from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import find_symmetries
-from tissue_sim.fem.reduced.training_paths import training_path
+from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.fem.solid.tissue import Tissue, element_layers
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0
@@ -99,13 +99,13 @@ class TestElements:
         tissue = Tissue(mesh, x, 5e-3, layers)
         tissue.set_material(material)
         x[:] = basis @ (amplitudes := rng.normal(size=6) * 2e-5)
-        tissue.assemble()
+        tissue.assemble_forces_and_tangent()
         sampled = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=layers, groups=8)
         sampled.set_material(material, 1e9)
-        sampled.evaluate(amplitudes, False, 1)
-        np.testing.assert_allclose(sampled.forces, basis.T @ tissue.batches.residual[:-1], rtol=1e-9)
+        sampled.evaluate_forces_and_stiffness(amplitudes, False, 1)
+        np.testing.assert_allclose(sampled.modal_forces, basis.T @ tissue.batches.residual[:-1], rtol=1e-9)
         stiffness = basis.T @ (tissue.batches.matrix @ basis)
-        np.testing.assert_allclose(sampled.tangent, stiffness, rtol=1e-5, atol=1e-6 * np.abs(stiffness).max())
+        np.testing.assert_allclose(sampled.modal_stiffness, stiffness, rtol=1e-5, atol=1e-6 * np.abs(stiffness).max())
 
     def test_each_material_has_its_own_limit_of_the_bulk(self):
         """At rest the bulk modulus of each region is limited to a multiple of its mu0, and pressures follow from it."""
@@ -119,8 +119,8 @@ class TestElements:
             chosen = np.array(elements)
             sampled = SampledElements(mesh, stretch, chosen, np.ones(chosen.size), layers=none)
             sampled.set_material(replace(SOFT, regions={"lump": STIFF}), ratio)
-            sampled.evaluate(np.zeros(1), False, 1)
-            return float(sampled.tangent[0, 0]) / chosen.size
+            sampled.evaluate_forces_and_stiffness(np.zeros(1), False, 1)
+            return float(sampled.modal_stiffness[0, 0]) / chosen.size
 
         volume = 1e-6
         for number, mu in ((0, STIFF.mu0), (7, SOFT.mu0)):
@@ -183,12 +183,13 @@ class TestLayers:
         materials = [skinned.model.material, soft]
         for material, number in zip(materials, (0, 1), strict=True):
             solver.set_material(material)
-            way = training_path(number, skinned.box, start, holds=True, reach=6e-3)[::4]
+            way = make_training_path(number, skinned.box, start, holds=True, reach=6e-3)[::4]
             ways.append(way)
             taken.append(training.simulate_snapshots(solver, way))
-        looked_at = list(training.iterate_samples(taken, ways, materials, [find_symmetries(solver, start)[0]], start))
+        looked_at = list(training.iterate_sampling_states(taken, ways, materials, [find_symmetries(solver, start)[0]],
+                                                          start))
         assert sum(sample.material is soft for sample in looked_at) >= 0.3 * len(looked_at)
-        unseen = training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
+        unseen = make_training_path(training.VERIFICATION.first_test_path, skinned.box, start, holds=True, reach=6e-3)
         report, _ = training.verify_and_calibrate(skinned, solver, [unseen, unseen], materials=materials)
         of_soft, _ = training.verify_and_calibrate(skinned, solver, [unseen], materials=[soft])
         of_stiff, _ = training.verify_and_calibrate(skinned, solver, [unseen], materials=materials[:1])
@@ -253,7 +254,7 @@ class TestSides:
     def test_a_stiff_side_is_no_mirror_image_of_a_soft_one(self, tmp_path):
         model = lopsided(tmp_path / "organ.vtu")
         box = ts.PoseBox(1e-3, DEPTH)
-        mesh = training.training_mesh(model, box, "realtime")
+        mesh = training.build_training_mesh(model, box, "realtime")
         start = model.experiment.tool_pose(0.0)
         found = find_symmetries(training.make_full_order_solver(model, mesh), start)
         assert len(found) == 2, "across the other axis alone"

@@ -9,7 +9,7 @@ import pytest
 import tissue_sim as ts
 from tissue_sim.fem.reduced import training
 from tissue_sim.fem.reduced.symmetry import find_symmetries, split_symmetry_group
-from tissue_sim.fem.reduced.training_paths import training_path
+from tissue_sim.fem.reduced.training_paths import make_training_path
 from tissue_sim.pose import motion
 
 MATERIAL = ts.Material("reduced_polynomial_2", {"C10": 1404.9, "C20": 699.4}, ts.Bulk("bulk_ratio", 1e3))
@@ -36,7 +36,7 @@ def scene(name):
     tool, friction, approach, _ = SCENES[name]
     whole = model(tool, friction, approach)
     box = ts.PoseBox(1e-3, DEPTH, 0.05 if friction == "bonded" else 0.0)
-    solver = training.make_full_order_solver(whole, training.training_mesh(whole, box, "realtime"))
+    solver = training.make_full_order_solver(whole, training.build_training_mesh(whole, box, "realtime"))
     return whole, box, solver, whole.experiment.tool_pose(0.0)
 
 
@@ -47,19 +47,19 @@ def test_images_are_what_the_solid_does(name):
     whole, box, solver, start = scene(name)
     group = find_symmetries(solver, start)
     assert len(group) == SCENES[name][3] and group[0].is_identity
-    poses = training_path(3, box, start, holds=whole.experiment.friction == "bonded", reach=8e-3)
+    poses = make_training_path(3, box, start, holds=whole.experiment.friction == "bonded", reach=8e-3)
     own = training.simulate_snapshots(solver, poses, tolerance=1e-10)
     assert np.abs(own.wrenches[:, :2]).max() > 0.02 * np.abs(own.wrenches[:, 2]).max()   # it is dragged
     for symmetry in group[1::3]:
-        ways = [symmetry.pose(pose, start) for pose in poses]
+        ways = [symmetry.map_pose(pose, start) for pose in poses]
         assert max(math.dist(one.position, other.position) for one, other in zip(ways, poses, strict=True)) > 1e-4
-        assert all(box.holds(pose, start) for pose in ways if pose.depth >= 0.0)
+        assert all(box.contains_pose(pose, start) for pose in ways if pose.depth >= 0.0)
         solved = training.simulate_snapshots(solver, ways, tolerance=1e-10)
-        images = np.array([symmetry.wrench(wrench) for wrench in own.wrenches])
+        images = np.array([symmetry.map_wrench(wrench) for wrench in own.wrenches])
         for part in (slice(3), slice(3, 6)):
             largest = np.abs(solved.wrenches[:, part]).max()
             np.testing.assert_allclose(images[:, part], solved.wrenches[:, part], rtol=0, atol=1e-7 * largest)
-        np.testing.assert_allclose(symmetry.displacements(own.displacements), solved.displacements, rtol=0,
+        np.testing.assert_allclose(symmetry.map_displacements(own.displacements), solved.displacements, rtol=0,
                                    atol=1e-6 * np.abs(solved.displacements).max())
 
 
@@ -67,12 +67,12 @@ def test_a_rotation_turns_as_poses_do():
     """An image of an image of a pose is the pose's under both, one after the other."""
     _, _, solver, start = scene("held")
     group = find_symmetries(solver, start)
-    pose = training_path(5, ts.PoseBox(1e-3, DEPTH, 0.05), start, holds=True, reach=8e-3)[4]
+    pose = make_training_path(5, ts.PoseBox(1e-3, DEPTH, 0.05), start, holds=True, reach=8e-3)[4]
     for one in group:
         for other in group:
             both = next(each for each in group if (each.matrix == other.matrix @ one.matrix).all())
-            image = other.pose(one.pose(pose, start), start)
-            np.testing.assert_allclose(motion(both.pose(pose, start), image), 0.0, atol=1e-12)
+            image = other.map_pose(one.map_pose(pose, start), start)
+            np.testing.assert_allclose(motion(both.map_pose(pose, start), image), 0.0, atol=1e-12)
             np.testing.assert_array_equal(both.nodes, other.nodes[one.nodes])
 
 
@@ -86,7 +86,7 @@ class TestNone:
     @pytest.mark.parametrize("moved", ["a node", "a set"])
     def test_of_a_mesh(self, moved):
         whole, box, _, _ = scene("touched")
-        mesh = training.training_mesh(whole, box, "realtime")
+        mesh = training.build_training_mesh(whole, box, "realtime")
         assert self.count(training.make_full_order_solver(whole, mesh)) == 8
         if moved == "a node":
             nodes = mesh.nodes.copy()
@@ -104,7 +104,7 @@ class TestNone:
     def test_of_what_keeps_a_loose_solid_where_it_is(self):
         """Between faces without friction a node of the base is held along y: of the mirrors only y -> -y keeps it."""
         whole = model(BALL, "frictionless", friction_base="frictionless")
-        mesh = training.training_mesh(whole, ts.PoseBox(0.0, DEPTH), "realtime")
+        mesh = training.build_training_mesh(whole, ts.PoseBox(0.0, DEPTH), "realtime")
         assert self.count(training.make_full_order_solver(whole, mesh)) == 2
 
     def test_of_a_tool_that_leans(self):
@@ -125,11 +125,11 @@ class TestModes:
         assert len(commuting) == 2 and len(cosets) == 2
         states = np.random.default_rng(0).normal(size=(3, solver.x.size))
         found, singular = training.compute_modes(states, group, 12)
-        images = np.concatenate([each.displacements(states) for each in group])
+        images = np.concatenate([each.map_displacements(states) for each in group])
         np.testing.assert_allclose(singular[:24], np.linalg.svd(images, compute_uv=False), rtol=1e-9)
         np.testing.assert_allclose(found.T @ found, np.eye(found.shape[1]), atol=1e-9)
         for mirror in commuting:
-            moved = mirror.displacements(found.T)
+            moved = mirror.map_displacements(found.T)
             signs = np.einsum("if,if->i", moved, found.T)
             np.testing.assert_allclose(np.abs(signs), 1.0, atol=1e-9)
 
@@ -147,14 +147,14 @@ def test_images_make_a_reduced_solid_better():
     """Three strokes with their images against the three alone, on one that neither was made of."""
     whole, box, solver, start = scene("held")
     group = find_symmetries(solver, start)
-    poses = [training_path(number, box, start, holds=True, reach=8e-3) for number in range(3)]
+    poses = [make_training_path(number, box, start, holds=True, reach=8e-3) for number in range(3)]
     taken = [training.simulate_snapshots(solver, each) for each in poses]
     errors = []
     for own in (group[:1], group):
         reduced = training.build_reduced_model(whole, solver.mesh, box, taken, poses, count=16, tolerance=6e-3,
                                                softness=1e-3, bulk_ratio=300.0, group=own)
         assert reduced.report["symmetries"] == len(own)
-        unseen = training_path(training.VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
+        unseen = make_training_path(training.VERIFICATION.first_test_path, box, start, holds=True, reach=8e-3)
         report, _ = training.verify_and_calibrate(reduced, solver, [unseen])
         assert report["not_converged"] == 0.0
         errors.append(report["force_rms_error"])

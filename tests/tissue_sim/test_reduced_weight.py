@@ -8,9 +8,9 @@ import pytest
 import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.reduced.elements import SampledElements
-from tissue_sim.fem.reduced.model import Rest
+from tissue_sim.fem.reduced.model import RestState
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.training import training_mesh
+from tissue_sim.fem.reduced.training import build_training_mesh
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.tissue import element_layers
 from tissue_sim.fem.solver import StepStatus
@@ -71,30 +71,32 @@ def test_elements_are_in_equilibrium_with_the_weight_where_it_stands(element, bu
     basis = basis.reshape(-1, 5)
     count = len(mesh.connectivity)
     found = SampledElements(mesh, basis, np.arange(count), np.ones(count), layers=element_layers(mesh, ()),
-                            rest=Rest(standing.displacement.ravel(), standing.pressures))
+                            rest=RestState(standing.displacement.ravel(), standing.pressures))
     found.set_material(of.material, bulk_ratio)
-    found.settle()
-    found.evaluate(np.zeros(5), False, 1)
-    assert np.abs(found.forces).max() == 0.0
+    found.initialise_rest_state()
+    found.evaluate_forces_and_stiffness(np.zeros(5), False, 1)
+    assert np.abs(found.modal_forces).max() == 0.0
     amplitudes = rng.normal(size=5)
-    found.evaluate(amplitudes, True, 1)
-    found.evaluate(amplitudes, True, 1)  # the pressures are those of these volumes
+    found.evaluate_forces_and_stiffness(amplitudes, True, 1)
+    found.evaluate_forces_and_stiffness(amplitudes, True, 1)  # the pressures are those of these volumes
     rest = solver.x.copy()
     weight = basis.T @ (solver.tissue.specific_weight * np.repeat(solver.batches.volumes, 3) * np.tile(
         [0.0, 0.0, 1.0], len(mesh.nodes)))
-    stiff = solver.tissue.element_forces(bulk_ratio, solver.batches.pressures.copy())
+    stiff = solver.tissue.compute_element_forces(bulk_ratio, solver.batches.pressures.copy())
     solver.x[:] = rest + basis @ amplitudes
-    expected = solver.tissue.element_forces(bulk_ratio, solver.batches.convert_elements_to_lanes(standing.pressures))
+    expected = solver.tissue.compute_element_forces(bulk_ratio,
+                                                    solver.batches.convert_elements_to_lanes(standing.pressures))
     rows = basis.reshape(-1, 3, 5)[mesh.connectivity].reshape(count, -1, 5)
     on_modes = np.einsum("ei,eir->r", expected, rows)
-    np.testing.assert_allclose(found.forces, on_modes + weight, rtol=0, atol=1e-7 * np.abs(found.forces).max())
-    assert np.abs(np.einsum("ei,eir->r", stiff, rows) + weight).max() < 1e-7 * np.abs(found.forces).max()
+    largest = np.abs(found.modal_forces).max()
+    np.testing.assert_allclose(found.modal_forces, on_modes + weight, rtol=0, atol=1e-7 * largest)
+    assert np.abs(np.einsum("ei,eir->r", stiff, rows) + weight).max() < 1e-7 * largest
 
 
 @pytest.mark.slow
 def test_it_does_what_the_whole_one_does(heavy, coarse):
     """Soft tissue that sinks in by 1.5 mm, and creeps; its weight changes the forces by several percent."""
-    mesh, poses = training_mesh(model(), BOX, coarse), way(16)
+    mesh, poses = build_training_mesh(model(), BOX, coarse), way(16)
     expected, light = (forces(make_solver(model(CREEPING, gravity), mesh=mesh), poses) for gravity in (9.81, 0.0))
     solver = ReducedSolver(heavy, heavy.model.material)
     found = forces(solver, poses)
@@ -102,7 +104,7 @@ def test_it_does_what_the_whole_one_does(heavy, coarse):
     assert off(found, expected) < 0.01 and heavy.report["force_rms_error"] < 0.01
     assert np.abs(found[0]).max() < 1e-9
     # The solid was not touched again.
-    solver.forget()
+    solver.reset_to_rest()
     np.testing.assert_allclose(forces(solver, poses), found, rtol=0, atol=1e-3 * np.abs(found).max())
 
 
@@ -112,7 +114,7 @@ def test_layers_lie_where_they_are_stated_in_a_specimen_as_placed():
     of = model(replace(SOFT, layers=(ts.Layer(10e-3, 0.4),)), height_is="placed")
     reduced = ts.reduce_solid(of, BOX, strokes=4, modes=16, tried=1)
     assert np.ptp(reduced.mesh.nodes[:, 2]) > 1.05 * of.experiment.specimen.height
-    mesh = training_mesh(of, BOX, "realtime")
+    mesh = build_training_mesh(of, BOX, "realtime")
     np.testing.assert_array_equal(reduced.element_layers, element_layers(mesh, of.material.layers))
     poses = way(12)
     assert off(forces(ReducedSolver(reduced, of.material), poses), forces(make_solver(of, mesh=mesh), poses)) < 0.02
@@ -126,7 +128,7 @@ def test_a_height_as_placed_and_a_tool_that_slides(tmp_path):
     assert moulded - reduced.sag == pytest.approx(stands, rel=1e-9) and reduced.sag > 0.02 * stands
     # To the full depth of the box: a ring of nodes is touched at 1.9 mm.
     poses = [Pose.at_depth(depth) for depth in (*np.linspace(0.1e-3, 2e-3, 20), *np.linspace(1.9e-3, 0.1e-3, 19))]
-    mesh = training_mesh(of, ts.PoseBox(0.0, 2e-3), "realtime")
+    mesh = build_training_mesh(of, ts.PoseBox(0.0, 2e-3), "realtime")
     found = forces(ReducedSolver(reduced, of.material), poses)
     assert off(found, forces(make_solver(of, mesh=mesh), poses)) < 0.03
     assert (found[:, 2] >= 0.0).all() and found[19, 2] > 0.0
@@ -154,7 +156,7 @@ def test_a_file_without_it_is_refused(heavy, tmp_path, lost):
     with np.load(path) as stored:
         arrays = {name: stored[name] for name in stored.files if name != lost}
     np.savez(path, **arrays)
-    with pytest.raises(ts.InputError, match="its arrays do not fit each other"):
+    with pytest.raises(ts.InputError, match="must contain arrays whose shapes, types and values agree with each other"):
         ts.load_reduced(path)
 
 

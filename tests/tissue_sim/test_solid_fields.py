@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.fields import FIELD_UNITS
-from tissue_sim.fem.solid.fields import SOLID_UNITS, principal_stretches
+from tissue_sim.fem.solid.fields import SOLID_UNITS, compute_principal_stretches
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SharedFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -38,7 +38,7 @@ def uniform(element, F, mean_stress):
 
 
 def everywhere(fields, name, expected, atol=0.0):
-    for values in (fields.at_points(name), fields.at_nodes(name), fields.means().at_points(name)):
+    for values in (fields.at_points(name), fields.at_nodes(name), fields.average_over_elements().at_points(name)):
         np.testing.assert_allclose(values, expected, rtol=1e-7, atol=atol, err_msg=name)
 
 
@@ -97,7 +97,8 @@ def test_components_by_r_and_z_turn_with_the_point():
 def test_stretches_are_singular_values():
     F = np.random.default_rng(1).normal(0.0, 0.3, (500, 3, 3)) + np.eye(3)
     F[:3] = [np.eye(3), np.diag([2.0, 2.0, 0.25]), np.diag([0.5, 0.5, 4.0])]
-    np.testing.assert_allclose(principal_stretches(F @ F.swapaxes(1, 2)), np.linalg.svd(F)[1], rtol=1e-6, atol=1e-6)
+    np.testing.assert_allclose(compute_principal_stretches(F @ F.swapaxes(1, 2)), np.linalg.svd(F)[1], rtol=1e-6,
+                               atol=1e-6)
 
 
 def test_names_are_those_of_all_solvers_and_an_unknown_one_is_refused():
@@ -114,7 +115,7 @@ def test_a_part_of_the_elements_has_the_values_that_they_have_in_the_whole():
     fields = uniform(HEX27P1, np.diag([1.1, 1.0, 1.0 / 1.1]), 40.0)
     chosen = np.array([5, 0, 3])
     for name in ("von_mises", "displacement", "cauchy_rz", "energy"):
-        np.testing.assert_array_equal(fields.part(chosen).at_points(name), fields.at_points(name)[chosen])
+        np.testing.assert_array_equal(fields.select_elements(chosen).at_points(name), fields.at_points(name)[chosen])
 
 
 @pytest.fixture(scope="module")
@@ -170,5 +171,6 @@ def test_stress_of_tissue_that_remembers_is_that_of_the_axisymmetric_solid(past)
         for name in ("von_mises", "cauchy_zz", "cauchy_rr", "pressure", "energy"):
             expected = float(plane.at_points(name, sample).mean())
             np.testing.assert_allclose(solid.at_points(name, sample), expected, rtol=1e-3, atol=1e-3 * MU)
-            np.testing.assert_allclose(solid.part(np.arange(4)).means().at_points(name, sample), expected, rtol=1e-3,
-                                       atol=1e-3 * MU)
+            np.testing.assert_allclose(solid.select_elements(np.arange(4)).average_over_elements().at_points(name,
+                                                                                                             sample),
+                                       expected, rtol=1e-3, atol=1e-3 * MU)

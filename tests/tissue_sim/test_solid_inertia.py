@@ -8,7 +8,7 @@ from solid_meshes import block
 
 import tissue_sim as ts
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.mass import lumped_volumes
+from tissue_sim.fem.solid.mass import compute_lumped_volumes
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import SOLVERS, Solver, StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -102,7 +102,7 @@ def test_lumped_masses_are_positive_and_keep_mass_and_its_middle(name):
     values, slopes = mesh.element.evaluate_shape_functions(points)
     places = mesh.nodes[mesh.connectivity]
     weights = weights * np.linalg.det(np.einsum("eai,qaj->eqij", places, slopes))
-    lumped = lumped_volumes(mesh, weights)
+    lumped = compute_lumped_volumes(mesh, weights)
     middle = np.einsum("eq,qa,eai->i", weights, values, places) / weights.sum()
     assert lumped.min() > 0.0 and lumped.sum() == pytest.approx(weights.sum(), rel=1e-12)
     np.testing.assert_allclose(lumped @ mesh.nodes / lumped.sum(), middle, atol=5e-3)

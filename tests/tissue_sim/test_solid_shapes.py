@@ -12,7 +12,7 @@ import tissue_sim as ts
 from scenes.cli import main
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.grading import Grading
@@ -138,13 +138,14 @@ def test_a_shell_that_moves_as_a_whole_feels_nothing():
     # Relative to a load of zero, the residual of the equilibrium is rounding.
     step = stepped(solver, turn, tolerance=1e-5)
     assert np.abs(step.wrench).max() < 1e-9
-    frame = Frame(turn, 0.0)
+    frame = ToolFrame(turn, 0.0)
     np.testing.assert_allclose(mesh.nodes + solver.x.reshape(-1, 3), frame.transform_to_mesh(mesh.nodes), atol=1e-10)
 
 
 @pytest.mark.parametrize(("changes", "field", "words"), [
     ({"friction_base": "frictionless"}, "friction_base", "must be 'bonded' below an ellipsoid shell"),
-    ({"tool": ts.Tool("plate"), "friction": "bonded"}, "friction", "a plate cannot be bonded to the curved top")])
+    ({"tool": ts.Tool("plate"), "friction": "bonded"}, "friction",
+     "must not be 'bonded' for a plate on the curved top")])
 def test_what_a_curved_surface_cannot_be(changes, field, words):
     stated = {"tool": ts.Tool("round", 4e-3), "friction": "stick", "friction_base": "bonded"} | changes
     experiment = ts.Experiment(SHELL, ts.Protocol.ramp(1e-3), **stated)
@@ -275,5 +276,5 @@ def test_what_nothing_holds_is_refused_off_its_middle():
     mesh = create_block_mesh(np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.01, 4), np.linspace(-0.01, 0.0, 4),
                              HEX8P0)
     experiment = ts.Experiment(ts.Block(0.02, 0.02, 0.01), ts.Protocol.ramp(1e-3, 2), friction=0.3, friction_base=0.3)
-    with pytest.raises(ts.InputError, match=r"neither base nor tool keeps the specimen.*; let it stick to one"):
+    with pytest.raises(ts.InputError, match=r"neither base nor tool keeps the specimen.*\. Use 'stick' for one"):
         make_solver(ts.Model(experiment, ts.Material("neo_hooke", {"C10": 400.0})), mesh=mesh)

@@ -9,7 +9,7 @@ from scipy.sparse.linalg import splu
 from solid_meshes import block, punched_cylinder
 
 import tissue_sim as ts
-from tissue_sim.fem.solid.batches import ElementBatches, quadrature
+from tissue_sim.fem.solid.batches import ElementBatches, compute_quadrature_data
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
@@ -43,7 +43,7 @@ def inf_sup(mesh):
     X, numbers, count = mesh.nodes[mesh.connectivity], mesh.connectivity, len(mesh.nodes)
     jacobian = np.einsum("eai,qaj->eqij", X, slopes)
     gradients = np.einsum("qaj,eqji->eqai", slopes, np.linalg.inv(jacobian))
-    _, _, modes = quadrature(mesh)
+    _, _, modes = compute_quadrature_data(mesh)
     blocks = np.einsum("eq,eqai,eqbi->eab", batches.weights, gradients, gradients)
     laplace = sparse.coo_array((blocks.ravel(), (np.repeat(numbers, numbers.shape[1], axis=1).ravel(),
                                                  np.tile(numbers, (1, numbers.shape[1])).ravel())),

@@ -66,9 +66,9 @@ class Memory:
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
             self.inherited[:] = 0.0
-        self.prepare(0.0)
+        self.prepare_step(0.0)
 
-    def prepare(self, dt: float) -> None:
+    def prepare_step(self, dt: float) -> None:
         """Set the length of the next step, dt in s: 0 for a sudden step, infinity for the relaxed state."""
         self.dt = dt
         if self._prony is None:
@@ -83,7 +83,7 @@ class Memory:
             np.multiply(term, left, out=self._scratch)
             self.inherited += self._scratch
 
-    def commit(self) -> None:
+    def commit_step(self) -> None:
         """Accept the stresses and energies of the last step, which converged."""
         if not self.works:
             return
@@ -107,6 +107,6 @@ class Memory:
         return (1.0 - self._prony.relaxing) * self.before + self.internal.sum(axis=0)
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that define the committed state; writing saved copies into them restores the state."""
         return self.before, self.internal, self.largest, self.stresses

@@ -51,7 +51,7 @@ class Motion:
         self._before = np.zeros(1)
         self._weights = (1.0, -1.0, 0.0)
 
-    def prepare(self, state: np.ndarray, dt: float) -> float:
+    def prepare_step(self, state: np.ndarray, dt: float) -> float:
         """Compute `rest` for an inertial step.
 
         Args:
@@ -76,7 +76,7 @@ class Motion:
             rest += scratch
         return (now / dt) ** 2
 
-    def commit(self, before: np.ndarray, after: np.ndarray, dt: float, inertial: bool) -> None:
+    def commit_step(self, before: np.ndarray, after: np.ndarray, dt: float, inertial: bool) -> None:
         """Update velocity and history after a converged step.
 
         Args:
@@ -126,7 +126,7 @@ class Motion:
             Change of the inertial force along each motion, N, shape () or (n,); change of its stiffness, N/m, shape ()
             or (n, n).
         """
-        rate = self.prepare(state, dt)
+        rate = self.prepare_step(state, dt)
         change, weighted = self._scratch, mass * direction.T
         np.subtract(state[: change.size], self._rest, out=change)
         change *= rate
@@ -142,6 +142,6 @@ class Motion:
         self.velocity[:], self._before[:] = 0.0, 0.0
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that define the committed state; writing saved copies into them restores the state."""
         return self.velocity, self._earlier_place, self._earlier_velocity, self._before

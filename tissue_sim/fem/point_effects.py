@@ -59,11 +59,11 @@ class PointEffects:
         else:
             self.settings = settings
 
-    def prepare(self, dt: float) -> None:
+    def prepare_step(self, dt: float) -> None:
         """Set the length of the next step, dt in s."""
         self.settings[0] = min(dt, LONGEST)
 
-    def commit(self) -> None:
+    def commit_step(self) -> None:
         """Accept the state variables of the last step, which converged."""
         if self.formulas:
             self.states[:] = self.found

@@ -127,8 +127,8 @@ def fields_of(mesh, displacement):
 
     batches = ElementBatches(mesh)
     count, modes = len(mesh.connectivity), mesh.element.pressure_modes
-    return SolidFields(mesh, MATERIAL, 3e6, displacement[None], np.zeros((1, count, modes)), *batches.of_points,
-                       batches.weights, np.ones(count))
+    return SolidFields(mesh, MATERIAL, 3e6, displacement[None], np.zeros((1, count, modes)),
+                       *batches.point_gradients_and_modes, batches.weights, np.ones(count))
 
 
 def bent(mesh):
@@ -152,7 +152,7 @@ def test_a_large_body_shows_element_means_at_visible_nodes():
     place = mesh.nodes + bent(mesh)
     wedge = Wedge(Opening(np.radians(150.0)), leaning(0.3, x=4e-3))
     values, at_points, seen = body.values(fields, "von_mises", place, wedge)
-    whole = fields.means().at_nodes("von_mises")
+    whole = fields.average_over_elements().at_nodes("von_mises")
     everywhere = body.bands(place, whole, np.linspace(0, 400.0, 11), wedge)
     for one, other in zip(body.bands(place, values, np.linspace(0, 400.0, 11), wedge), everywhere, strict=True):
         np.testing.assert_allclose(one.vertices, other.vertices, atol=1e-9)

@@ -115,7 +115,7 @@ class ElementBatches:
             moved = (on_r * along_r + on_z * along_z).reshape(self.batches, shared, LANES).sum(axis=1)
             displacement[target] = -moved.reshape(-1)[:count]
 
-    def set_moduli(self, moduli: np.ndarray) -> None:
+    def set_modulus_ratios(self, moduli: np.ndarray) -> None:
         """Set the moduli of the elements, in units of the material's modulus, shape (elements,)."""
         self.moduli[:] = moduli[self.elements]
 

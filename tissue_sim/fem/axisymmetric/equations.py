@@ -96,7 +96,7 @@ class Equations:
         self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
         self.set_material(material)
         if start is not None:
-            for array, settled in zip(self.memory.kept, start.memory.kept, strict=True):
+            for array, settled in zip(self.memory.state_arrays, start.memory.state_arrays, strict=True):
                 array[:] = settled
             self.effects.states[:] = start.effects.states
 
@@ -130,7 +130,7 @@ class Equations:
                              f"{ratio:g}.", field="bulk")
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
-        self.batches.set_moduli(moduli)
+        self.batches.set_modulus_ratios(moduli)
         if len(coefficients) == self._coefficients.size:
             self._coefficients[:] = coefficients
         else:
@@ -187,10 +187,10 @@ class Equations:
         """Whether the tissue has a memory or effects, so that the kernel stores stresses."""
         return self.memory.works or bool(self.effects.formulas)
 
-    def prepare(self, dt: float) -> None:
+    def prepare_step(self, dt: float) -> None:
         """Prepare the memory and the effects for a step of duration dt, s."""
-        self.memory.prepare(dt)
-        self.effects.prepare(dt)
+        self.memory.prepare_step(dt)
+        self.effects.prepare_step(dt)
 
     def predict(self, weights: list[float]) -> None:
         """Set the weights of the latest states in the initial state of the next step; see `extrapolation_weights`."""
@@ -295,7 +295,7 @@ class Equations:
             Array of shape (half_band + 1, free).
         """
         self.predict([1.0, 0.0, 0.0])
-        self.prepare(0.0)
+        self.prepare_step(0.0)
         # With a negative tolerance and no iteration the matrix stays as assembled.
         self.solve(self.state.depths[0], -1.0, 0)
         return band.unpack(self.entries, self.free, self.half_band)

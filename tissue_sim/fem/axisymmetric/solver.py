@@ -119,7 +119,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """Move the tool to a depth (m), or to the depth of a pose, and solve for equilibrium; see `Solver.step`."""
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
-            rate = state.motion.prepare(state.latest, dt)
+            rate = state.motion.prepare_step(state.latest, dt)
         return self.try_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate, inertial=inertial,
                              resumes=resumes, own_stiffness=own_stiffness)
 
@@ -144,7 +144,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             by_time = inertial and len(state.times) > 1
             equations.predict(extrapolation_weights(state.times, dt, predictor_order) if by_time
                               else extrapolation_weights(state.depths, depth, predictor_order))
-        equations.prepare(dt)
+        equations.prepare_step(dt)
         equations.settings[newton.Setting.INERTIA] = rate
         self._iterated *= resumes
         equations.solve(depth, tolerance, max_iterations, resumed_depth=self._target_depth if resumes else None,
@@ -166,8 +166,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
             if self._sensitivity is not None:
                 self._sensitivity.advance()
             if state.motion is not None:
-                state.motion.commit(state.latest, state.x, dt, inertial)
-            state.commit(depth, dt if inertial else 0.0, watched=asked)
+                state.motion.commit_step(state.latest, state.x, dt, inertial)
+            state.commit_step(depth, dt if inertial else 0.0, watched=asked)
         return result
 
     def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,

@@ -73,7 +73,7 @@ class State:
         """Last committed state, a view, shape (unknowns,)."""
         return self.history[self.slots[0]]
 
-    def commit(self, depth: float, duration: float, watched: bool) -> None:
+    def commit_step(self, depth: float, duration: float, watched: bool) -> None:
         """Commit x as the state at a depth, with the memory and the contact bonds that the step found.
 
         Args:
@@ -93,8 +93,8 @@ class State:
             self.slots[1], self.slots[2], self.slots[0] = self.slots.tolist()
             self.depths = [depth, *self.depths][:KEPT]
         self.history[self.slots[0]] = self.x
-        self.memory.commit()
-        self.effects.commit()
+        self.memory.commit_step()
+        self.effects.commit_step()
         surface = self.surface
         surface.anchors[:], surface.slipped[:] = surface.held, surface.slip_signs
         if watched:
@@ -129,19 +129,19 @@ class State:
 
     def save(self) -> SavedState:
         """Return a copy of the committed state."""
-        return SavedState(tuple(array.copy() for array in self._kept), tuple(self.depths), tuple(self.times),
+        return SavedState(tuple(array.copy() for array in self._state_arrays), tuple(self.depths), tuple(self.times),
                           self.largest_force, self.unchanged, self._touching)
 
     def restore(self, saved: SavedState) -> None:
         """Return to a saved state."""
         # The arrays of the motion come last; either of the two may lack them.
-        for array, before in zip(self._kept, saved.arrays, strict=False):
+        for array, before in zip(self._state_arrays, saved.arrays, strict=False):
             array[:] = before
         self.depths, self.times, self.largest_force = list(saved.depths), list(saved.times), saved.largest_force
         self.unchanged, self._touching = saved.unchanged, saved.touching
 
     @property
-    def _kept(self) -> tuple[np.ndarray, ...]:
+    def _state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that `save` copies."""
         return (self.history, self.slots, self.surface.anchors, self.surface.slipped, self.effects.states,
-                *self.memory.kept, *(() if self.motion is None else self.motion.kept))
+                *self.memory.state_arrays, *(() if self.motion is None else self.motion.state_arrays))

@@ -7,21 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from tissue_sim.fem.reduced.compliance import MissingForce, contact_compliance
+from tissue_sim.fem.reduced.compliance import MissingComplianceForce, compute_contact_compliance
 from tissue_sim.fem.reduced.compliance_table import with_accepted_missing_forces
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.reduced.path_steps import iterate_steps
+from tissue_sim.fem.reduced.path_steps import iterate_reduced_steps
 from tissue_sim.fem.reduced.solver import ReducedSolver
-from tissue_sim.fem.reduced.training import Snapshots
+from tissue_sim.fem.reduced.training import TrainingSnapshots
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose
 
 
-def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
-                    snapshots: Sequence[Snapshots], materials: Sequence[Material]) -> ReducedModel:
-    """Return a reduced solid with the calibrated compliance table of its contact nodes.
+def add_calibrated_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[Sequence[Pose]],
+                              snapshots: Sequence[TrainingSnapshots], materials: Sequence[Material]) -> ReducedModel:
+    """Return a copy of a reduced solid with the calibrated compliance table of its contact nodes.
 
     The reduced solid is simulated along the training paths. Its missing force and its true force error give the
     missing forces that are accepted, see `with_accepted_missing_forces`. A reduced solid with a bonded tool is returned
@@ -37,17 +37,17 @@ def with_compliance(reduced: ReducedModel, solver: SolidSolver, poses: Sequence[
     if reduced.lifting:
         return reduced
     nodes = np.sort(solver.contact.nodes[solver.contact.moves])
-    table = contact_compliance(reduced, solver, nodes)
+    table = compute_contact_compliance(reduced, solver, nodes)
     small = ReducedSolver(replace(reduced, compliance=table), reduced.model.material)
-    missing_force = MissingForce(table, small.contact)
+    missing_force = MissingComplianceForce(table, small.contact)
     forces, missing, errors = [], [], []
     for path, full_order, material in zip(poses, snapshots, materials, strict=True):
         if material is not small.material:
             small.set_material(material)
-        for step, wrench in zip(iterate_steps(small, path), full_order.wrenches, strict=True):
-            if step.status is StepStatus.CONVERGED and small.contact.touches:
+        for step, wrench in zip(iterate_reduced_steps(small, path), full_order.wrenches, strict=True):
+            if step.status is StepStatus.CONVERGED and small.contact.has_touching_nodes:
                 force = np.array(step.wrench[:3])
                 forces.append(float(np.linalg.norm(force)))
-                missing.append(missing_force.value())
+                missing.append(missing_force.compute_missing_force())
                 errors.append(float(np.linalg.norm(force - wrench[:3])))
     return replace(reduced, compliance=with_accepted_missing_forces(table, forces, missing, errors))

@@ -19,11 +19,11 @@ from tissue_sim.fem.reduced.compliance_table import ContactCompliance
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.solid.elastic import node_compliance
+from tissue_sim.fem.solid.elastic import compute_node_compliance
 from tissue_sim.fem.solid.solver import SolidSolver
 
 
-class MissingForce:
+class MissingComplianceForce:
     """Estimate of the force error of a reduced solid by missing compliance of its contact nodes.
 
     With the missing compliance D = G - G_r, contact forces f would displace the nodes by D f more. A rigid tool that
@@ -45,17 +45,17 @@ class MissingForce:
         self._touching = b""
         self._weights = np.zeros((table.nodes.size, 3))
 
-    def value(self) -> float:
-        """Return the missing force at the present contact forces, N."""
-        touching = self._contact.touching
+    def compute_missing_force(self) -> float:
+        """Return the missing force for the contact forces of the last evaluation, N."""
+        touching = self._contact.touching_mask
         if (key := touching.tobytes()) != self._touching:
             self._touching = key
             self._weights = self._compute_weights(np.flatnonzero(touching))
         return abs(float(np.vdot(self._weights, self._contact.forces)))
 
-    def error(self, force: float) -> float:
-        """Return the estimated error, N, of a force on the tool of this norm, N."""
-        return max(0.0, self.value() - self._table.accepted_missing_force_at(force))
+    def estimate_force_error(self, force: float) -> float:
+        """Return the missing force beyond the accepted one, N, as error of a force on the tool of this norm, N."""
+        return max(0.0, self.compute_missing_force() - self._table.accepted_missing_force_at(force))
 
     def _compute_weights(self, nodes: np.ndarray) -> np.ndarray:
         """Return the derivative of the missing force with respect to the nodal forces if these nodes touch, (n, 3)."""
@@ -68,51 +68,51 @@ class MissingForce:
         return weights
 
 
-def missing_force(reduced: ReducedModel, contact: LayerContact) -> MissingForce | None:
-    """Return the estimate for a reduced solid; None for a bonded tool."""
+def make_missing_force_estimate(reduced: ReducedModel, contact: LayerContact) -> MissingComplianceForce | None:
+    """Return the error estimate by missing compliance for the contact of a reduced solid; None for a bonded tool."""
     if reduced.lifting:
         return None
-    return MissingForce(reduced.compliance or compute_absent_compliance(reduced), contact)
+    return MissingComplianceForce(reduced.compliance or compute_compliance_of_old_file(reduced), contact)
 
 
-def contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes: np.ndarray) -> ContactCompliance:
-    """Compute the compliances of the contact nodes; the table accepts no missing force yet.
+def compute_contact_compliance(reduced: ReducedModel, solver: SolidSolver, nodes: np.ndarray) -> ContactCompliance:
+    """Compute the compliance table of the contact nodes, in which all of the missing force counts as error.
 
     Args:
         reduced: modes, sampled elements and material.
         solver: full-order solver with the same material; it is at rest afterwards.
-        nodes: numbers of the nodes that may touch the tool, shape (n,).
+        nodes: indices of the nodes that may touch the tool, shape (n,).
     """
     axis = np.array(reduced.model.experiment.tool_pose(0.0).rotation)[:, 2]
-    whole = node_compliance(solver, nodes, axis)
+    whole = compute_node_compliance(solver, nodes, axis)
     free = slice(reduced.lifting, reduced.basis.shape[1] - reduced.watched)
     moved = reduced.basis.reshape(-1, 3, reduced.basis.shape[1])[nodes][:, :, free].transpose(0, 2, 1) @ axis
-    stiffness = _resting_stiffness(reduced)[free, free]
+    stiffness = _compute_resting_stiffness(reduced)[free, free]
     kept = moved @ np.linalg.solve(stiffness, moved.T)
     return ContactCompliance(nodes, axis, whole, whole - 0.5 * (kept + kept.T), np.zeros(1), np.zeros(1))
 
 
-def _resting_stiffness(reduced: ReducedModel) -> np.ndarray:
-    """Return the modal stiffness of the sampled elements at rest, without contact, N/m, shape (modes, modes)."""
+def _compute_resting_stiffness(reduced: ReducedModel) -> np.ndarray:
+    """Compute the modal stiffness of the sampled elements at rest, without contact, N/m, shape (modes, modes)."""
     experiment = reduced.model.experiment
     elements = SampledElements(reduced.mesh, reduced.basis, reduced.elements, reduced.shares, rest=reduced.rest,
                                layers=reduced.element_layers, contact_radius=experiment.contact_radius)
     elements.set_material(reduced.model.material, reduced.bulk_ratio)
-    elements.settle()
+    elements.initialise_rest_state()
     rest = np.zeros(reduced.basis.shape[1])
     elements.pressures[:] = elements.rest_pressures
-    elements.reset_stiffness(rest)
-    elements.evaluate(rest, False, 1)
-    return elements.tangent
+    elements.invalidate_stiffness(rest)
+    elements.evaluate_forces_and_stiffness(rest, False, 1)
+    return elements.modal_stiffness
 
 
 @lru_cache(maxsize=2)
-def compute_absent_compliance(reduced: ReducedModel) -> ContactCompliance:
-    """Compute the compliances of a reduced solid whose file does not contain them (written by an older version).
+def compute_compliance_of_old_file(reduced: ReducedModel) -> ContactCompliance:
+    """Compute the compliance table of a reduced solid whose file was written by an older version without the table.
 
     The table accepts no missing force: all of the missing force counts as error.
     """
     from tissue_sim.fem.solid.discretisation import make_solver
 
     solver = make_solver(reduced.model, mesh=reduced.mesh)
-    return contact_compliance(reduced, solver, np.sort(solver.contact.nodes[solver.contact.moves]))
+    return compute_contact_compliance(reduced, solver, np.sort(solver.contact.nodes[solver.contact.moves]))

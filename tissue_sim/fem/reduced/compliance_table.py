@@ -18,8 +18,8 @@ class ContactCompliance:
         whole: compliance G of the full-order solid, m/N, shape (n, n).
         missing: compliance G - G_r that the reduced solid lacks, m/N, shape (n, n).
         forces: forces on the tool, N, ascending from 0, shape (k,).
-        accepted: missing force (`MissingForce`) up to which the training paths showed no error, at each of `forces`,
-            N, shape (k,).
+        accepted: missing force (`MissingComplianceForce`) up to which the training paths showed no error of the force
+            on the tool, at each of `forces`, N, shape (k,).
     """
 
     nodes: np.ndarray
@@ -35,7 +35,7 @@ class ContactCompliance:
         return replace(self, forces=np.zeros(1), accepted=np.full(1, np.inf))
 
     def accepted_missing_force_at(self, force: float) -> float:
-        """Return the accepted missing force, N, at a force on the tool, N; proportional beyond the largest force."""
+        """Interpolate the accepted missing force, N, at a force on the tool, N; proportional beyond the largest."""
         last = float(self.forces[-1])
         if force > last > 0.0:
             return float(self.accepted[-1]) * force / last
@@ -44,7 +44,7 @@ class ContactCompliance:
 
 def with_accepted_missing_forces(table: ContactCompliance, forces: Sequence[float], missing: Sequence[float],
                                  errors: Sequence[float]) -> ContactCompliance:
-    """Return a table with the accepted missing forces from a set of compared states.
+    """Return a copy of a table with accepted missing forces from states whose true force error is known.
 
     In each state the accepted missing force is max(0, missing force - true error). The value at a force F is the
     larger of the largest accepted value at forces below F and F times the largest accepted fraction at forces above F:

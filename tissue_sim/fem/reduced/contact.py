@@ -12,10 +12,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.fem.contact_settings import STICK
-from tissue_sim.fem.reduced.contact_kernel import LayerResult, LayerSetting, NodeState, contact_kernel
-from tissue_sim.fem.reduced.linear import norm
-from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.reduced.contact_kernel import LayerResult, LayerSetting, NodeState, make_layer_contact_kernel
+from tissue_sim.fem.reduced.linear import euclidean_norm
+from tissue_sim.fem.solid.bodies import RigidBody
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
@@ -27,12 +27,12 @@ _SLIP_MARGIN = 1e-2
 
 
 class LayerContact:
-    """Contact forces and their derivatives on the modes of a reduced solid.
+    """Penalty contact of a reduced solid: contact forces and their derivatives, projected on the modes.
 
     The penalty stiffness per area is mu / (softness reach) with the shear modulus mu at the node.
 
     Args:
-        bodies: bodies that the nodes may touch; only bodies that move with the tool are used.
+        bodies: rigid bodies that the nodes may touch; bodies at rest are ignored.
         places: positions of all nodes without contact, m, shape (nodes, 3).
         areas: tributary areas of all nodes, m2, shape (nodes,).
         basis: displacements of the modes, m per amplitude, shape (freedoms, modes).
@@ -46,10 +46,10 @@ class LayerContact:
         largest_lateral: largest lateral force, N, see `largest_lateral_force`, of the committed steps, shape (1,).
     """
 
-    def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
+    def __init__(self, bodies: Sequence[RigidBody], places: np.ndarray, areas: np.ndarray, basis: np.ndarray, *,
                  reach: float, softness: float):
         moving = [body for body in bodies if body.moves]
-        owner: dict[int, Body] = {}
+        owner: dict[int, RigidBody] = {}
         for body in moving:
             for node in body.nodes.tolist():
                 owner.setdefault(node, body)
@@ -87,10 +87,10 @@ class LayerContact:
             "new_anchors": self._new_anchors, "states": self._states, "rows": self._rows, "met": self._met,
             "answers": self._answers, "pushes": self._pushes, "twists": self._twists, "report": self._report}
         with LOCK:
-            self._press = BoundKernel(contact_kernel(), self._arrays)
+            self._press = BoundKernel(make_layer_contact_kernel(), self._arrays)
 
-    def set_stiffness(self, moduli: np.ndarray) -> float:
-        """Set the penalty stiffness from the shear moduli at all nodes, Pa, shape (nodes,).
+    def set_penalty_stiffness(self, moduli: np.ndarray) -> float:
+        """Set the penalty stiffness of the contact nodes from the shear moduli at all nodes, Pa, shape (nodes,).
 
         Returns:
             Smallest shear modulus of the contact nodes, Pa.
@@ -99,8 +99,9 @@ class LayerContact:
         self._springs[:] = own / (self._softness * self._reach) * self.areas
         return float(own.min())
 
-    def evaluate(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False) -> None:
-        """Evaluate the contact forces and their derivatives.
+    def evaluate_contact(self, amplitudes: np.ndarray, frame: ToolFrame, pressed_in: bool, *,
+                         slips_on: bool = False) -> None:
+        """Evaluate the contact forces and their derivatives, which the properties return.
 
         Args:
             amplitudes: modal amplitudes, shape (modes,).
@@ -129,7 +130,7 @@ class LayerContact:
 
     @property
     def wrench(self) -> np.ndarray:
-        """Wrench on the tool about its deepest point, N and N m, shape (6,)."""
+        """Force and torque on the tool about its deepest point in the last evaluation, N and N m, shape (6,)."""
         return -self._pushes[self._modes :]
 
     @property
@@ -139,12 +140,12 @@ class LayerContact:
         return -self._products[:modes, modes:]
 
     def compute_linear_force_change(self, change: np.ndarray) -> np.ndarray:
-        """Return the linear change of the force on the tool, N, shape (3,), for changed amplitudes, (modes,)."""
+        """Return the linearised change of the force on the tool, N, (3,), for a change of the amplitudes, (modes,)."""
         modes = self._modes
         return self._products[modes : modes + 3, :modes] @ change
 
-    def stiffness(self, sensitivity: np.ndarray) -> np.ndarray:
-        """Return minus the derivative of the wrench with respect to the pose of the tool, shape (6, 6).
+    def compute_tool_stiffness(self, sensitivity: np.ndarray) -> np.ndarray:
+        """Compute the stiffness of the contact at the tool: minus d wrench / d pose of the tool, shape (6, 6).
 
         Args:
             sensitivity: derivative of the amplitudes with respect to the pose, shape (modes, 6).
@@ -160,43 +161,43 @@ class LayerContact:
     @property
     def largest_lateral_force(self) -> float:
         """Largest force on the tool perpendicular to its axis since the first touch, N, with the last evaluation."""
-        if not self.touches:
+        if not self.has_touching_nodes:
             return 0.0
         axis = self._settings[LayerSetting.ROTATION + 2 : LayerSetting.ROTATION + 9 : 3]
         force = self.wrench[:3]
-        return max(float(self.largest_lateral[0]), norm(force - (force @ axis) * axis))
+        return max(float(self.largest_lateral[0]), euclidean_norm(force - (force @ axis) * axis))
 
     @property
-    def touches(self) -> bool:
+    def has_touching_nodes(self) -> bool:
         """Whether any node touched the tool in the last evaluation."""
         return bool(self._report[LayerResult.TOUCHING])
 
     @property
-    def touching(self) -> np.ndarray:
+    def touching_mask(self) -> np.ndarray:
         """Mask of the nodes that touched the tool in the last evaluation, shape (n,)."""
         return self._states != NodeState.FREE
 
     @property
-    def slipping(self) -> int:
+    def slipping_count(self) -> int:
         """Number of slipping nodes in the last evaluation."""
         return int(self._report[LayerResult.SLIPPING])
 
     @property
-    def violation(self) -> float:
-        """Largest penetration of a node into the tool, m; the compression of the layer."""
+    def largest_penetration(self) -> float:
+        """Largest penetration of a node into the tool in the last evaluation, m: the compression of the layer."""
         return float(self._report[LayerResult.DEPTH])
 
-    def commit(self) -> None:
-        """Store stick anchors, touching nodes and the largest lateral force after a converged step."""
+    def commit_step(self) -> None:
+        """Make stick anchors, touching nodes and largest lateral force of a converged step the committed ones."""
         self.anchors[:] = self._new_anchors
         self.touched[:] = self._states != NodeState.FREE
         self.largest_lateral[0] = self.largest_lateral_force
 
-    def forget(self) -> None:
-        """Mark all nodes as not touching."""
+    def clear_contact(self) -> None:
+        """Mark all nodes as not touching, and set the largest lateral force to zero."""
         self.touched[:], self.largest_lateral[:] = 0, 0.0
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
-        """Arrays that belong to the state of the solver; they are saved and restored."""
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
+        """Arrays of the committed contact state; writing saved copies into them restores the state."""
         return self.anchors, self.touched, self.largest_lateral

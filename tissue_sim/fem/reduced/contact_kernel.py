@@ -1,6 +1,6 @@
 """Taichi kernel of penalty contact between nodes and a rigid body of revolution with a thin elastic layer.
 
-The closest point of the body is found as in `tissue_sim.fem.solid.contact.nearest`.
+The closest point of the body is found as in `tissue_sim.fem.solid.bodies.find_nearest_surface_points`.
 """
 
 from enum import IntEnum
@@ -10,7 +10,7 @@ from tissue_sim.fem.taichi.runtime import initialise
 
 
 class NodeState(IntEnum):
-    """Contact state of a node."""
+    """Contact state of a node: free, in contact with stick (also without friction), or in contact with slip."""
 
     FREE = 0
     STICKS = 1
@@ -18,7 +18,7 @@ class NodeState(IntEnum):
 
 
 class LayerSetting(IntEnum):
-    """Columns of the array `settings` of the kernel."""
+    """Columns of the array ``settings`` of the contact kernel."""
 
     #: First of nine entries: rotation matrix of the body, row by row.
     ROTATION = 0
@@ -37,7 +37,7 @@ class LayerSetting(IntEnum):
 
 
 class LayerResult(IntEnum):
-    """Columns of the array `report` of the kernel."""
+    """Columns of the array ``report``, the results of the contact kernel that concern all nodes."""
 
     #: Number of touching nodes.
     TOUCHING = 0
@@ -50,8 +50,8 @@ class LayerResult(IntEnum):
 
 
 @cache
-def contact_kernel():
-    """Return the kernel that computes nodal contact forces, their derivatives, and both on the modes.
+def make_layer_contact_kernel():
+    """Return the kernel that computes the nodal contact forces, their derivatives, and the projections on the modes.
 
     A node with gap g is loaded by the pressure force k phi(g): phi(g) = -g for g < -zone, 0 for g > zone and the
     parabola (zone - g)^2 / (4 zone) between them. Tangentially the penalty stiffness k acts on the distance from the
@@ -70,11 +70,12 @@ def contact_kernel():
     int1 = ti.types.ndarray(ti.i32, ndim=1)
 
     @ti.func
-    def compute_force(n, settings: ti.template(), vertices: ti.template(), shaft: ti.template(), places: ti.template(),
-             moved: ti.template(), springs: ti.template(), friction: ti.template(), first: ti.template(),
-             closed: ti.template(), anchors: ti.template(), touched: ti.template(), forces: ti.template(),
+    def compute_node_force(n, settings: ti.template(), vertices: ti.template(), shaft: ti.template(),
+                           places: ti.template(),
+                           moved: ti.template(), springs: ti.template(), friction: ti.template(), first: ti.template(),
+                           closed: ti.template(), anchors: ti.template(), touched: ti.template(), forces: ti.template(),
              rates: ti.template(), gaps: ti.template(), new_anchors: ti.template(), states: ti.template()):
-        """Compute the force on a node and minus its derivative with respect to the position of the node."""
+        """Write gap, contact state, and if node n touches, its force and minus the derivative by its position."""
         turn = ti.Matrix([[settings[LayerSetting.ROTATION + 3 * i + k] for k in ti.static(range(3))]
                           for i in ti.static(range(3))])
         offset = ti.Vector([places[n, i] + moved[n, i] - settings[LayerSetting.ORIGIN + i]
@@ -164,10 +165,11 @@ def contact_kernel():
                     rates[n, i, k] = rate[i, k]
 
     @ti.func
-    def add_to_modes(n, at, settings: ti.template(), places: ti.template(), moved: ti.template(), forces: ti.template(),
-             rates: ti.template(), rows: ti.template(), met: ti.template(), answers: ti.template(),
-             pushes: ti.template(), twists: ti.template()):
-        """Add the force of a touching node and its derivative to the arrays on the modes, from row `at` on."""
+    def add_node_force_to_modes(n, at, settings: ti.template(), places: ti.template(), moved: ti.template(),
+                                forces: ti.template(),
+                                rates: ti.template(), rows: ti.template(), met: ti.template(), answers: ti.template(),
+                                pushes: ti.template(), twists: ti.template()):
+        """Project force and derivative of touching node n on the modes; its rows of ``met`` begin at `at`."""
         modes = rows.shape[1]
         force = ti.Vector([forces[n, i] for i in ti.static(range(3))])
         rate = ti.Matrix([[rates[n, i, k] for k in ti.static(range(3))] for i in ti.static(range(3))])
@@ -194,10 +196,11 @@ def contact_kernel():
                 answers[at + i, modes + m] = answer[i]
 
     @ti.kernel
-    def press(settings: real1, vertices: real2, shaft: int1, places: real2, moved: real2, springs: real1,
+    def evaluate_layer_contact(settings: real1, vertices: real2, shaft: int1, places: real2, moved: real2,
+                               springs: real1,
               friction: real2, first: int1, closed: int1, anchors: real2, touched: int1, forces: real2, rates: real3,
               gaps: real1, new_anchors: real2, states: int1, rows: real2, met: real2, answers: real2, pushes: real1,
-              twists: real2, report: real1):
+                               twists: real2, report: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             for m in range(pushes.shape[0]):
@@ -207,11 +210,11 @@ def contact_kernel():
                     twists[i, m] = 0.0
             touching, slipping, depth = 0, 0, 0.0
             for n in range(places.shape[0]):
-                compute_force(n, settings, vertices, shaft, places, moved, springs, friction, first, closed, anchors,
-                              touched, forces, rates, gaps, new_anchors, states)
+                compute_node_force(n, settings, vertices, shaft, places, moved, springs, friction, first, closed,
+                                   anchors, touched, forces, rates, gaps, new_anchors, states)
                 if states[n] != NodeState.FREE:
-                    add_to_modes(n, 3 * touching, settings, places, moved, forces, rates, rows, met, answers, pushes,
-                                 twists)
+                    add_node_force_to_modes(n, 3 * touching, settings, places, moved, forces, rates, rows, met, answers,
+                                            pushes, twists)
                     touching += 1
                     depth = ti.max(depth, -gaps[n])
                 if states[n] == NodeState.SLIPS:
@@ -220,4 +223,4 @@ def contact_kernel():
             report[LayerResult.SLIPPING] = slipping
             report[LayerResult.DEPTH] = depth
 
-    return press
+    return evaluate_layer_contact

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.reduced.elements_kernel import SampledSettingColumn, elements_kernel
-from tissue_sim.fem.reduced.model import Rest
+from tissue_sim.fem.reduced.elements_kernel import SampledSettingColumn, make_sampled_elements_kernel
+from tissue_sim.fem.reduced.model import RestState
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import SettingColumn
-from tissue_sim.fem.solid.tissue import RegionElements, bulk_modulus, element_groups, layer_ratios
+from tissue_sim.fem.solid.tissue import (
+    RegionElements,
+    find_finite_bulk_modulus,
+    group_elements_by_region,
+    layer_modulus_ratios,
+)
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
@@ -30,7 +35,7 @@ class SampledElements:
         mesh: mesh of the full-order solid.
         basis: displacements Phi of the modes, m per amplitude, shape (freedoms, modes).
         elements: numbers of the sampled elements, shape (n,).
-        shares: weights of the sampled elements (`sparse_weights`), shape (n,).
+        shares: weights of the sampled elements (`compute_sparse_weights`), shape (n,).
         layers: number of the material's layer of each element of the mesh, see `element_layers`.
         groups: number of groups of elements.
         rest: equilibrium under self-weight at zero amplitudes; None: undeformed.
@@ -41,12 +46,13 @@ class SampledElements:
     """
 
     def __init__(self, mesh: SolidMesh, basis: np.ndarray, elements: np.ndarray, shares: np.ndarray, *,
-                 layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0, rest: Rest | None = None):
+                 layers: np.ndarray, groups: int = 1, contact_radius: float = 1.0, rest: RestState | None = None):
         connectivity = mesh.connectivity[elements]
         used, local = np.unique(connectivity, return_inverse=True)
         self._mesh, self._layers = mesh, layers[elements]
         # The elements of each material must be contiguous in the batches.
-        chosen = {name: np.flatnonzero(np.isin(elements, each)) for name, each in element_groups(mesh).items()}
+        chosen = {name: np.flatnonzero(np.isin(elements, each)) for name,
+                  each in group_elements_by_region(mesh).items()}
         chosen = {name: each for name, each in chosen.items() if each.size}
         part = SolidMesh(mesh.element, mesh.nodes[used], local.reshape(connectivity.shape))
         self._batches = batches = ElementBatches(part, tuple(chosen.values()), shares)
@@ -99,12 +105,12 @@ class SampledElements:
         self._moduli = np.zeros((count, LANES))
 
     @property
-    def forces(self) -> np.ndarray:
+    def modal_forces(self) -> np.ndarray:
         """Modal forces of the last evaluation, N m per m, shape (modes,)."""
         return self._forces
 
     def _select_rows_of_batches(self, lanes: np.ndarray, part: slice) -> np.ndarray:
-        """Return the rows of an array of pressure modes that belong to a range of batches."""
+        """Return the rows of an array in the arrangement of `pressures` that belong to a range of batches, a view."""
         rows = len(lanes) // self._batches.batches
         return lanes[rows * part.start : rows * part.stop]
 
@@ -120,33 +126,33 @@ class SampledElements:
 
     @property
     def pressures(self) -> np.ndarray:
-        """Amplitudes of the pressure modes, Pa; part of the state of the solver."""
+        """Amplitudes of the pressure modes in the arrangement of `ElementBatches`, Pa; part of the solver's state."""
         return self._batches.pressures
 
     @property
     def has_history(self) -> bool:
-        """Whether the material of any element depends on its history."""
+        """Whether the stress of any element depends on its loading history."""
         return any(region.memory.works for region in self._regions)
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays of the material history of the last committed step; writing earlier values restores that step."""
-        return tuple(array for region in self._regions for array in region.memory.kept)
+        return tuple(array for region in self._regions for array in region.memory.state_arrays)
 
-    def prepare(self, dt: float) -> None:
-        """Prepare the material history for a step of `dt` seconds; see `Memory.prepare`."""
+    def prepare_step(self, dt: float) -> None:
+        """Prepare the material history for a step of `dt` seconds; see `Memory.prepare_step`."""
         self._now = self._time + dt
         for region in self._regions:
-            region.memory.prepare(dt)
+            region.memory.prepare_step(dt)
 
-    def commit(self) -> None:
-        """Store time and material history after a converged step."""
+    def commit_step(self) -> None:
+        """Make time and material history of a converged step the committed ones."""
         self._time = self._now
         for region in self._regions:
-            region.memory.commit()
+            region.memory.commit_step()
 
-    def stiffness_age(self, amplitudes: np.ndarray) -> float | None:
-        """Return the age of the oldest outdated group of the stiffness at the end of the present step, s.
+    def compute_stiffness_age(self, amplitudes: np.ndarray) -> float | None:
+        """Return the time since the oldest outdated stiffness group was computed, at the end of the step, s.
 
         Args:
             amplitudes: amplitudes at the equilibrium of the step, shape (modes,).
@@ -159,11 +165,11 @@ class SampledElements:
         return float((self._now - self._computed)[is_old].max()) if is_old.any() else None
 
     def set_material(self, material: Material, bulk_ratio: float) -> np.ndarray:
-        """Set the material of the elements.
+        """Set the material of the elements, and mark the stiffness of all groups as invalid.
 
         Args:
-            material: laws, parameters and history variables.
-            bulk_ratio: upper limit of the bulk modulus over the shear modulus.
+            material: material of the whole solid, with layers and regions.
+            bulk_ratio: upper limit of the bulk modulus over the shear modulus, 1.
 
         Returns:
             Ratio of the new to the previous shear modulus for each row of `pressures`; 1 for the first material.
@@ -173,14 +179,14 @@ class SampledElements:
         """
         batches, freedoms = self._batches, 3 * self._mesh.connectivity.shape[1]
         materials = [material.regions.get(region.name, material) for region in self._regions]
-        wholes = [bulk_modulus(each, self._mesh) for each in materials]
+        wholes = [find_finite_bulk_modulus(each, self._mesh) for each in materials]
         bulks = [min(whole, bulk_ratio * each.mu0) for whole, each in zip(wholes, materials, strict=True)]
-        batches.set_moduli(layer_ratios(material, self._layers))
+        batches.set_modulus_ratios(layer_modulus_ratios(material, self._layers))
         before = self._moduli.copy()
         for region, part, stated, whole, bulk in zip(self._regions, batches.parts, materials, wholes, bulks,
                                                      strict=True):
             blocks = self._blocks[LANES * part.start : LANES * part.stop]
-            named = region.set_material(stated, bulk, self._contact_radius) | batches.arrays(part) | {
+            named = region.set_material(stated, bulk, self._contact_radius) | batches.get_kernel_arrays(part) | {
                 "x": self._x, "motion": self._motion, "groups": self._groups[part], "wanted": self._wanted,
                 "blocks": blocks.reshape(len(blocks) * freedoms**2),
                 "standing": self._select_rows_of_batches(self._standing, part)}
@@ -189,15 +195,16 @@ class SampledElements:
             pressures = self._select_rows_of_batches(self.rest_pressures, part).reshape(len(per_bulk), -1, LANES)
             self._select_rows_of_batches(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
             with LOCK:
-                kernel = elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
+                kernel = make_sampled_elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
                 region.kernel = BoundKernel.of(kernel, named)
             self._moduli[part] = stated.mu0 * batches.moduli[part]
         self._next = -1
         stiffer = np.divide(self._moduli, before, out=np.ones_like(before), where=before > 0.0)
         return np.repeat(stiffer, len(self.pressures) // len(stiffer), axis=0)
 
-    def evaluate(self, amplitudes: np.ndarray, updates_pressure: bool, groups_to_compute: int) -> None:
-        """Compute the modal forces and the stiffness of some groups.
+    def evaluate_forces_and_stiffness(self, amplitudes: np.ndarray, updates_pressure: bool,
+                                      groups_to_compute: int) -> None:
+        """Compute `modal_forces`, and the stiffness of some groups of elements, at modal amplitudes.
 
         Args:
             amplitudes: modal amplitudes, shape (modes,).
@@ -230,32 +237,35 @@ class SampledElements:
             flat = lanes.reshape(-1, self.modes)
             self._tangents[group] = np.dot(flat.T, pushed.reshape(flat.shape))
 
-    def settle(self) -> None:
-        """Move to rest under self-weight and store the modal forces there; without self-weight do nothing."""
+    def initialise_rest_state(self) -> None:
+        """Set pressures and history to rest under self-weight, whose modal forces are then subtracted from all.
+
+        Without self-weight the method does nothing.
+        """
         if not self._at_rest.any():
             return
         self.pressures[:], self._weight_forces[:] = self.rest_pressures, 0.0
-        self.prepare(np.inf)
+        self.prepare_step(np.inf)
         self._now = self._time
-        self.evaluate(np.zeros(self.modes), False, 0)
+        self.evaluate_forces_and_stiffness(np.zeros(self.modes), False, 0)
         self._weight_forces[:] = self._forces
-        self.commit()
-        self._settled = tuple(array.copy() for array in self.kept)
+        self.commit_step()
+        self._settled = tuple(array.copy() for array in self.state_arrays)
 
-    def forget(self) -> None:
-        """Reset the material history to the state at rest."""
-        for number, array in enumerate(self.kept):
+    def reset_history(self) -> None:
+        """Set the material history to that at rest without loading."""
+        for number, array in enumerate(self.state_arrays):
             array[:] = self._settled[number] if self._settled else 0.0
 
-    def reset_stiffness(self, amplitudes: np.ndarray) -> None:
-        """Evaluate the volumes of a restored state and mark the stiffness of all groups as invalid."""
+    def invalidate_stiffness(self, amplitudes: np.ndarray) -> None:
+        """Evaluate forces and volumes at restored amplitudes, and mark the stiffness of all groups as invalid."""
         self._next = -1
-        self.evaluate(amplitudes, False, 0)
+        self.evaluate_forces_and_stiffness(amplitudes, False, 0)
         self._next = -1
 
     @property
-    def tangent(self) -> np.ndarray:
-        """Modal stiffness of all groups, N/m, shape (modes, modes)."""
+    def modal_stiffness(self) -> np.ndarray:
+        """Modal stiffness, the sum over all groups of elements, N/m, shape (modes, modes)."""
         if self._tangent is None:
             self._tangent = self._tangents.sum(axis=0)
         return self._tangent

@@ -3,7 +3,7 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.solid.element import SettingColumn, element_functions
+from tissue_sim.fem.solid.element import SettingColumn, make_element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
@@ -11,7 +11,7 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
 class SampledSettingColumn(IntEnum):
-    """Columns of the settings of this kernel, after the columns of `SettingColumn`."""
+    """Additional columns of the array ``settings`` of the sampled elements, after those of `SettingColumn`."""
 
     #: Whether the pressures are updated with the linearised volume change of the last motion of the nodes.
     UPDATES_PRESSURE = 4
@@ -20,7 +20,7 @@ class SampledSettingColumn(IntEnum):
 
 
 @cache
-def elements_kernel(element_name: str, energy: KernelEnergy):
+def make_sampled_elements_kernel(element_name: str, energy: KernelEnergy):
     """Return the kernel of the nodal forces and, for requested groups of batches, the element stiffness.
 
     Arrays: ``x`` and ``motion`` are the nodal displacements and their last change, m. ``residual`` receives the nodal
@@ -32,7 +32,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
     element = SOLID_ELEMENTS[element_name]
     nodes, pressure_modes = element.node_count, element.pressure_modes
     freedoms = 3 * nodes
-    integrate, stiffen = element_functions(element_name, energy)
+    integrate_forces, compute_stiffness_blocks = make_element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     single1 = ti.types.ndarray(ti.f32, ndim=1)
@@ -42,7 +42,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
     @ti.func
     def update_pressures(b, kappa, motion: ti.template(), dofs: ti.template(), pressures: ti.template(),
                          moduli: ti.template(), volume_rates: ti.template(), gaps: ti.template()):
-        """Update the pressures of a batch with the linearised pressure equation."""
+        """Update the pressures of batch b by the linearised pressure equation and the last nodal ``motion``."""
         bulk = kappa * moduli[b]
         for m in range(pressure_modes):
             at = b * pressure_modes + m
@@ -54,8 +54,8 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
             pressures[at] = pressures[at] + bulk * gap
 
     @ti.func
-    def scatter(b, stiffness: ti.template(), blocks: ti.template()):
-        """Copy the stiffness of a batch to the element matrices."""
+    def scatter_to_element_matrices(b, stiffness: ti.template(), blocks: ti.template()):
+        """Copy the stiffness blocks of a batch to one full matrix for each element."""
         for c in range(nodes):
             for a in range(c + 1):
                 # Index 3 k + i: force on node a along i for a displacement of node c along k.
@@ -70,12 +70,13 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                             blocks[above + freedoms * k + i] = K
 
     @ti.kernel
-    def evaluate(settings: real1, least: real1, x: real1, motion: real1, residual: real1, pressures: vector1,
+    def evaluate_sampled_elements(settings: real1, least: real1, x: real1, motion: real1, residual: real1,
+                                  pressures: vector1,
                  dofs: int2, equations: int2, gradient_x: vector1, gradient_y: vector1, gradient_z: vector1,
                  weights: vector1, mode_values: vector1, moduli: vector1, coefficients: real1, elements: int2,
-                 past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
+                                  past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2,
                  volume_rates: vector1, gaps: vector1, forces: vector1, stiffness: vector1, groups: int1,
-                 wanted: real1, blocks: single1, standing: vector1):
+                                  wanted: real1, blocks: single1, standing: vector1):
         ti.loop_config(serialize=True)
         for _ in range(1):
             kappa, remembers = settings[SettingColumn.KAPPA], settings[SettingColumn.REMEMBERS]
@@ -87,9 +88,9 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                 stiff = wanted[groups[b]]
                 if settings[SampledSettingColumn.UPDATES_PRESSURE] > 0.0:
                     update_pressures(b, kappa, motion, dofs, pressures, moduli, volume_rates, gaps)
-                smallest = integrate(b, kappa, stiff, remembers, x, pressures, dofs, gradient_x, gradient_y,
+                smallest = integrate_forces(b, kappa, stiff, remembers, x, pressures, dofs, gradient_x, gradient_y,
                                      gradient_z, weights, mode_values, moduli, coefficients, elements, past, inherited,
-                                     largest, stresses, energies, volume_rates, gaps, forces)
+                                            largest, stresses, energies, volume_rates, gaps, forces)
                 least[0] = ti.min(least[0], smallest)
                 bulk = kappa * moduli[b]
                 for m in range(pressure_modes):
@@ -103,7 +104,7 @@ def elements_kernel(element_name: str, energy: KernelEnergy):
                         e = equations[b * freedoms + i, l]
                         residual[e] = residual[e] + force[l]
                 if stiff > 0.0:
-                    stiffen(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
-                    scatter(b, stiffness, blocks)
+                    compute_stiffness_blocks(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
+                    scatter_to_element_matrices(b, stiffness, blocks)
 
-    return evaluate
+    return evaluate_sampled_elements

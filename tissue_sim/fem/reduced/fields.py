@@ -12,26 +12,26 @@ from functools import lru_cache
 
 import numpy as np
 
-from tissue_sim.fem.solid.batches import quadrature
+from tissue_sim.fem.solid.batches import compute_quadrature_data
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.fem.solid.tissue import layer_ratios
+from tissue_sim.fem.solid.tissue import layer_modulus_ratios
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
 #: Quadrature data, cached for two meshes.
-_quadrature = lru_cache(maxsize=2)(quadrature)
+_quadrature = lru_cache(maxsize=2)(compute_quadrature_data)
 
 
-def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
-                   datum: float, layers: np.ndarray) -> SolidFields | None:
-    """Compute the fields of several states of a reduced solid.
+def compute_reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[np.ndarray],
+                           datum: float, layers: np.ndarray) -> SolidFields | None:
+    """Return the fields of several states of a reduced solid in all elements of the mesh.
 
     Args:
         mesh: mesh of the full-order solid.
         material: an elastic material. For a material with history the result is None, because elements outside the
             sample have no history.
         displacements: displacements of the nodes, m, each of shape (nodes, 3).
-        datum: height at which the tool first touches, m.
+        datum: height of the scene's origin, which the tool reaches at its first touch, in the frame of the mesh, m.
         layers: number of the material's layer of each element, see `element_layers`.
 
     Returns:
@@ -41,4 +41,4 @@ def reduced_fields(mesh: SolidMesh, material: Material, displacements: Sequence[
         return None
     weights, gradients, modes = _quadrature(mesh)
     return SolidFields(mesh, material, np.array(material.bulk_modulus), np.array(displacements), None, gradients,
-                       modes, weights, layer_ratios(material, layers), None, datum)
+                       modes, weights, layer_modulus_ratios(material, layers), None, datum)

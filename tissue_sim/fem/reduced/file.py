@@ -24,9 +24,9 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.experiment.tools.profile import ProfileTool
 from tissue_sim.experiment.tools.tool import TOOLS, Tool
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, Rest, require_reducible
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, RestState, require_reducible
 from tissue_sim.fem.reduced.settings import VERIFICATION
-from tissue_sim.fem.solid.tissue import element_groups, require_regions
+from tissue_sim.fem.solid.tissue import group_elements_by_region, require_mesh_regions
 from tissue_sim.files import open_file
 from tissue_sim.material.file import MaterialFile, decode_material_file
 from tissue_sim.mesh.solid import SOLID_ELEMENTS, SolidMesh
@@ -80,6 +80,7 @@ def write_reduced(reduced: ReducedModel, path: str | Path) -> None:
 
 
 def _describe_reduced_solid(reduced: ReducedModel) -> dict[str, Any]:
+    """Return the JSON description of a reduced solid: everything except the arrays."""
     experiment = reduced.model.experiment
     specimen, tool, box = experiment.specimen, experiment.tool, reduced.box
     require_reducible(reduced.model)
@@ -99,7 +100,7 @@ def _describe_reduced_solid(reduced: ReducedModel) -> dict[str, Any]:
 
 
 def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
-    """Return the keys from which the specimen is created again, without its mesh."""
+    """Return the keys from which `_make_experiment` makes the specimen, without the arrays of its mesh."""
     if not isinstance(specimen, MeshSpecimen):
         return dict(specimen.stated)
     mesh = specimen.mesh_of_file
@@ -107,7 +108,7 @@ def _describe_specimen(specimen: Specimen) -> dict[str, Any]:
 
 
 def _describe_tool(tool: Tool) -> dict[str, Any]:
-    """Return the keys from which the tool is created again."""
+    """Return the keys from which `_make_experiment` makes the tool."""
     if not isinstance(tool, ProfileTool):
         return dict(to_keys(tool))
     return {**to_keys(tool), "profile": Path(tool.profile_file or "").name, "points": tool.outline.tolist()}
@@ -122,28 +123,30 @@ def load_reduced(path: str | Path) -> ReducedModel:
     path = Path(path)
     with open_file(path, _EXPECTED):
         pass
-    description, arrays = bounded(_read, str(path), file=path)
+    description, arrays = bounded(_read_arrays, str(path), file=path)
     with located(file=path):
-        return _check_content(description, arrays)
+        return _build_checked_model(description, arrays)
 
 
-def _read(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+def _read_arrays(path: str) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Return the JSON description and the arrays of a file by their names, unchecked."""
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         return parse_json(str(arrays.pop("description"))), arrays
     except (ValueError, KeyError, OSError, EOFError, AttributeError, zipfile.BadZipFile, zlib.error):
-        raise InputError(f"expected {_EXPECTED}, and it is damaged or none; make it again with `tissue-sim reduce`",
-                         file=path) from None
+        raise InputError(f"must be {_EXPECTED}; the file is damaged or has another format. Make it again with "
+                         "`tissue-sim reduce`", file=path) from None
 
 
-def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
+def _build_checked_model(description: dict[str, Any], arrays: dict[str, np.ndarray]) -> ReducedModel:
+    """Check description and arrays of a file, and make the reduced solid; InputError if they are inconsistent."""
     try:
         if description["schema"] != "tissue_sim.reduced":
             raise KeyError("schema")
         if description["version"] != VERSION:
-            raise InputError(f"version {description['version']} is not the one that this program reads, {VERSION}; "
-                             "make it again with `tissue-sim reduce`", field="version")
+            raise InputError(f"must be {VERSION}, the version that this program reads; got {description['version']}. "
+                             "Make the file again with `tissue-sim reduce`", field="version")
         element = SOLID_ELEMENTS[description["element"]]
         nodes, connectivity, basis = arrays["nodes"], arrays["connectivity"], arrays["basis"]
         elements, shares = arrays["elements"], arrays["shares"]
@@ -163,10 +166,10 @@ def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -
         material = decode_material_file(description["material"]).material
         experiment = _make_experiment(description["experiment"], box, of_file)
         require_reducible(Model(experiment, material))
-        require_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
+        require_mesh_regions(material, SolidMesh(element, nodes, connectivity, regions=regions))
     except (KeyError, TypeError, ValueError) as error:
-        raise InputError(f"expected {_EXPECTED}, and something is missing or of another kind ({error}); make it again "
-                         "with `tissue-sim reduce`") from None
+        raise InputError(f"must be {_EXPECTED}; an entry is missing or has another type ({error}). Make the file "
+                         "again with `tissue-sim reduce`") from None
     numbers = (connectivity, elements, *sets.values(), *faces.values(), *regions.values())
     reals = (nodes, basis, shares, *rest, *(() if depths is None else (depths,)))
     shapes = () if not experiment.specimen.specific_weight else (
@@ -186,18 +189,20 @@ def _check_content(description: dict[str, Any], arrays: dict[str, np.ndarray]) -
             and {"top", "base", "side", "face", "free"} <= sets.keys()
             and all(np.isfinite(each).all() for each in reals) and bool((shares > 0.0).all())
             and 0.0 < softness < 1.0 and bulk_ratio >= 1.0 and isinstance(report, dict))
-    if not (fits and (compliance is None or (lifting == 0 and _is_sound(compliance, len(nodes))))):
-        raise InputError("its arrays do not fit each other. Create it again with `tissue-sim reduce`")
+    if not (fits and (compliance is None or (lifting == 0 and _is_consistent_table(compliance, len(nodes))))):
+        raise InputError("must contain arrays whose shapes, types and values agree with each other. Make the file "
+                         "again with `tissue-sim reduce`")
     sets, faces, regions = ({name: each.astype(np.intp) for name, each in group.items()}
                             for group in (sets, faces, regions))
     mesh = SolidMesh(element, nodes, connectivity.astype(np.intp), sets, faces, regions, depths)
-    element_groups(mesh)
+    group_elements_by_region(mesh)
     return ReducedModel(Model(experiment, material), mesh, basis, lifting, elements.astype(np.intp), shares, box,
-                        softness, bulk_ratio, report, watched, error_factors, Rest(*rest) if rest else None, compliance)
+                        softness, bulk_ratio, report, watched, error_factors, RestState(*rest) if rest else None,
+                        compliance)
 
 
-def _is_sound(table: ContactCompliance, nodes: int) -> bool:
-    """Whether the arrays of a compliance table are consistent with each other and with the number of nodes."""
+def _is_consistent_table(table: ContactCompliance, nodes: int) -> bool:
+    """Whether shapes and values of a compliance table agree with each other and with the number of nodes."""
     count = table.nodes.size
     reals = (table.axis, table.whole, table.missing, table.forces, table.accepted)
     return (table.nodes.dtype.kind in "iu" and table.nodes.shape == (count,) and count > 0
@@ -210,7 +215,7 @@ def _is_sound(table: ContactCompliance, nodes: int) -> bool:
 
 
 def _make_experiment(stated: dict[str, Any], box: PoseBox, of_file: dict[str, np.ndarray]) -> Experiment:
-    """Create the experiment from its description and the arrays of a specimen mesh file."""
+    """Make the experiment from its description in the file and the arrays of a specimen mesh that was read."""
     specimen, tool = dict(stated["specimen"]), dict(stated["tool"])
     shape, name, kind = specimen.pop("shape"), specimen.pop("name"), TOOLS.find(tool.pop("shape"), field="tool.shape")
     more: dict[str, Any] = {name: stated["weight"][name] for name in (_WEIGHT if "weight" in stated else ())}

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.reduced.path_steps import iterate_steps
+from tissue_sim.fem.reduced.path_steps import iterate_reduced_steps
 from tissue_sim.fem.reduced.settings import VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.training import simulate_snapshots
@@ -17,24 +17,25 @@ from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose
 
 
-def lateral_factor(reduced: ReducedModel, solver: SolidSolver, paths: Sequence[Sequence[Pose]],
-                   materials: Sequence[Material], *, memory: Sequence[np.ndarray] = ()) -> float:
+def calibrate_lateral_factor(reduced: ReducedModel, solver: SolidSolver, paths: Sequence[Sequence[Pose]],
+                             materials: Sequence[Material], *, memory: Sequence[np.ndarray] = ()) -> float:
     """Compute the ratio of the lateral force error and the largest lateral force since the first touch.
 
     With friction, the force depends on the path. On paths with a reversal, the lateral error stays about constant while
-    the lateral force decreases; the error modes and the missing compliance (`MissingForce`) estimate the error at the
-    present contact forces only and become small. The largest lateral force since the first touch scales with the error
-    on such paths. An indentation along the axis has almost no lateral force, so that its estimate hardly changes.
+    the lateral force decreases; the error modes and the missing compliance (`MissingComplianceForce`) estimate the
+    error at the present contact forces only and become small. The largest lateral force since the first touch scales
+    with the error on such paths. An indentation along the axis has almost no lateral force, so that its estimate hardly
+    changes.
 
-    The factor covers the fraction `VerificationSettings.coverage` of the states on the paths. This estimate
-    is added to the estimate at the present forces: the error is at most the sum of its parts.
+    For the fraction `VerificationSettings.coverage` of the states on the paths, the lateral error is at most this
+    factor times the largest lateral force. The product is added to the estimate at the present contact forces.
 
     Args:
         reduced: the reduced solid.
         solver: full-order solver.
         paths: poses of the tool on paths with a reversal of the lateral motion.
         materials: materials that are used in turn.
-        memory: material history at rest, see `settled_memory`.
+        memory: material history at rest, see `copy_settled_history`.
 
     Returns:
         The factor; 0 for a bonded tool, without friction, and without a lateral force.
@@ -49,7 +50,7 @@ def lateral_factor(reduced: ReducedModel, solver: SolidSolver, paths: Sequence[S
                 each.set_material(material)
         forces = simulate_snapshots(solver, path, memory=memory).wrenches[:, :3]
         negligible = VERIFICATION.negligible_error * np.sqrt(np.mean(np.sum(forces**2, axis=1)))
-        for step, force in zip(iterate_steps(small, path), forces, strict=True):
+        for step, force in zip(iterate_reduced_steps(small, path), forces, strict=True):
             error = np.subtract(step.wrench[:3], force)
             largest = float(small.contact.largest_lateral[0])
             if step.status is StepStatus.CONVERGED and largest > negligible:

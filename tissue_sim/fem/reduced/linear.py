@@ -8,13 +8,17 @@ import numpy as np
 from scipy.linalg import lapack
 
 
-def norm(vector: np.ndarray) -> float:
+def euclidean_norm(vector: np.ndarray) -> float:
     """Return the Euclidean norm of a vector."""
     return math.sqrt(vector @ vector)
 
 
-def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Solve a linear system with one right-hand side, shape (n,), or several, shape (n, k).
+def solve_dense_system(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Solve a dense linear system by LU factorisation (LAPACK gesv).
+
+    Args:
+        matrix: square matrix, shape (n, n).
+        right: one right-hand side, shape (n,), or several, shape (n, k).
 
     Raises:
         numpy.linalg.LinAlgError: the matrix is singular.
@@ -26,7 +30,7 @@ def solve(matrix: np.ndarray, right: np.ndarray) -> np.ndarray:
 
 
 def estimate_nonlinear_residual(remainder: np.ndarray, previous_work: float, work: float) -> float:
-    """Estimate the residual that a linear step leaves, from the residual that the previous linear step left.
+    """Estimate the norm of the residual after a linear step from the residual after the previous linear step, N.
 
     The remainder of a linearisation grows with the square of the step, at least with its first power. With the work
     W = du' K du of a step du, the estimate is |r| s max(1, s) with s = sqrt(W / W_previous).
@@ -40,4 +44,4 @@ def estimate_nonlinear_residual(remainder: np.ndarray, previous_work: float, wor
         Estimated norm of the residual, N; infinite if either work is not positive.
     """
     ratio = math.sqrt(work / previous_work) if work > 0.0 and previous_work > 0.0 else math.inf
-    return norm(remainder) * ratio * max(1.0, ratio)
+    return euclidean_norm(remainder) * ratio * max(1.0, ratio)

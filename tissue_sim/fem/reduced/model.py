@@ -12,12 +12,13 @@ import numpy as np
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.reduced.compliance_table import ContactCompliance
-from tissue_sim.fem.solid.tissue import element_layers, require_regions
+from tissue_sim.fem.solid.tissue import element_layers, require_mesh_regions
 from tissue_sim.material.effect import PointEffect
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, motion
+from tissue_sim.public_names import OldName
 
 #: Factors of the error estimate, see `ReducedModel.error_factors`.
 ErrorFactors = tuple[float, float, float]
@@ -40,6 +41,8 @@ class PoseBox:
     depth: float
     turn: float = 0.0
 
+    holds = OldName("contains_pose")
+
     def __post_init__(self):
         for name in ("sideways", "depth", "turn"):
             value = getattr(self, name)
@@ -49,8 +52,8 @@ class PoseBox:
             raise InputError(f"must be positive; got {self.depth:g}. A box without depth contains no contact",
                              field="box.depth")
 
-    def holds(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
-        """Whether a pose is inside the box of a tool that starts at `start`.
+    def contains_pose(self, pose: Pose, start: Pose, slack: float = 1e-6) -> bool:
+        """Whether a pose is inside the box, which is relative to the pose `start`.
 
         Args:
             pose: pose of the tool.
@@ -62,14 +65,14 @@ class PoseBox:
         return (max(abs(x), abs(y)) <= self.sideways * most + little and -little <= -z <= self.depth * most
                 and math.hypot(*turn) <= self.turn * most + slack)
 
-    def is_under(self, pose: Pose, start: Pose) -> bool:
-        """Whether a pose is above the box of a tool that starts at `start`."""
+    def has_pose_above(self, pose: Pose, start: Pose) -> bool:
+        """Whether a pose is above the box, which is relative to the pose `start`; it would be inside if lowered."""
         (x, y, z), (_, _, top) = pose.position, start.position
-        return z > top and self.holds(Pose((x, y, top), pose.orientation), start)
+        return z > top and self.contains_pose(Pose((x, y, top), pose.orientation), start)
 
 
 def require_reducible(model: Model) -> None:
-    """Check that a model can be reduced.
+    """Check that a model is one that a reduced solid supports.
 
     Raises:
         InputError: the tool is a plate, the base has friction, or there are contact laws or point effects.
@@ -98,14 +101,19 @@ def require_no_effects(material: Material) -> None:
                          field="material.effects")
 
 
-def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -> None:
-    """Check that a material has the layers and regions of the material of the training.
+def require_same_layers_and_regions(material: Material, made_of: Material, mesh: SolidMesh) -> None:
+    """Check that a material has the layers and regions of the material for which a solid was reduced.
+
+    Args:
+        material: material to be checked.
+        made_of: material of the training.
+        mesh: mesh of the reduced solid.
 
     Raises:
         InputError: the material has point effects, other layer thicknesses, or a region that the mesh does not have.
     """
     require_no_effects(material)
-    require_regions(material, mesh)
+    require_mesh_regions(material, mesh)
     stated, kept = ([layer.thickness for layer in each.layers] for each in (material, made_of))
     # A material without layers is uniform and always fits.
     if stated and not (len(stated) == len(kept) and np.allclose(stated, kept, rtol=1e-6, atol=0.0)):
@@ -118,7 +126,7 @@ def require_same_parts(material: Material, made_of: Material, mesh: SolidMesh) -
 
 
 @dataclass(frozen=True, eq=False)
-class Rest:
+class RestState:
     """Equilibrium of a solid under self-weight without contact.
 
     Attributes:
@@ -131,7 +139,7 @@ class Rest:
 
 
 @dataclass(frozen=True, eq=False)
-class Snapshots:
+class TrainingSnapshots:
     """Full-order states on a training path.
 
     Attributes:
@@ -184,12 +192,12 @@ class ReducedModel:
     report: dict[str, Any] = field(default_factory=dict)
     watched: int = 0
     error_factors: ErrorFactors = (1.0, 0.0, 0.0)
-    rest: Rest | None = None
+    rest: RestState | None = None
     compliance: ContactCompliance | None = None
 
     @property
-    def places(self) -> np.ndarray:
-        """Positions of the nodes at rest without contact, m, shape (nodes, 3)."""
+    def rest_positions(self) -> np.ndarray:
+        """Positions of the nodes at rest under self-weight without contact, m, shape (nodes, 3)."""
         return self.mesh.nodes if self.rest is None else self.mesh.nodes + self.rest.displacement.reshape(-1, 3)
 
     @cached_property
@@ -205,7 +213,7 @@ class ReducedModel:
 
     @property
     def sag(self) -> float:
-        """Area mean of the settlement of the top under self-weight, m."""
+        """Mean downward displacement of the top under self-weight, m."""
         if self.rest is None:
             return 0.0
         return -float(np.average(self.rest.displacement[2::3], weights=self.mesh.compute_node_areas("top")))
@@ -214,9 +222,10 @@ class ReducedModel:
         """Check that the reduced solid supports a material.
 
         Raises:
-            InputError: see `require_same_parts`; under self-weight, the material differs from that of the training.
+            InputError: see `require_same_layers_and_regions`; under self-weight, the material differs from that of the
+                training.
         """
-        require_same_parts(material, self.model.material, self.mesh)
+        require_same_layers_and_regions(material, self.model.material, self.mesh)
         own = self.model.material
         # The name and the properties that have no effect here may differ.
         alike = replace(material, name=own.name, density=own.density, puncture=own.puncture)

@@ -10,9 +10,9 @@ from tissue_sim.fem.solver import Step
 from tissue_sim.pose import Pose, between
 
 
-def iterate_steps(small: ReducedSolver, poses: Sequence[Pose]) -> Iterator[Step]:
-    """Simulate a reduced solid along poses from rest, and yield the step that ends at each pose."""
-    small.forget()
+def iterate_reduced_steps(small: ReducedSolver, poses: Sequence[Pose]) -> Iterator[Step]:
+    """Simulate a reduced solid from rest along poses of the tool, and yield the step that ends at each pose."""
+    small.reset_to_rest()
     for last_pose, pose in zip([poses[0], *poses], poses, strict=False):
         for k in range(VERIFICATION.substeps):
             step = small.step(between(last_pose, pose, (k + 1) / VERIFICATION.substeps))

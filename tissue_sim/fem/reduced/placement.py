@@ -10,13 +10,13 @@ from tissue_sim.fem.free_tool import digest
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.reduced.prediction import Prediction
+from tissue_sim.fem.reduced.prediction import AmplitudePredictor
 from tissue_sim.fem.reduced.settings import BondedPlacementSettings
 from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
-from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.placement import Placement
-from tissue_sim.fem.solid.touch import touch
+from tissue_sim.fem.solid.bodies import RigidBody
+from tissue_sim.fem.solid.frame import ToolFrame
+from tissue_sim.fem.solid.placement import FirstTouchPlacement
+from tissue_sim.fem.solid.touch import find_first_touch
 from tissue_sim.fem.solver import Solver
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.pose import Pose, motion
@@ -25,8 +25,8 @@ from tissue_sim.pose import Pose, motion
 PLACEMENT = BondedPlacementSettings()
 
 
-class PlacedReduced(KernelOwner, Solver):
-    """Base class of the reduced solver: methods of `FreeTool`, for a tool without contact and its first contact."""
+class ReducedSolverBase(KernelOwner, Solver):
+    """Base class of `ReducedSolver`: methods of `FreeTool` for a tool without contact and its first contact."""
 
     ignores_twist = True
     reduced: ReducedModel
@@ -38,17 +38,18 @@ class PlacedReduced(KernelOwner, Solver):
     _reach: float
     _lifting: int
     _tool_motion: ToolMotionBasis
-    _prediction: Prediction
+    _prediction: AmplitudePredictor
     amplitudes: np.ndarray
-    _placement: Placement
+    _placement: FirstTouchPlacement
 
-    def _make_placement(self, bodies: list[Body]) -> None:
-        """Set `_placement`, which computes the height of first contact."""
+    def _make_placement(self, bodies: list[RigidBody]) -> None:
+        """Set `_placement`, which computes the height of first contact of the tool, a list of rigid bodies."""
         reduced = self.reduced
-        mesh, places, specimen = reduced.mesh, reduced.places, reduced.model.experiment.specimen
-        self._placement = Placement(
+        mesh, places, specimen = reduced.mesh, reduced.rest_positions, reduced.model.experiment.specimen
+        self._placement = FirstTouchPlacement(
             places[mesh.sets["top"]], bodies, self.datum, is_level=specimen.is_flat and reduced.rest is None,
-            margin=specimen.margin, touch_height=lambda pose: touch(mesh, places, bodies, pose).height, remake=None)
+            margin=specimen.margin, touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
+            remake=None)
 
     def identity(self) -> str:
         """See `FreeTool.identity`. The digest includes mesh, modes and sampled elements."""
@@ -69,7 +70,7 @@ class PlacedReduced(KernelOwner, Solver):
             x, y, z, *turn = motion(self._start, pose)
             if math.hypot(x, y, z) > PLACEMENT.max_offset * self._reach or math.hypot(*turn) > PLACEMENT.max_rotation:
                 return False
-            self._tool_motion = ToolMotionBasis(self._lifting, Frame(pose, self.datum))
+            self._tool_motion = ToolMotionBasis(self._lifting, ToolFrame(pose, self.datum))
         self._pose = self._landed = pose
         return True
 
@@ -87,19 +88,19 @@ class PlacedReduced(KernelOwner, Solver):
         """See `FreeTool.clearance`; None for a bonded tool."""
         if self._lifting or self.contact.touched.any():
             return None
-        return 1.0 if self._is_clear_of(Frame(pose, self.datum)) else -1.0
+        return 1.0 if self._is_clear_of(ToolFrame(pose, self.datum)) else -1.0
 
-    def _is_clear_of(self, frame: Frame) -> bool:
+    def _is_clear_of(self, frame: ToolFrame) -> bool:
         """Whether a tool in this frame touches neither the deformed tissue nor the tissue at rest."""
         if self._lifting:
             return False
         for amplitudes in (self.amplitudes, np.zeros_like(self.amplitudes)):
-            self.contact.evaluate(amplitudes, frame, False)
-            if self.contact.touches:
+            self.contact.evaluate_contact(amplitudes, frame, False)
+            if self.contact.has_touching_nodes:
                 return False
         return True
 
     def move_in_air(self, pose: Pose) -> None:
         """See `FreeTool.move_in_air`."""
         self._pose = pose
-        self._prediction.reset()
+        self._prediction.reset_predictions()

@@ -9,8 +9,8 @@ import numpy as np
 _MAX_STEP_RATIO = 2.0
 
 
-class Prediction:
-    """Second-order extrapolation of the modal amplitudes along the motion of the tool.
+class AmplitudePredictor:
+    """Predictor of the modal amplitudes: second-order extrapolation along the motion of the tool.
 
     The prediction is du = S dx + c + a^2 e with the sensitivity S, the correction c by the remaining residual, the
     error e of the last linear prediction and the ratio a of the present to the last step of the tool.
@@ -30,8 +30,8 @@ class Prediction:
         self.correction, self._error, self._last_step = np.zeros(modes), np.zeros(modes), np.zeros(6)
         self._weights = np.array([1.0] * 3 + [reach**2] * 3)
 
-    def predict(self, tool_step: np.ndarray) -> np.ndarray:
-        """Predict the change of the amplitudes, shape (modes,).
+    def predict_amplitude_change(self, tool_step: np.ndarray) -> np.ndarray:
+        """Predict the change of the amplitudes in the next step, shape (modes,).
 
         Args:
             tool_step: displacement, m, and rotation vector, rad, of the tool in the next step, shape (6,).
@@ -44,9 +44,9 @@ class Prediction:
             change += ratio**2 * self._error
         return change
 
-    def update(self, tool_step: np.ndarray, change: np.ndarray, sensitivity: np.ndarray,
-               correction: np.ndarray) -> None:
-        """Record a converged step.
+    def record_step(self, tool_step: np.ndarray, change: np.ndarray, sensitivity: np.ndarray,
+                    correction: np.ndarray) -> None:
+        """Record a converged step for the next predictions.
 
         Args:
             tool_step: displacement, m, and rotation vector, rad, of the tool in the step, shape (6,).
@@ -57,16 +57,16 @@ class Prediction:
         self._error[:] = change + correction - self.correction - self.sensitivity @ tool_step
         self._last_step[:], self.sensitivity[:], self.correction[:] = tool_step, sensitivity, correction
 
-    def reset(self) -> None:
-        """Set all predictions to zero."""
-        for array in self.kept:
+    def reset_predictions(self) -> None:
+        """Discard all recorded steps; the predicted change is then zero."""
+        for array in self.state_arrays:
             array[:] = 0.0
 
-    def reset_corrections(self) -> None:
-        """Drop the corrections and keep the sensitivity, after a change of the material."""
+    def clear_corrections(self) -> None:
+        """Set the corrections to zero and keep the sensitivity, after a change of the material."""
         self.correction[:], self._error[:], self._last_step[:] = 0.0, 0.0, 0.0
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
-        """Arrays that belong to the state of the solver; they are saved and restored."""
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
+        """Arrays of the recorded steps; writing saved copies into them restores an earlier state."""
         return self.sensitivity, self.correction, self._error, self._last_step

@@ -16,11 +16,11 @@ import numpy as np
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError, located
 from tissue_sim.fem.reduced import training
-from tissue_sim.fem.reduced.acceptance import with_compliance
-from tissue_sim.fem.reduced.lateral import lateral_factor
-from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_parts
+from tissue_sim.fem.reduced.acceptance import add_calibrated_compliance
+from tissue_sim.fem.reduced.lateral import calibrate_lateral_factor
+from tissue_sim.fem.reduced.model import PoseBox, ReducedModel, require_reducible, require_same_layers_and_regions
 from tissue_sim.fem.reduced.symmetry import find_symmetries
-from tissue_sim.fem.reduced.training_paths import boundary_training_paths, reversing_paths, training_path
+from tissue_sim.fem.reduced.training_paths import make_boundary_training_paths, make_reversing_paths, make_training_path
 from tissue_sim.files import read_text
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
@@ -39,11 +39,11 @@ BULK_RATIOS = (1.0, 1000.0)
 _SYMMETRY_SAVING = {True: 4, False: 2}
 
 
-class Progress(Protocol):
+class ReductionProgressCallback(Protocol):
     """Callback that receives the progress of a reduction."""
 
     def __call__(self, stage: str, done: int, of: int, *, note: str = "") -> None:
-        """Report that `done` of `of` parts of a stage are finished."""
+        """Report that `done` of `of` parts of a stage are finished; `note`: text for the user."""
 
 
 def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", strokes: int | None = None,
@@ -51,7 +51,7 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
                  bulk_ratio: float | None = None, softness: float = training.TRAINING.softness,
                  also: Sequence[Material] = (), tried: int = training.VERIFICATION.test_paths,
                  folder: Path | None = None,
-                 progress: Progress | None = None) -> ReducedModel:
+                 progress: ReductionProgressCallback | None = None) -> ReducedModel:
     """Reduce a solid for real-time simulation of a tool that stays in a box of poses.
 
     Args:
@@ -87,16 +87,16 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
                          field="bulk_ratio")
     tell: Callable[..., None] = progress or (lambda *_, **__: None)
     require_reducible(model)
-    mesh = training.training_mesh(model, box, resolution)
+    mesh = training.build_training_mesh(model, box, resolution)
     solver = training.make_full_order_solver(model, mesh)
-    memory = training.settled_memory(solver)
+    memory = training.copy_settled_history(solver)
     if also and experiment.specimen.specific_weight:
         raise InputError("must be empty for a solid with self-weight, which has one material only. Leave the further "
                          "materials or gravity out", field="also")
     materials = (model.material, *also)
     for number, each in enumerate(also):
         with located(field=f"also[{number}]"):
-            require_same_parts(each, model.material, mesh)
+            require_same_layers_and_regions(each, model.material, mesh)
             solver.set_material(each)
     solver.set_material(model.material)
     # Checked before the folder is labelled: a wrong label would refuse the corrected request.
@@ -108,14 +108,14 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     if experiment.tool.from_file:
         digests += f" {hashlib.sha256(experiment.tool.profile.vertices.tobytes()).hexdigest()}"
     label = f"{model!r} {box!r} {resolution} {len(mesh.nodes)}{digests} from {solver.datum:.12g} m"
-    store = _Store(folder, f"{label} {tuple(also)!r}" if also else label)
+    store = _TrainingPathStore(folder, f"{label} {tuple(also)!r}" if also else label)
     start, reach = experiment.tool_pose(0.0), experiment.contact_radius
     group = find_symmetries(solver, start)
     usual = len(materials) * math.ceil(STROKES[holds] / min(len(group), _SYMMETRY_SAVING[holds]))
     strokes, modes, tried = strokes or usual, modes or MODES[holds], max(tried, len(materials))
     images = [each.matrix for each in group]
-    poses = [training_path(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
-    poses += boundary_training_paths(box, start, holds=holds, reach=reach, images=images)
+    poses = [make_training_path(number, box, start, holds=holds, reach=reach) for number in range(strokes)]
+    poses += make_boundary_training_paths(box, start, holds=holds, reach=reach, images=images)
     taken, count = [], len(poses)
     on_boundary = training.TRAINING.first_boundary_path
     numbers = [*range(strokes), *range(on_boundary, on_boundary + count - strokes)]
@@ -123,11 +123,11 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
     of_stroke = [materials[number % len(materials)] for number in numbers]
     tell("strokes", 0, count)
     for number, path, material in zip(numbers, poses, of_stroke, strict=True):
-        done = store.read(number)
+        done = store.read_snapshots(number)
         if done is None or len(done.wrenches) != len(path):
             solver.set_material(material)
             done = training.simulate_snapshots(solver, path, memory=memory)
-            store.write(number, done)
+            store.write_snapshots(number, done)
         taken.append(done)
         tell("strokes", len(taken), count)
     elements_of_all = len(mesh.connectivity)
@@ -137,23 +137,32 @@ def reduce_solid(model: Model, box: PoseBox, *, resolution: str = "realtime", st
         progress=lambda elements, error: tell("elements", elements, elements_of_all,
                                               note=f"error {100 * error:.2g} %"))
     solver.set_material(model.material)
-    reduced = with_compliance(reduced, solver, poses, taken, of_stroke)
+    reduced = add_calibrated_compliance(reduced, solver, poses, taken, of_stroke)
     first = training.VERIFICATION.first_test_path
-    unseen = [training_path(first + number, box, start, holds=holds, reach=reach) for number in range(tried)]
-    along = boundary_training_paths(box, start, holds=holds, reach=reach, images=images,
-                                    fraction=training.VERIFICATION.boundary_fraction)
+    unseen = [make_training_path(first + number, box, start, holds=holds, reach=reach) for number in range(tried)]
+    along = make_boundary_training_paths(box, start, holds=holds, reach=reach, images=images,
+                                         fraction=training.VERIFICATION.boundary_fraction)
     unseen += along[:: max(1, len(along) // 2)]  # a corner and an edge
     report, factors = training.verify_and_calibrate(reduced, solver, unseen, lambda done, of: tell("trial", done, of),
                                                     materials=materials, memory=memory)
-    back = reversing_paths(box, start, reach=reach, images=images, fraction=training.VERIFICATION.boundary_fraction)
-    lateral = lateral_factor(reduced, solver, back[:: max(1, len(back) // 2)], materials, memory=memory)
+    back = make_reversing_paths(box, start, reach=reach, images=images,
+                                fraction=training.VERIFICATION.boundary_fraction)
+    lateral = calibrate_lateral_factor(reduced, solver, back[:: max(1, len(back) // 2)], materials, memory=memory)
     return training.with_report_and_error_factors(reduced, (*factors, lateral), strokes=strokes,
                                                   boundary_strokes=count - strokes, materials=len(materials),
                                                   tried=tried, **report)
 
 
-class _Store:
-    """Folder with the finished training paths of one model, one file per path."""
+class _TrainingPathStore:
+    """Store of the finished training paths of one model in a folder, one file per path.
+
+    Args:
+        folder: the folder; None: nothing is stored.
+        model: text that identifies the model.
+
+    Raises:
+        InputError: the folder belongs to another model.
+    """
 
     def __init__(self, folder: Path | None, model: str):
         self._folder = folder
@@ -165,17 +174,19 @@ class _Store:
                              file=folder)
         write_bytes(label, model.encode())
 
-    def read(self, number: int) -> training.Snapshots | None:
+    def read_snapshots(self, number: int) -> training.TrainingSnapshots | None:
+        """Return the snapshots of a path; None if they are not stored or the file is damaged."""
         path = self._make_file_path(number)
         if path is None or not path.exists():
             return None
         try:
             with np.load(path, allow_pickle=False) as stored:
-                return training.Snapshots(stored["displacements"], stored["wrenches"])
+                return training.TrainingSnapshots(stored["displacements"], stored["wrenches"])
         except (ValueError, KeyError, OSError, EOFError, zipfile.BadZipFile, zlib.error):
             return None  # an unreadable file is computed again
 
-    def write(self, number: int, snapshots: training.Snapshots) -> None:
+    def write_snapshots(self, number: int, snapshots: training.TrainingSnapshots) -> None:
+        """Write the snapshots of a path to its file, if there is a folder."""
         path = self._make_file_path(number)
         if path is not None:
             stream = io.BytesIO()
@@ -183,6 +194,7 @@ class _Store:
             write_bytes(path, stream.getvalue())
 
     def _make_file_path(self, number: int) -> Path | None:
+        """Return the path of the file of a training path; None without a folder."""
         return None if self._folder is None else self._folder / f"stroke_{number:04d}.npz"
 
 

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.reduced.compliance import MissingForce
+from tissue_sim.fem.reduced.compliance import MissingComplianceForce
 from tissue_sim.fem.reduced.contact import LayerContact
-from tissue_sim.fem.reduced.linear import norm, solve
+from tissue_sim.fem.reduced.linear import euclidean_norm, solve_dense_system
 from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox
 
 
-class Response:
-    """Derivatives at an equilibrium. One factorisation of the tangent solves all linear systems.
+class ToolResponse:
+    """Linear response at an equilibrium: sensitivity to the tool, tool stiffness, and estimated force error.
+
+    One factorisation of the tangent solves all linear systems.
 
     Args:
         tangent: stiffness of tissue and contact between the modes, N/m, shape (modes, modes).
@@ -39,21 +41,22 @@ class Response:
             right[:, :6] += tangent[free, :held] @ prescribed_rates
         right[:, 6] = residual[free]
         right[:, 7:] = tangent[free, error_modes]
-        found = solve(tangent[free, free], right)
+        found = solve_dense_system(tangent[free, free], right)
         changes = np.zeros((modes, 7))
         changes[:held, :6] = prescribed_rates
         changes[free] = -found[:, :7]
         self.sensitivity, self.correction = changes[:, :6], changes[:, 6]
         self._static_modes = found[:, 7:]
 
-    def force_error(self, factors: ErrorFactors, force: np.ndarray, missing: MissingForce | None = None
+    def estimate_force_error(self, factors: ErrorFactors, force: np.ndarray, missing: MissingComplianceForce
+                             | None = None
                     ) -> float | None:
         """Estimate the error of a force on the tool, N: missing modes, missing compliance, and lateral error.
 
         The error by missing modes is c_1 |dF| + c_2 |F|. dF is the change of the force F if the error modes were
         unknowns, too (hierarchical error estimate: Bank and Weiser, Math. Comp. 44 (1985) 283).
         `training.verify_and_calibrate` calibrates the factors. The lateral error is c_3 times the largest lateral
-        force, see `lateral_factor`.
+        force, see `calibrate_lateral_factor`.
 
         Args:
             factors: c_1, c_2 and c_3, see `ReducedModel.error_factors`.
@@ -65,18 +68,18 @@ class Response:
         """
         known = self._estimate_missing_mode_error(factors, force) if self._free.stop < len(self._residual) else None
         if missing is not None:
-            known = (known or 0.0) + missing.error(norm(force))
+            known = (known or 0.0) + missing.estimate_force_error(euclidean_norm(force))
         if known is not None and self._contact.has_friction:
             known += factors[2] * self._contact.largest_lateral_force
         return known
 
     def _estimate_missing_mode_error(self, factors: ErrorFactors, force: np.ndarray) -> float:
-        """Return the estimated error by missing modes, N."""
+        """Return the error of the force on the tool by missing modes, N, see `estimate_force_error`."""
         free, held = self._free, self._free.start
         tangent = self._tangent
         # The residual of the unknown modes is an iteration error; only the residual of the error modes counts.
         change = np.zeros(len(self._residual))
-        change[free.stop :] = moved = solve(
+        change[free.stop :] = moved = solve_dense_system(
             tangent[free.stop :, free.stop :] - tangent[free.stop :, free] @ self._static_modes,
             -self._residual[free.stop :])
         change[free] = -self._static_modes @ moved
@@ -84,15 +87,15 @@ class Response:
         if held:
             added = added - (self._prescribed_rates.T @ (tangent[:held] @ change))[:3]
         changed, own, _ = factors
-        return changed * norm(added) + own * norm(force)
+        return changed * euclidean_norm(added) + own * euclidean_norm(force)
 
-    def stiffness(self, box: PoseBox) -> np.ndarray:
-        """Return minus the derivative of the wrench with respect to the pose of the tool, shape (6, 6).
+    def compute_tool_stiffness(self, box: PoseBox) -> np.ndarray:
+        """Compute the stiffness of tissue and contact at the tool: minus d wrench / d pose, shape (6, 6).
 
         The entries of directions in which the box has no size are 0.
         """
         held, contact, sensitivity = self._free.start, self._contact, self.sensitivity
-        stiffness = contact.stiffness(sensitivity)
+        stiffness = contact.compute_tool_stiffness(sensitivity)
         if held:
             # The prescribed modes move nodes outside the bonded face, whose contact forces are part of the residual.
             forces = self._tangent[:held] @ sensitivity + contact.modal_force_rates[:held]

@@ -17,8 +17,8 @@ import numpy as np
 _MAX_INNER_PASSES = 1000
 
 
-def sparse_weights(contributions: np.ndarray, tolerance: float, most: int | None = None,
-                   progress: Callable[[int, float], None] | None = None) -> np.ndarray:
+def compute_sparse_weights(contributions: np.ndarray, tolerance: float, most: int | None = None,
+                           progress: Callable[[int, float], None] | None = None) -> np.ndarray:
     """Compute sparse non-negative weights w that satisfy |G w - G 1| <= tolerance |G 1|.
 
     Args:

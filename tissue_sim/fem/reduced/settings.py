@@ -117,8 +117,9 @@ class VerificationSettings:
             coarser solid supplies larger errors for the calibration of the error estimate.
         coverage: fraction of the test states whose error must be within the estimate.
         negligible_error: error of the force over the rms force that the estimate need not cover.
-        absent_lateral_factor: lateral factor, see `lateral_factor`, of files of older versions. A ball of friction 0.3
-            has the factor 0.34 with 12 modes and 0.15 with 24 modes.
+        absent_lateral_factor: lateral factor (`calibrate_lateral_factor`) that is used for files of older versions,
+            which do not contain the factor. A ball of friction 0.3 has the factor 0.34 with 12 modes and 0.15 with 24
+            modes.
     """
 
     test_paths: int = 3

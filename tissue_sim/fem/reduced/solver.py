@@ -8,22 +8,22 @@ from typing import Any, cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.reduced.compliance import missing_force
+from tissue_sim.fem.reduced.compliance import make_missing_force_estimate
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
-from tissue_sim.fem.reduced.fields import reduced_fields
-from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, norm, solve
+from tissue_sim.fem.reduced.fields import compute_reduced_fields
+from tissue_sim.fem.reduced.linear import estimate_nonlinear_residual, euclidean_norm, solve_dense_system
 from tissue_sim.fem.reduced.model import ReducedModel
-from tissue_sim.fem.reduced.placement import PlacedReduced
-from tissue_sim.fem.reduced.prediction import Prediction
-from tissue_sim.fem.reduced.response import Response
+from tissue_sim.fem.reduced.placement import ReducedSolverBase
+from tissue_sim.fem.reduced.prediction import AmplitudePredictor
+from tissue_sim.fem.reduced.response import ToolResponse
 from tissue_sim.fem.reduced.settings import SETTINGS, TOLERANCE
 from tissue_sim.fem.reduced.tool_motion import ToolMotionBasis
-from tissue_sim.fem.solid.discretisation import tool_contact
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.discretisation import make_tool_bodies_and_datum
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
-from tissue_sim.fem.solid.tissue import node_moduli
+from tissue_sim.fem.solid.tissue import node_shear_moduli
 from tissue_sim.fem.solver import Fields, OwnStiffness, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
@@ -32,7 +32,7 @@ from tissue_sim.pose import Pose, Screw, motion
 from tissue_sim.tool_force import Matrix
 
 
-class ReducedSolver(PlacedReduced):
+class ReducedSolver(ReducedSolverBase):
     """Modified Newton method for the modal equilibrium Phi' f(u + Phi a) + Phi' f_contact = 0 of a `ReducedModel`.
 
     A step first solves the contact on tissue that is linear about the last evaluated state. The sampled elements are
@@ -58,20 +58,19 @@ class ReducedSolver(PlacedReduced):
         self.mesh, self.reduced = mesh, reduced
         self._start = self._pose = self._landed = experiment.tool_pose(0.0)
         bonded = mesh.sets["face"] if reduced.lifting else np.zeros(0, dtype=np.intp)
-        bodies, self.datum = tool_contact(experiment, mesh, bonded, reduced.places)
+        bodies, self.datum = make_tool_bodies_and_datum(experiment, mesh, bonded, reduced.rest_positions)
         self._make_placement(bodies)
         self.elements = SampledElements(
             mesh, reduced.basis, reduced.elements, reduced.shares, groups=SETTINGS.stiffness_groups, rest=reduced.rest,
             layers=reduced.element_layers, contact_radius=experiment.contact_radius)
         self._reach = experiment.contact_radius
-        self.contact = LayerContact(bodies, reduced.places, mesh.node_areas, reduced.basis, reach=self._reach,
+        self.contact = LayerContact(bodies, reduced.rest_positions, mesh.node_areas, reduced.basis, reach=self._reach,
                                     softness=reduced.softness)
-        self.missing_force = missing_force(reduced, self.contact)
-        self._tool_motion = ToolMotionBasis(reduced.lifting, Frame(self._start, self.datum))
+        self.missing_force = make_missing_force_estimate(reduced, self.contact)
+        self._tool_motion = ToolMotionBasis(reduced.lifting, ToolFrame(self._start, self.datum))
         modes = reduced.basis.shape[1]
         self._lifting, self._free = reduced.lifting, slice(reduced.lifting, modes - reduced.watched)
-        self.amplitudes = np.zeros(modes)
-        self._prediction = Prediction(modes, self._reach)
+        self.amplitudes, self._prediction = np.zeros(modes), AmplitudePredictor(modes, self._reach)
         self._committed = self.amplitudes.copy(), self.elements.rest_pressures.copy()
         #: Last evaluated state: amplitudes, and modal forces of the elements.
         self._evaluated_at, self._forces = self.amplitudes, np.zeros(modes)
@@ -83,21 +82,20 @@ class ReducedSolver(PlacedReduced):
         self._returns_stiffness = False
         reduced.require_material(material)
         self.elements.set_material(material, reduced.bulk_ratio)
-        self.elements.settle()
+        self.elements.initialise_rest_state()
         self.set_material(material)
 
     def set_material(self, material: Material) -> None:
-        """Set parameters, bulk response or law and keep the state. See `Solver.set_material`."""
+        """Set another material and keep the displacements. See `Solver.set_material`."""
         self.reduced.require_material(material)
         stiffer = self.elements.set_material(material, self.reduced.bulk_ratio)
         self.material = material
         for pressures in (self._committed[1], self.elements.pressures):
             pressures *= stiffer
-        softest = self.contact.set_stiffness(node_moduli(material, self.mesh, self.reduced.element_layers))
-        self._prediction.reset_corrections()
-        self._floor = 1e-3 * softest * self._reach**2
-        self._largest_force = 0.0
-        self._reset_stiffness()
+        least = self.contact.set_penalty_stiffness(node_shear_moduli(material, self.mesh, self.reduced.element_layers))
+        self._prediction.clear_corrections()
+        self._floor, self._largest_force = 1e-3 * least * self._reach**2, 0.0
+        self._invalidate_stiffness()
 
     @property
     def pose(self) -> Pose:
@@ -105,7 +103,7 @@ class ReducedSolver(PlacedReduced):
         return self._pose
 
     def ask_for_stiffness(self) -> None:
-        """Compute the stiffness matrix in every following step."""
+        """Make every following step compute its stiffness matrix."""
         self._returns_stiffness = True
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = TOLERANCE, max_iterations: int = 20,
@@ -114,31 +112,31 @@ class ReducedSolver(PlacedReduced):
         """Move the tool to a pose and solve for static equilibrium; see `Solver.step`. Inertia is neglected."""
         elements, contact = self.elements, self.contact
         if not resumes:
-            self._reset_to_committed()
-        frame = Frame(pose, self.datum)
+            self._restore_committed_state()
+        frame = ToolFrame(pose, self.datum)
         pressed_in = bool(frame.origin[2] <= self._tool_motion.first.origin[2])
-        inside, clear = self._classify_pose(pose, frame)
+        inside, clear = self._classify_pose_in_box(pose, frame)
         if not (inside or clear):
             return Step(StepStatus.OUTSIDE, 0, 0.0, (0.0,) * 6)
         if not inside:  # without contact the tissue is close to rest
             self.amplitudes[:], elements.pressures[:] = 0.0, elements.rest_pressures
             if not elements.has_history:
                 return self._step_without_contact(pose)
-        elements.prepare(dt)
+        elements.prepare_step(dt)
         held, free = self._lifting, self._free
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes
         tool_step = np.array(motion(self._pose, pose)) if predicts else np.zeros(6)
         # For a tool that can lift off, `_solve_contact` removes the remaining residual without corrections.
-        here = self.amplitudes + (self._prediction.predict(tool_step) if held and predicts else
+        here = self.amplitudes + (self._prediction.predict_amplitude_change(tool_step) if held and predicts else
                                   self._prediction.sensitivity @ tool_step)
-        here[:held] = self._tool_motion.amplitudes(frame)
+        here[:held] = self._tool_motion.compute_amplitudes(frame)
         iterations, ratio, last, halvings, status = 0, 0.0, np.inf, 0, None
         groups_to_compute = SETTINGS.groups_per_update if self._suspect_groups else 1
         # State in which the elements were evaluated last, and their forces.
         base, forces = (self._evaluated_at, elements.pressures.copy()), self._forces
         if resumes:
-            base, forces = (self.amplitudes.copy(), base[1]), elements.forces.copy()
+            base, forces = (self.amplitudes.copy(), base[1]), elements.modal_forces.copy()
         if elements.has_complete_stiffness and inside and not (held or resumes):
             # Solve the contact on linear tissue first: most of a step is a change of contact and friction.
             here, contact_forces, contact_rates = self._solve_contact(here, base[0], forces, frame, pressed_in,
@@ -148,15 +146,15 @@ class ReducedSolver(PlacedReduced):
         updates_pressure = inside and np.array_equal(elements.at, base[0])
         while status is None:
             change = here - base[0]
-            linear_change = elements.tangent @ change
+            linear_change = elements.modal_stiffness @ change
             previous_work, linear_forces = float(change @ linear_change), forces + linear_change
             has_linear_forces = elements.has_complete_stiffness and updates_pressure
-            elements.evaluate(here, updates_pressure, groups_to_compute)
-            forces, evaluated_at = elements.forces.copy(), here
+            elements.evaluate_forces_and_stiffness(here, updates_pressure, groups_to_compute)
+            forces, evaluated_at = elements.modal_forces.copy(), here
             residual = forces + contact_forces
-            residual_norm = norm(residual[free])
+            residual_norm = euclidean_norm(residual[free])
             force_norm = self._compute_force_norm(contact_forces, forces)
-            ratio = residual_norm / self._reference_force(force_norm)
+            ratio = residual_norm / self._compute_reference_force(force_norm)
             is_invalid = not (elements.smallest_volume_ratio > SETTINGS.min_volume_ratio and np.isfinite(ratio))
             if ratio <= max(tolerance, self.least_tolerance) and not is_invalid:
                 status = StepStatus.CONVERGED
@@ -165,7 +163,7 @@ class ReducedSolver(PlacedReduced):
                     and halvings < SETTINGS.max_halvings and (iterations or is_invalid)):
                 halvings += 1
                 here = 0.5 * (here + base[0])
-                here[:held] = self._tool_motion.amplitudes(frame)
+                here[:held] = self._tool_motion.compute_amplitudes(frame)
                 elements.pressures[:] = 0.5 * (elements.pressures + base[1])
                 updates_pressure = False
                 contact_forces, contact_rates = self._evaluate_contact(here, frame, pressed_in)
@@ -179,7 +177,8 @@ class ReducedSolver(PlacedReduced):
             if iterations and (residual_norm > SETTINGS.fast_convergence * last or halvings):
                 # Slow convergence: update the oldest groups of the stiffness, or all after several failures.
                 updates_all = halvings > 1 or iterations > SETTINGS.max_partial_updates
-                elements.evaluate(here, False, SETTINGS.stiffness_groups if updates_all else SETTINGS.groups_per_update)
+                groups = SETTINGS.stiffness_groups if updates_all else SETTINGS.groups_per_update
+                elements.evaluate_forces_and_stiffness(here, False, groups)
             last, halvings, base = residual_norm, 0, (here, elements.pressures.copy())
             here, contact_forces, contact_rates = self._solve_contact(here, here, forces, frame, pressed_in, tolerance)
             updates_pressure, groups_to_compute = True, 0
@@ -187,12 +186,12 @@ class ReducedSolver(PlacedReduced):
             if has_linear_forces and iterations == 1 and not (self._suspect_groups or elements.has_history):
                 # Estimate the residual of this linear step from the nonlinearity of the previous one; if small, accept.
                 change = here - base[0]
-                added = elements.tangent @ change
+                added = elements.modal_stiffness @ change
                 residual = forces + added + contact_forces
                 force_norm = self._compute_force_norm(contact_forces, forces + added)
-                nonlinear_residual = SETTINGS.residual_safety * estimate_nonlinear_residual(
+                remainder = SETTINGS.residual_safety * estimate_nonlinear_residual(
                     (forces - linear_forces)[free], previous_work, float(change @ added))
-                ratio = (norm(residual[free]) + nonlinear_residual) / self._reference_force(force_norm)
+                ratio = (euclidean_norm(residual[free]) + remainder) / self._compute_reference_force(force_norm)
                 if ratio <= max(tolerance, self.least_tolerance):
                     status = StepStatus.CONVERGED
         self.amplitudes[:] = here
@@ -200,44 +199,45 @@ class ReducedSolver(PlacedReduced):
                                 if status is StepStatus.CONVERGED else SETTINGS.stiffness_groups)
         stiffness, error, wrench, stiffness_age = None, None, np.zeros(6), 0.0
         if status is StepStatus.CONVERGED:
-            prescribed_rates = self._tool_motion.rates(frame)
-            wrench = contact.wrench - prescribed_rates.T @ residual[:held]
+            rates = self._tool_motion.compute_amplitude_rates(frame)
+            wrench = contact.wrench - rates.T @ residual[:held]
             if self._returns_stiffness and contact.has_friction and pose == self._pose:
                 # Slipping nodes continue to slip, as in the step that led to this pose.
                 _, contact_rates = self._evaluate_contact(here, frame, pressed_in, slips_on=True)
-            response = Response(elements.tangent + contact_rates, contact, prescribed_rates, free, residual)
-            self._prediction.update(np.array(motion(self._pose, pose)), here - self._committed[0], response.sensitivity,
-                                    response.correction)
-            error = response.force_error(self.reduced.error_factors, wrench[:3], self.missing_force)
+            response = ToolResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
+            self._prediction.record_step(np.array(motion(self._pose, pose)), here - self._committed[0],
+                                         response.sensitivity, response.correction)
+            error = response.estimate_force_error(self.reduced.error_factors, wrench[:3], self.missing_force)
             if self._returns_stiffness:
-                age = elements.stiffness_age(here)
+                age = elements.compute_stiffness_age(here)
                 if age == 0.0:
                     # Without elapsed time the age would not reveal an outdated stiffness, so compute the stiffness now.
-                    elements.evaluate(here, not np.array_equal(here, evaluated_at), SETTINGS.stiffness_groups)
-                    evaluated_at, forces = here, elements.forces.copy()
-                    response = Response(elements.tangent + contact_rates, contact, prescribed_rates, free, residual)
-                stiffness, stiffness_age = response.stiffness(self.reduced.box), age or 0.0
-            contact.commit()
-            elements.commit()
+                    elements.evaluate_forces_and_stiffness(here, not np.array_equal(here, evaluated_at),
+                                                           SETTINGS.stiffness_groups)
+                    evaluated_at, forces = here, elements.modal_forces.copy()
+                    response = ToolResponse(elements.modal_stiffness + contact_rates, contact, rates, free, residual)
+                stiffness, stiffness_age = response.compute_tool_stiffness(self.reduced.box), age or 0.0
+            contact.commit_step()
+            elements.commit_step()
             self._committed = here.copy(), elements.pressures.copy()
             self._evaluated_at, self._forces = evaluated_at, forces
             self._pose = pose
             self._largest_force = max(self._largest_force, force_norm)
         return Step(status, iterations, ratio, cast("Screw", tuple(wrench.tolist())),
                     None if stiffness is None else cast("Matrix", tuple(map(tuple, stiffness.tolist()))),
-                    contact.violation, contact.slipping, force_error=error, stiffness_age=stiffness_age)
+                    contact.largest_penetration, contact.slipping_count, force_error=error, stiffness_age=stiffness_age)
 
     def _step_without_contact(self, pose: Pose) -> Step:
-        """Set elastic tissue to rest, and use the free time of the step to compute one stiffness group at rest."""
+        """Return the step of a tool in air: elastic tissue is set to rest, and one stiffness group is computed."""
         if self._committed[0].any():
             self._groups_at_rest = 0
         if self._groups_at_rest < SETTINGS.stiffness_groups:
             self._groups_at_rest += 1
-            self.elements.evaluate(self.amplitudes, False, 1)
+            self.elements.evaluate_forces_and_stiffness(self.amplitudes, False, 1)
         self._committed, self._forces = (self.amplitudes.copy(), self.elements.pressures.copy()), 0.0 * self._forces
         self._evaluated_at, self._pose = self.amplitudes.copy(), pose
-        self._prediction.reset()
-        self.contact.forget()
+        self._prediction.reset_predictions()
+        self.contact.clear_contact()
         stiffness = ((0.0,) * 6,) * 6 if self._returns_stiffness else None
         return Step(StepStatus.CONVERGED, 0, 0.0, (0.0,) * 6, stiffness)
 
@@ -246,21 +246,21 @@ class ReducedSolver(PlacedReduced):
         """Whether the solid is at rest without a touching tool, and all groups of its stiffness are up to date."""
         return self._groups_at_rest >= SETTINGS.stiffness_groups and not self._committed[0].any()
 
-    def _evaluate_contact(self, amplitudes: np.ndarray, frame: Frame, pressed_in: bool, *, slips_on: bool = False
-               ) -> tuple[np.ndarray, np.ndarray]:
-        """Return the modal contact forces and their derivatives."""
-        self.contact.evaluate(amplitudes, frame, pressed_in, slips_on=slips_on)
+    def _evaluate_contact(self, amplitudes: np.ndarray, frame: ToolFrame, pressed_in: bool, *,
+                          slips_on: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate the contact; return the modal contact forces, (modes,), and derivatives, (modes, modes)."""
+        self.contact.evaluate_contact(amplitudes, frame, pressed_in, slips_on=slips_on)
         return self.contact.get_modal_forces()
 
     def _compute_force_norm(self, contact_forces: np.ndarray, forces: np.ndarray) -> float:
         """Return the norm of the modal contact forces plus the norm of the forces on the bonded face."""
-        return norm(contact_forces) + norm(forces[: self._lifting])
+        return euclidean_norm(contact_forces) + euclidean_norm(forces[: self._lifting])
 
-    def _reference_force(self, force_norm: float) -> float:
-        """Return the force by which the residual norm is divided."""
+    def _compute_reference_force(self, force_norm: float) -> float:
+        """Return the force by which the residual norm is divided for the relative residual."""
         return max(force_norm, self._floor, SETTINGS.min_reference_force * self._largest_force)
 
-    def _solve_contact(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: Frame,
+    def _solve_contact(self, guess: np.ndarray, reference: np.ndarray, forces: np.ndarray, frame: ToolFrame,
                        pressed_in: bool, tolerance: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Solve the contact on linear tissue, f(a) = f_0 + K (a - a_0), by Newton's method with step halving.
 
@@ -275,15 +275,15 @@ class ReducedSolver(PlacedReduced):
         Returns:
             Amplitudes, modal contact forces and their derivatives.
         """
-        free, tangent = self._free, self.elements.tangent
+        free, tangent = self._free, self.elements.modal_stiffness
         goal = SETTINGS.contact_tolerance * max(tolerance, self.least_tolerance)
         at, before, last, halvings, solves = guess, guess, np.inf, 0, 0
         while True:
             contact_forces, contact_rates = self._evaluate_contact(at, frame, pressed_in)
             tissue_forces = forces + tangent @ (at - reference)
             residual = (tissue_forces + contact_forces)[free]
-            residual_norm = norm(residual)
-            reference_force = self._reference_force(self._compute_force_norm(contact_forces, tissue_forces))
+            residual_norm = euclidean_norm(residual)
+            reference_force = self._compute_reference_force(self._compute_force_norm(contact_forces, tissue_forces))
             if residual_norm <= goal * reference_force or solves >= SETTINGS.max_contact_solves:
                 return at, contact_forces, contact_rates
             if residual_norm > (1.0 - SETTINGS.sufficient_decrease) * last and halvings < SETTINGS.max_halvings:
@@ -291,71 +291,71 @@ class ReducedSolver(PlacedReduced):
                 continue
             before, last, halvings = at, residual_norm, 0
             at = at.copy()
-            at[free] -= solve((tangent + contact_rates)[free, free], residual)
+            at[free] -= solve_dense_system((tangent + contact_rates)[free, free], residual)
             solves += 1
 
     def accepts_pose(self, pose: Pose) -> bool:
         """See `Solver.accepts_pose`. Accepted are poses inside the box and poses without contact."""
-        return any(self._classify_pose(pose, Frame(pose, self.datum)))
+        return any(self._classify_pose_in_box(pose, ToolFrame(pose, self.datum)))
 
-    def _classify_pose(self, pose: Pose, frame: Frame) -> tuple[bool, bool]:
-        """Return whether the pose is inside the box, and whether it is outside and without contact."""
+    def _classify_pose_in_box(self, pose: Pose, frame: ToolFrame) -> tuple[bool, bool]:
+        """Return whether a pose counts as inside the box, and whether it is outside and without contact."""
         box, start = self.reduced.box, self._start
-        inside = box.holds(pose, start)
+        inside = box.contains_pose(pose, start)
         clear = not inside and self._is_clear_of(frame)
         # A tool that leaves the box upwards may still touch within the thickness of the layer.
-        return inside or (not (clear or self._lifting) and box.is_under(pose, start)), clear
+        return inside or (not (clear or self._lifting) and box.has_pose_above(pose, start)), clear
 
-    def _reset_stiffness(self) -> None:
+    def _invalidate_stiffness(self) -> None:
         """Evaluate the committed state and mark all stiffness as invalid, after a change of state or material."""
         self._groups_at_rest = self._suspect_groups = 0
-        self._reset_to_committed()
-        self.elements.reset_stiffness(self.amplitudes)
-        self._evaluated_at, self._forces = self.amplitudes.copy(), self.elements.forces.copy()
+        self._restore_committed_state()
+        self.elements.invalidate_stiffness(self.amplitudes)
+        self._evaluated_at, self._forces = self.amplitudes.copy(), self.elements.modal_forces.copy()
 
-    def _reset_to_committed(self) -> None:
-        """Restore amplitudes and pressures of the last committed state."""
+    def _restore_committed_state(self) -> None:
+        """Set amplitudes and pressures to those of the last committed state."""
         self.amplitudes[:], self.elements.pressures[:] = self._committed
 
     def lift_off(self) -> None:
         """Remove the tool and unload the tissue; see `Solver.lift_off`."""
         self._committed[0][:], self._committed[1][:] = 0.0, self.elements.rest_pressures
-        self._prediction.reset()
-        self.contact.forget()
+        self._prediction.reset_predictions()
+        self.contact.clear_contact()
         self._pose, self._largest_force = self._start, 0.0
-        self._reset_stiffness()
+        self._invalidate_stiffness()
 
-    def forget(self) -> None:
-        """Reset the solver to tissue without loading history."""
-        self.elements.forget()
+    def reset_to_rest(self) -> None:
+        """Remove the tool, and set tissue and material history to rest without loading."""
+        self.elements.reset_history()
         self.lift_off()
 
     def save(self) -> SavedState:
         """Return a copy of the committed state, for `restore`."""
-        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force, self._landed)
+        return SavedState(tuple(map(np.copy, self._state_arrays)), self._pose, self._largest_force, self._landed)
 
     def restore(self, saved: SavedState) -> None:
-        """Restore a state that was returned by `save`."""
+        """Make a state that was returned by `save` the committed state."""
         self.place_tool(saved.start or self._start)
-        for array, before in zip(self._kept, saved.arrays, strict=True):
+        for array, before in zip(self._state_arrays, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force
-        self._reset_stiffness()
+        self._invalidate_stiffness()
 
     @property
-    def _kept(self) -> tuple[np.ndarray, ...]:
-        return (*self._committed, *self._prediction.kept, *self.contact.kept, *self.elements.kept)
+    def _state_arrays(self) -> tuple[np.ndarray, ...]:
+        return *self._committed, *self._prediction.state_arrays, *self.contact.state_arrays, *self.elements.state_arrays
 
     def displacement(self) -> np.ndarray:
         """Return the displacement of all nodes in the last committed state, m, shape (nodes, 3)."""
-        return (self.reduced.basis @ self._committed[0]).reshape(-1, 3) + self.reduced.places - self.mesh.nodes
+        return (self.reduced.basis @ self._committed[0]).reshape(-1, 3) + self.reduced.rest_positions - self.mesh.nodes
 
     #: The sample of a state that `fields` needs is the displacement.
     field_sample = displacement
 
     def fields(self, samples: Sequence[Any]) -> Fields | None:
-        """See `reduced_fields`."""
-        return reduced_fields(self.mesh, self.material, samples, self.datum, self.reduced.element_layers)
+        """See `compute_reduced_fields`."""
+        return compute_reduced_fields(self.mesh, self.material, samples, self.datum, self.reduced.element_layers)
 
     def deformed_surface(self) -> SolidSurface:
         """Return the surface of the tissue in the last committed state."""

@@ -13,7 +13,7 @@ from itertools import product
 
 import numpy as np
 
-from tissue_sim.fem.solid.elastic import held_freedoms
+from tissue_sim.fem.solid.elastic import held_freedom_mask
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw, motion, turned
@@ -24,7 +24,7 @@ _TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False)
 class Symmetry:
-    """A rotation or reflection that maps the mesh onto itself, about a vertical line.
+    """A rotation about a vertical line, or reflection in a vertical plane, that maps the mesh onto itself.
 
     Attributes:
         matrix: orthogonal matrix that maps directions, shape (3, 3).
@@ -39,14 +39,14 @@ class Symmetry:
         """Whether the symmetry is the identity."""
         return bool((self.matrix == np.eye(3)).all())
 
-    def displacements(self, states: np.ndarray) -> np.ndarray:
-        """Return the images of displacements, m, shape (states, freedoms)."""
+    def map_displacements(self, states: np.ndarray) -> np.ndarray:
+        """Return the images of nodal displacements, m, shape (states, freedoms)."""
         states = np.asarray(states)
         images = np.empty((len(states), self.nodes.size, 3))
         images[:, self.nodes] = states.reshape(len(states), -1, 3) @ self.matrix.T
         return images.reshape(states.shape)
 
-    def pose(self, pose: Pose, start: Pose) -> Pose:
+    def map_pose(self, pose: Pose, start: Pose) -> Pose:
         """Return the image of a pose of a tool of revolution whose motion begins at `start`."""
         x, y, z, *turn = motion(start, pose)
         offset = self.matrix @ (x, y, z)
@@ -56,7 +56,7 @@ class Symmetry:
         position = (x0 + offset[0], y0 + offset[1], z0 + offset[2])
         return turned(Pose(position, start.orientation), tuple(rotation.tolist()))
 
-    def wrench(self, wrench: Screw | np.ndarray) -> np.ndarray:
+    def map_wrench(self, wrench: Screw | np.ndarray) -> np.ndarray:
         """Return the image of a wrench (force, N, and torque, N m), shape (6,)."""
         force, torque = np.asarray(wrench[:3]), np.asarray(wrench[3:])
         return np.concatenate([self.matrix @ force, np.linalg.det(self.matrix) * self.matrix @ torque])
@@ -71,15 +71,15 @@ def find_symmetries(solver: SolidSolver, start: Pose) -> list[Symmetry]:
         The symmetry group, the identity first.
     """
     found = []
-    for matrix in _square_symmetries():
+    for matrix in _make_square_symmetries():
         axis = np.array(start.rotation)[:, 2]
         if np.abs(matrix @ axis - axis).max() > _TOLERANCE:
             continue
-        nodes = _map_nodes(solver.mesh, matrix, np.array([*start.position[:2], 0.0]))
-        if nodes is None or not _maps_elements(solver.mesh, nodes):
+        nodes = _find_node_images(solver.mesh, matrix, np.array([*start.position[:2], 0.0]))
+        if nodes is None or not _maps_mesh_onto_itself(solver.mesh, nodes):
             continue
         # A support along an axis must have an image that is a support along the image of the axis.
-        held, image = held_freedoms(solver), np.empty((nodes.size, 3), dtype=bool)
+        held, image = held_freedom_mask(solver), np.empty((nodes.size, 3), dtype=bool)
         image[nodes] = held @ (np.abs(matrix.T) > 0.5)
         if (image == held).all():
             found.append(Symmetry(matrix, nodes))
@@ -109,7 +109,7 @@ def split_symmetry_group(group: Sequence[Symmetry]) -> tuple[list[Symmetry], lis
     return commuting, cosets
 
 
-def _square_symmetries() -> list[np.ndarray]:
+def _make_square_symmetries() -> list[np.ndarray]:
     """Return the eight symmetries of a square in the plane of x and y: the identity, the axis mirrors, the others."""
     matrices = []
     for swapped, (x, y) in product((False, True), product((1.0, -1.0), repeat=2)):
@@ -118,7 +118,7 @@ def _square_symmetries() -> list[np.ndarray]:
     return matrices
 
 
-def _map_nodes(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.ndarray | None:
+def _find_node_images(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.ndarray | None:
     """Return the number of the image of each node, shape (nodes,); None if an image is not a node."""
     from scipy.spatial import cKDTree
 
@@ -129,7 +129,7 @@ def _map_nodes(mesh: SolidMesh, matrix: np.ndarray, centre: np.ndarray) -> np.nd
     return nodes
 
 
-def _maps_elements(mesh: SolidMesh, nodes: np.ndarray) -> bool:
+def _maps_mesh_onto_itself(mesh: SolidMesh, nodes: np.ndarray) -> bool:
     """Whether a permutation of the nodes maps elements, named sets, regions and depths onto themselves."""
     if any((np.sort(nodes[each]) != np.sort(each)).any() for each in mesh.sets.values()):
         return False

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tissue_sim.fem.solid.frame import Frame, differentiate_rotated_forces
+from tissue_sim.fem.solid.frame import ToolFrame, differentiate_rotated_forces
 
 
 class ToolMotionBasis:
@@ -17,16 +17,16 @@ class ToolMotionBasis:
         first: frame of the tool at which all amplitudes are zero.
     """
 
-    def __init__(self, count: int, first: Frame):
+    def __init__(self, count: int, first: ToolFrame):
         self.count, self.first = count, first
-        self._frame: Frame | None = None
+        self._frame: ToolFrame | None = None
         self._rates = np.zeros((count, 6))
 
-    def amplitudes(self, frame: Frame) -> np.ndarray:
+    def compute_amplitudes(self, frame: ToolFrame) -> np.ndarray:
         """Return the amplitudes of the prescribed modes for a frame of the tool, shape (count,)."""
         return frame.compute_motion_from(self.first)[: self.count]
 
-    def rates(self, frame: Frame) -> np.ndarray:
+    def compute_amplitude_rates(self, frame: ToolFrame) -> np.ndarray:
         """Return the derivative of the amplitudes with respect to position and rotation of the tool.
 
         Returns:

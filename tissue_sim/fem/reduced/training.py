@@ -16,13 +16,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox, ReducedModel, Rest, Snapshots
-from tissue_sim.fem.reduced.sampling import sparse_weights
+from tissue_sim.fem.reduced.model import ErrorFactors, PoseBox, ReducedModel, RestState, TrainingSnapshots
+from tissue_sim.fem.reduced.sampling import compute_sparse_weights
 from tissue_sim.fem.reduced.settings import TRAINING, VERIFICATION
 from tissue_sim.fem.reduced.solver import ReducedSolver
 from tissue_sim.fem.reduced.symmetry import Symmetry, find_symmetries, split_symmetry_group
+from tissue_sim.fem.solid import elastic
 from tissue_sim.fem.solid.discretisation import build_mesh, make_solver
-from tissue_sim.fem.solid.elastic import element_forces, held_places, lifted_amplitudes, linear_response
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.material.material import Material
@@ -35,30 +35,30 @@ LIFTING = 12
 
 
 def make_full_order_solver(model: Model, mesh: SolidMesh) -> SolidSolver:
-    """Create the full-order solver of a model on a mesh."""
+    """Make the full-order solver of a model on a mesh."""
     return make_solver(model, mesh=mesh)
 
 
-def settled_memory(solver: SolidSolver) -> tuple[np.ndarray, ...]:
-    """Return the material history at rest under self-weight; empty without self-weight."""
-    return tuple(array.copy() for array in solver.tissue.kept) if solver.tissue.specific_weight else ()
+def copy_settled_history(solver: SolidSolver) -> tuple[np.ndarray, ...]:
+    """Return copies of the material history at rest under self-weight; empty without self-weight."""
+    return tuple(array.copy() for array in solver.tissue.state_arrays) if solver.tissue.specific_weight else ()
 
 
 def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Sequence[np.ndarray] = (),
-              tolerance: float = 1e-7) -> Snapshots:
-    """Simulate the full-order solid along poses, from rest without loading history.
+              tolerance: float = 1e-7) -> TrainingSnapshots:
+    """Simulate the full-order solid along poses of the tool, from rest without loading history.
 
     Args:
         solver: full-order solver.
         poses: poses of the tool.
-        memory: material history at rest, see `settled_memory`.
+        memory: material history at rest, see `copy_settled_history`.
         tolerance: relative residual of a step.
 
     Raises:
         ConvergenceError: a step did not converge with the smallest subdivision.
     """
     solver.lift_off()
-    for number, array in enumerate(solver.tissue.kept):
+    for number, array in enumerate(solver.tissue.state_arrays):
         array[:] = memory[number] if memory else 0.0
     rest = solver.field_sample().displacement.ravel()
     displacements, wrenches, last_pose = [], [], poses[0]
@@ -70,11 +70,11 @@ def simulate_snapshots(solver: SolidSolver, poses: Sequence[Pose], *, memory: Se
         wrenches.append(step.wrench)
         if (size := math.hypot(*step.wrench[:3])) > largest:
             largest, doubts = size, solver.warnings()
-    return Snapshots(np.array(displacements), np.array(wrenches), doubts)
+    return TrainingSnapshots(np.array(displacements), np.array(wrenches), doubts)
 
 
 def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, tolerance: float) -> Step:
-    """Move the full-order solid to a pose; divide the motion if a step does not converge. Return the last step."""
+    """Step the full-order solver from pose `here` to `goal`, in smaller steps if needed; return the last step."""
     for cut in range(TRAINING.max_subdivisions + 1):
         count = 4**cut
         for k in range(count):
@@ -89,13 +89,13 @@ def _step_with_subdivision(solver: SolidSolver, here: Pose, goal: Pose, toleranc
                            f"{step.status.message}. Use a smaller box", depth=solver.pose.depth)
 
 
-def lifted_modes(solver: SolidSolver) -> np.ndarray:
-    """Compute the linear elastic solutions for twelve motions of a bonded tool: 3 translations, 9 entries of a matrix.
+def compute_lifting_modes(solver: SolidSolver) -> np.ndarray:
+    """Compute the modes that a bonded tool prescribes: linear responses to 3 translations and 9 matrix entries.
 
     Returns:
         Displacements per amplitude, shape (freedoms, 12); (freedoms, 0) for a tool that can lift off.
     """
-    held = held_places(solver)
+    held = elastic.held_node_positions(solver)
     if not held.size:
         return np.zeros((solver.x.size, 0))
     motions = np.zeros((*held.shape, LIFTING))
@@ -103,7 +103,7 @@ def lifted_modes(solver: SolidSolver) -> np.ndarray:
     for i in range(3):
         for k in range(3):
             motions[:, i, 3 + 3 * i + k] = held[:, k]
-    return linear_response(solver, motions.reshape(-1, LIFTING))
+    return elastic.solve_linear_response(solver, motions.reshape(-1, LIFTING))
 
 
 def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> tuple[np.ndarray, np.ndarray]:
@@ -119,10 +119,10 @@ def compute_modes(states: np.ndarray, group: Sequence[Symmetry], count: int) -> 
         Modes above the noise, shape (freedoms, at most count), and all singular values, m, descending.
     """
     commuting, cosets = split_symmetry_group(group)
-    states = np.concatenate([states if one.is_identity else one.displacements(states) for one in cosets])
+    states = np.concatenate([states if one.is_identity else one.map_displacements(states) for one in cosets])
     parts = [states]
     for each in commuting:
-        parts = [0.5 * (part + sign * each.displacements(part)) for part in parts for sign in (1.0, -1.0)]
+        parts = [0.5 * (part + sign * each.map_displacements(part)) for part in parts for sign in (1.0, -1.0)]
     found = [_compute_singular_vectors(part, count) for part in parts]
     # The images of a state under the subgroup have equal norms, which scales the singular values.
     singular = np.sqrt(len(parts)) * np.concatenate([values for values, _ in found])
@@ -148,8 +148,8 @@ def _compute_singular_vectors(states: np.ndarray, count: int) -> tuple[np.ndarra
     return singular, (vectors / singular[:count]).T @ states
 
 
-class Sample(NamedTuple):
-    """State that is used to choose the sampled elements.
+class SamplingState(NamedTuple):
+    """Full-order state that is used to choose the sampled elements.
 
     Attributes:
         displacement: nodal displacements, m, shape (freedoms,).
@@ -164,9 +164,10 @@ class Sample(NamedTuple):
     material: Material
 
 
-def iterate_samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]], materials: Sequence[Material],
-            group: Sequence[Symmetry], start: Pose) -> Iterator[Sample]:
-    """Yield states for the choice of the sampled elements, evenly spaced, each mapped by the next symmetry in turn.
+def iterate_sampling_states(taken: Sequence[TrainingSnapshots], poses: Sequence[Sequence[Pose]],
+                            materials: Sequence[Material],
+                            group: Sequence[Symmetry], start: Pose) -> Iterator[SamplingState]:
+    """Yield evenly spaced training states, each mapped by the next symmetry in turn, to choose sampled elements.
 
     Args:
         taken: full-order states on each training path.
@@ -188,21 +189,21 @@ def iterate_samples(taken: Sequence[Snapshots], poses: Sequence[Sequence[Pose]],
     count = min(TRAINING.sampling_states, strong.size * len(group))
     for place, state in enumerate(strong[np.linspace(0, strong.size - 1, count).astype(int)]):
         image = group[place % len(group)]
-        yield Sample(image.displacements(states[state : state + 1])[0], image.pose(ways[state], start),
-                     float(forces[state]), materials[of_stroke[state]])
+        yield SamplingState(image.map_displacements(states[state : state + 1])[0], image.map_pose(ways[state], start),
+                            float(forces[state]), materials[of_stroke[state]])
 
 
-def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int,
-                    looked_at: Iterable[Sample], tolerance: float, bulk_ratio: float,
-                    progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Choose elements and weights that reproduce the modal forces at the given states (`sparse_weights`).
+def choose_sampled_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watched: int,
+                            looked_at: Iterable[SamplingState], tolerance: float, bulk_ratio: float,
+                            progress: Callable[[int, float], None] | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Choose elements and weights that reproduce the modal forces at the given states (`compute_sparse_weights`).
 
     Args:
         solver: the full-order solver; its material is restored afterwards.
         basis: displacements of all modes, shape (freedoms, modes).
         lifting: number of prescribed modes, the first ones.
         watched: number of error modes, the last ones.
-        looked_at: states, see `iterate_samples`. The states are projected on the modes other than the error modes.
+        looked_at: states of `iterate_sampling_states`; they are projected on the modes other than the error modes.
         tolerance: relative error of the modal forces.
         bulk_ratio: upper limit of the bulk modulus over the shear modulus.
         progress: called with the number of elements and their relative error so far.
@@ -217,16 +218,17 @@ def sample_elements(solver: SolidSolver, basis: np.ndarray, lifting: int, watche
         len(mesh.connectivity), -1, basis.shape[1])
     lifted, rest = basis[:, :lifting], basis[:, lifting : basis.shape[1] - watched]
     # The forces at rest balance the self-weight and are not sampled.
-    borne = element_forces(solver, 0.0 * solver.x, bulk_ratio) if solver.tissue.specific_weight else 0.0
+    borne = (elastic.element_forces_at_displacement(solver, 0.0 * solver.x, bulk_ratio)
+             if solver.tissue.specific_weight else 0.0)
     contributions, before = [], solver.material
     for state, pose, force, material in looked_at:
         if material is not solver.material:
             solver.set_material(material)
-        moved = lifted @ lifted_amplitudes(solver, pose)[:lifting]
-        on_nodes = element_forces(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
+        moved = lifted @ elastic.tool_motion_amplitudes(solver, pose)[:lifting]
+        on_nodes = elastic.element_forces_at_displacement(solver, moved + rest @ (rest.T @ (state - moved)), bulk_ratio)
         contributions.append(np.einsum("eir,ei->re", rows, on_nodes - borne) / force)
     solver.set_material(before)
-    weights = sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
+    weights = compute_sparse_weights(np.concatenate(contributions), tolerance, progress=progress)
     elements = np.flatnonzero(weights)
     return elements, weights[elements]
 
@@ -245,7 +247,7 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
         strokes: poses of each test path.
         progress: called with the number of finished paths and the number of all paths.
         materials: materials that are used in turn; none: the present material.
-        memory: material history at rest, see `settled_memory`.
+        memory: material history at rest, see `copy_settled_history`.
 
     Returns:
         The report and the first two error factors of `ReducedModel`. The report contains ``force_rms_error`` and
@@ -271,7 +273,7 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
         whole = simulate_snapshots(solver, poses, memory=memory)
         true, doubts = whole.wrenches, whole.doubts or doubts
         for each in (small, fewer):
-            each.forget()
+            each.reset_to_rest()
         here = poses[0]
         for pose, wrench in zip(poses, true, strict=True):
             for k in range(VERIFICATION.substeps):
@@ -285,7 +287,7 @@ def verify_and_calibrate(reduced: ReducedModel, solver: SolidSolver, strokes: Se
             kinds.append(done % max(1, len(materials)))
             estimates.append(step.force_error or 0.0)
             explained.append(0.0 if table is None or small.missing_force is None else max(
-                0.0, small.missing_force.value()
+                0.0, small.missing_force.compute_missing_force()
                 - table.accepted_missing_force_at(float(np.linalg.norm(step.wrench[:3])))))
             others.append((coarse.force_error or 0.0, float(np.linalg.norm(wrench[:3])),
                            float(np.linalg.norm(np.subtract(coarse.wrench[:3], wrench[:3])))))
@@ -319,7 +321,7 @@ def _find_coverage_factor(estimates: np.ndarray, errors: np.ndarray) -> float:
                                      VERIFICATION.coverage)))
 
 
-def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[Snapshots],
+def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequence[TrainingSnapshots],
                         poses: Sequence[Sequence[Pose]], *, count: int, tolerance: float, softness: float,
                         bulk_ratio: float, materials: Sequence[Material] = (), group: Sequence[Symmetry] = (),
                         progress: Callable[[int, float], None] | None = None) -> ReducedModel:
@@ -343,32 +345,32 @@ def build_reduced_model(model: Model, mesh: SolidMesh, box: PoseBox, taken: Sequ
     group = group or find_symmetries(solver, start)
     states = np.concatenate([each.displacements for each in taken])
     ways = [pose for each in poses for pose in each]
-    lifted = lifted_modes(solver)
+    lifted = compute_lifting_modes(solver)
     lifting = lifted.shape[1]
-    amplitudes = np.array([lifted_amplitudes(solver, pose) for pose in ways])[:, :lifting]
+    amplitudes = np.array([elastic.tool_motion_amplitudes(solver, pose) for pose in ways])[:, :lifting]
     # The prescribed part commutes with the symmetries, so the images of the remainder need no new subtraction.
     found, singular = compute_modes(states - amplitudes @ lifted.T, group, count + TRAINING.error_modes)
     basis = np.hstack([lifted, found])
     watched = max(0, found.shape[1] - count)
-    looked_at = iterate_samples(taken, poses, materials or [model.material] * len(taken), group, start)
-    elements, shares = sample_elements(solver, basis, lifting, watched, looked_at, tolerance,
-                                       max(bulk_ratio, TRAINING.min_sampling_bulk_ratio), progress)
+    looked_at = iterate_sampling_states(taken, poses, materials or [model.material] * len(taken), group, start)
+    elements, shares = choose_sampled_elements(solver, basis, lifting, watched, looked_at, tolerance,
+                                               max(bulk_ratio, TRAINING.min_sampling_bulk_ratio), progress)
     kept = found.shape[1] - watched
     report = {"freedoms": int(states.shape[1]), "modes": kept, "elements": int(elements.size),
               "elements_of_all": len(mesh.connectivity), "snapshots": int(states.shape[0]),
               "symmetries": len(group),
               "energy_left_out": float((singular[kept:] ** 2).sum() / (singular**2).sum())}
     return ReducedModel(model, solver.mesh, basis, lifting, elements, shares, box, softness, bulk_ratio, report,
-                        watched, rest=_rest(solver))
+                        watched, rest=_make_rest_state(solver))
 
 
-def _rest(solver: SolidSolver) -> Rest | None:
+def _make_rest_state(solver: SolidSolver) -> RestState | None:
     """Return the equilibrium under self-weight; None without self-weight."""
     if not solver.tissue.specific_weight:
         return None
     solver.lift_off()
     standing = solver.field_sample()
-    return Rest(standing.displacement.ravel(), standing.pressures)
+    return RestState(standing.displacement.ravel(), standing.pressures)
 
 
 def with_report_and_error_factors(reduced: ReducedModel, factors: ErrorFactors, **more: Any) -> ReducedModel:
@@ -376,7 +378,7 @@ def with_report_and_error_factors(reduced: ReducedModel, factors: ErrorFactors, 
     return replace(reduced, report={**reduced.report, **more}, error_factors=factors)
 
 
-def training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
+def build_training_mesh(model: Model, box: PoseBox, resolution: str) -> SolidMesh:
     """Generate the mesh of a named resolution, refined wherever the tool can touch.
 
     Raises:

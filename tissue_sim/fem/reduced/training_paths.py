@@ -25,7 +25,7 @@ _DIMENSION = 12
 _PATHS = TrainingPathSettings()
 
 
-def training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach: float) -> list[Pose]:
+def make_training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach: float) -> list[Pose]:
     """Return the poses of a training path, at most one step apart.
 
     Args:
@@ -38,18 +38,19 @@ def training_path(number: int, box: PoseBox, start: Pose, *, holds: bool, reach:
     from scipy.stats import qmc
 
     coordinates = qmc.Sobol(_DIMENSION, scramble=False).fast_forward(number + 1).random(1)[0]
-    first, second = (_make_pose_in_box(part, box, start, holds) for part in (coordinates[:6], coordinates[6:]))
+    first, second = (_map_coordinates_to_box_pose(part, box, start, holds)
+                     for part in (coordinates[:6], coordinates[6:]))
     if holds:
         corners = [start, first, second, start]
     else:
         above = _move_to_depth(first, start, 0.0)
         corners = [_move_to_depth(first, start, -0.1 * box.depth), above, first, second,
                    _move_to_depth(second, start, 0.0)]
-    return _sample_path(corners, reach)
+    return _interpolate_path(corners, reach)
 
 
-def boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reach: float,
-                     images: Sequence[np.ndarray] = (), fraction: float = 1.0) -> list[list[Pose]]:
+def make_boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reach: float,
+                                 images: Sequence[np.ndarray] = (), fraction: float = 1.0) -> list[list[Pose]]:
     """Return the poses of the training paths along the boundary of a box, in order of corners and edges.
 
     At a corner the tool indents to the full depth, tilts outward by the largest rotation of the box and is dragged
@@ -73,28 +74,28 @@ def boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reach: fl
         corners = [start, upright, leaning, end, start] if holds else [
             _move_to_depth(upright, start, -0.1 * box.depth), _move_to_depth(upright, start, 0.0), upright, leaning,
             end, _move_to_depth(end, start, 0.0)]
-        paths.append(_sample_path(corners, reach))
+        paths.append(_interpolate_path(corners, reach))
     return paths
 
 
-def reversing_paths(box: PoseBox, start: Pose, *, reach: float, images: Sequence[np.ndarray] = (),
-                    fraction: float = 1.0) -> list[list[Pose]]:
+def make_reversing_paths(box: PoseBox, start: Pose, *, reach: float, images: Sequence[np.ndarray] = (),
+                         fraction: float = 1.0) -> list[list[Pose]]:
     """Return paths on which the tool moves obliquely to the boundary of a box and back along the same line.
 
     The lateral motion reverses in contact, which reverses the friction. The paths lead from above the start to the full
-    depth at each corner and at the midpoint of each edge; the arguments are those of `boundary_training_paths`.
+    depth at each corner and at the midpoint of each edge; the arguments are those of `make_boundary_training_paths`.
     """
     small = PoseBox(fraction * box.sideways, fraction * box.depth)
-    return [_sample_path([_move_to_depth(start, start, -0.1 * box.depth), start,
-                          _make_deepest_pose(small, start, point), start], reach)
+    return [_interpolate_path([_move_to_depth(start, start, -0.1 * box.depth), start,
+                               _make_deepest_pose(small, start, point), start], reach)
             for point, _ in _iterate_boundary_points(box.sideways > 0.0, images)]
 
 
 def _iterate_boundary_points(is_wide: bool, images: Sequence[np.ndarray]
                              ) -> Iterator[tuple[tuple[int, int], tuple[int, int]]]:
-    """Yield corners and edge midpoints of a square, each with the point to which the tool is dragged.
+    """Yield pairs of an indentation point, a corner or edge midpoint of a square, and the goal of the drag there.
 
-    A box without width has only its centre.
+    Coordinates are -1, 0 or 1. A box without width has only its centre.
     """
     if not is_wide:
         yield (0, 0), (0, 0)
@@ -107,13 +108,13 @@ def _iterate_boundary_points(is_wide: bool, images: Sequence[np.ndarray]
 
 
 def _make_deepest_pose(box: PoseBox, start: Pose, point: tuple[int, int]) -> Pose:
-    """Return the pose at the full depth of the box; the point is in units of `box.sideways`."""
+    """Return the upright pose at the full depth of the box; `point`: lateral position over `box.sideways`."""
     x, y, z = start.position
     return Pose((x + box.sideways * point[0], y + box.sideways * point[1], z - box.depth), start.orientation)
 
 
-def _sample_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
-    """Interpolate poses between corner poses, at most one step apart."""
+def _interpolate_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
+    """Return poses along straight motions between corner poses, at most `TrainingPathSettings.step` apart."""
     poses = [corners[0]]
     for one, other in pairwise(corners):
         x, y, z, *turn = motion(one, other)
@@ -122,7 +123,7 @@ def _sample_path(corners: Sequence[Pose], reach: float) -> list[Pose]:
     return poses
 
 
-def _make_pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds: bool) -> Pose:
+def _map_coordinates_to_box_pose(coordinates: np.ndarray, box: PoseBox, start: Pose, holds: bool) -> Pose:
     """Return the pose of the box with these normalised coordinates, 0 to 1, shape (6,)."""
     x, y, z, angle, a, b = coordinates
     least = 0.0 if holds else _PATHS.min_depth
@@ -138,6 +139,6 @@ def _make_pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds:
 
 
 def _move_to_depth(pose: Pose, start: Pose, depth: float) -> Pose:
-    """Return the pose moved to another depth, m."""
+    """Return a copy of a pose moved vertically to another depth below `start`, m."""
     x, y, _ = pose.position
     return Pose((x, y, start.position[2] - depth), pose.orientation)

@@ -2,7 +2,7 @@
 
 from functools import cache
 
-from tissue_sim.fem.solid.element import SettingColumn, element_functions
+from tissue_sim.fem.solid.element import SettingColumn, make_element_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
@@ -10,22 +10,28 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
 @cache
-def assembly_kernel(element_name: str, energy: KernelEnergy):
-    """Return the kernel that assembles the nodal forces, and the tangent if `settings` request it.
+def make_assembly_kernel(element_name: str, energy: KernelEnergy):
+    """Return the kernel that assembles the nodal forces, and the tangent if the array `settings` requests it.
 
-    It writes the smallest volume ratio J to `least`.
+    The kernel adds the forces, N, to the array ``residual`` and the stiffness, N/m, to ``data``, and writes the
+    smallest volume ratio J of all quadrature points to ``least[0]``. The columns of ``settings`` are `SettingColumn`.
+
+    Args:
+        element_name: a key of `SOLID_ELEMENTS`.
+        energy: strain energy of the material.
     """
     ti = initialise()
     nodes = SOLID_ELEMENTS[element_name].node_count
     pairs = nodes * (nodes + 1) // 2
-    integrate, stiffen = element_functions(element_name, energy)
+    integrate_forces, compute_stiffness_blocks = make_element_functions(element_name, energy)
     vec = ti.types.vector(LANES, ti.f64)
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
     vector1 = ti.types.ndarray(vec, ndim=1)
 
     @ti.kernel
-    def assemble(settings: real1, least: real1, x: real1, pressures: vector1, dofs: int2, equations: int2,
+    def assemble_forces_and_tangent(settings: real1, least: real1, x: real1, pressures: vector1, dofs: int2,
+                                    equations: int2,
                  gradient_x: vector1, gradient_y: vector1, gradient_z: vector1, weights: vector1, mode_values: vector1,
                  moduli: vector1, coefficients: real1, elements: int2, past: real1, inherited: real3, largest: real2,
                  stresses: real3, energies: real2, volume_rates: vector1, gaps: vector1, forces: vector1,
@@ -43,9 +49,9 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
                     data[i] = 0.0
             least[0] = 1e30
             for b in range(moduli.shape[0]):
-                smallest = integrate(b, kappa, tangent, remembers, x, pressures, dofs, gradient_x, gradient_y,
+                smallest = integrate_forces(b, kappa, tangent, remembers, x, pressures, dofs, gradient_x, gradient_y,
                                      gradient_z, weights, mode_values, moduli, coefficients, elements, past, inherited,
-                                     largest, stresses, energies, volume_rates, gaps, forces)
+                                            largest, stresses, energies, volume_rates, gaps, forces)
                 least[0] = ti.min(least[0], smallest)
                 for i in range(3 * nodes):
                     f = forces[3 * b * nodes + i]
@@ -53,10 +59,10 @@ def assembly_kernel(element_name: str, energy: KernelEnergy):
                         at = equations[3 * b * nodes + i, l]
                         residual[at] = residual[at] + f[l]
                 if tangent > 0.0:
-                    stiffen(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
+                    compute_stiffness_blocks(b, kappa, moduli, gradient_x, gradient_y, gradient_z, stiffness)
                     for i in range(9 * pairs * LANES):
                         at, mirror = places[b, i], mirrored[b, i]
                         data[at] = data[at] + scattered[i]
                         data[mirror] = data[mirror] + scattered[i]
 
-    return assemble
+    return assemble_forces_and_tangent

@@ -12,7 +12,7 @@ from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.solid import SolidMesh
 
 
-def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def compute_quadrature_data(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Compute quadrature data of all undeformed elements.
 
     Returns:
@@ -29,7 +29,8 @@ def quadrature(mesh: SolidMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     weights = np.linalg.det(jacobian) * shares
     if not (weights > 0.0).all():
         worst = int(np.argmin(weights.min(axis=1)))
-        raise InputError(f"element {worst} of the mesh is turned inside out or has no volume", field="mesh")
+        raise InputError(f"must have elements of positive volume; element {worst} is inside out or has no volume. "
+                         "Correct the order of its nodes, or remove it", field="mesh")
     modes = np.ones((*weights.shape, mesh.element.pressure_modes))
     if mesh.element.pressure_modes == 4:
         position = np.einsum("qa,eai->eqi", values, X)
@@ -67,7 +68,7 @@ class ElementBatches:
                  shares: np.ndarray | None = None):
         count, nodes = mesh.connectivity.shape
         self._modes = mesh.element.pressure_modes
-        self.weights, gradients, modes = quadrature(mesh)
+        self.weights, gradients, modes = compute_quadrature_data(mesh)
         if shares is not None:
             self.weights *= shares[:, None]
             modes = modes / np.sqrt(shares)[:, None, None]
@@ -97,7 +98,7 @@ class ElementBatches:
         self._equations = np.ascontiguousarray(np.moveaxis(equations, 1, -1).reshape(-1, LANES), dtype=np.int32)
         self._gradients = [self._arrange_in_lanes(gradients[..., i]) for i in range(3)]
         self._weights, self._mode_values = self._arrange_in_lanes(self.weights), self._arrange_in_lanes(modes)
-        self._number_matrix_entries(mesh.connectivity, len(mesh.nodes))
+        self._build_sparsity_pattern(mesh.connectivity, len(mesh.nodes))
 
     def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
         """Rearrange values of the elements, shape (elements, ...), to lanes, shape (batches times the rest, LANES)."""
@@ -108,7 +109,7 @@ class ElementBatches:
         return np.moveaxis(lanes.reshape(self.batches, *inner, LANES), -1, 1).reshape(-1, *inner)[self.lane_of]
 
     @cached_property
-    def of_points(self) -> tuple[np.ndarray, np.ndarray]:
+    def point_gradients_and_modes(self) -> tuple[np.ndarray, np.ndarray]:
         """Compute the gradients of the shape functions and the pressure modes at the quadrature points.
 
         Returns:
@@ -119,12 +120,12 @@ class ElementBatches:
         return gradients, self._arrange_by_element(self._mode_values, points, self._modes)
 
     @property
-    def element_moduli(self) -> np.ndarray:
+    def element_modulus_ratios(self) -> np.ndarray:
         """Ratio of the moduli of each element to those of the material, shape (elements,)."""
         return self._arrange_by_element(self.moduli)
 
-    def _number_matrix_entries(self, connectivity: np.ndarray, nodes: int) -> None:
-        """Compute the pattern of the matrix, and the positions of the stiffness of each pair of nodes in its data."""
+    def _build_sparsity_pattern(self, connectivity: np.ndarray, nodes: int) -> None:
+        """Set `matrix`, and the indices in its data of the stiffness entries of each pair of nodes of an element."""
         from scipy import sparse
 
         of_element = connectivity.shape[1]
@@ -135,21 +136,22 @@ class ElementBatches:
         pattern = (holds.T @ holds).tocsc()
         pattern.sort_indices()
         # Index of the block of each pair of nodes of an element, in the column of the second node.
-        places = find_entry_indices(pattern, connectivity[:, a], connectivity[:, c])
-        mirrored = find_entry_indices(pattern, connectivity[:, c], connectivity[:, a])
+        places = find_sparse_entry_indices(pattern, connectivity[:, a], connectivity[:, c])
+        mirrored = find_sparse_entry_indices(pattern, connectivity[:, c], connectivity[:, a])
         starts, rows = pattern.indptr.astype(np.int64), pattern.indices
         blocks = np.diff(starts)
         i, k = np.tile(np.arange(3), 3), np.repeat(np.arange(3), 3)
 
-        def entries(place: np.ndarray, column: np.ndarray, row: np.ndarray, along: np.ndarray) -> np.ndarray:
-            """Positions of the nine entries of blocks: a node has three columns, each with three rows for a node."""
+        def compute_block_entry_indices(place: np.ndarray, column: np.ndarray, row: np.ndarray,
+                                        along: np.ndarray) -> np.ndarray:
+            """Return the indices in the matrix data of the 3 x 3 entries of node blocks, shape (..., 9)."""
             first = 9 * starts[column] + 3 * (place - starts[column])
             return first[..., None] + 3 * blocks[column][..., None] * along + row
 
         unused = 9 * rows.size
-        direct = entries(places, connectivity[:, c], i, k)
+        direct = compute_block_entry_indices(places, connectivity[:, c], i, k)
         # A diagonal block has no mirror image.
-        across = np.where((c == a)[:, None], unused, entries(mirrored, connectivity[:, a], k, i))
+        across = np.where((c == a)[:, None], unused, compute_block_entry_indices(mirrored, connectivity[:, a], k, i))
         self._places, self._mirrored = (self._arrange_pairs_in_lanes(each.reshape(len(connectivity), -1), unused)
                                         for each in (direct, across))
         self._stiffness = np.zeros((9 * c.size, LANES))
@@ -161,14 +163,16 @@ class ElementBatches:
             [[0], np.cumsum(lengths)])), shape=(3 * nodes, 3 * nodes))
 
     def _arrange_pairs_in_lanes(self, places: np.ndarray, unused: int) -> np.ndarray:
+        """Rearrange data indices, shape (elements, entries), to lanes; unused lanes get the index `unused`."""
         lanes = np.where(self._real[..., None], places[self._elements], unused)
         return np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
 
-    def arrays(self, part: slice) -> dict[str, np.ndarray]:
-        """Return the arrays of the batches of a group, and shared arrays, by their names in the kernel.
+    def get_kernel_arrays(self, part: slice) -> dict[str, np.ndarray]:
+        """Return argument name of the assembly kernel -> array, for the batches of one group of elements.
 
         Args:
-            part: batches of the group. The array ``elements`` contains indices in the group.
+            part: range of the batches of the group, an entry of `parts`. The array ``elements`` contains indices within
+                the group. The matrix data and the residual are shared by all groups.
         """
         dofs = np.ascontiguousarray(np.moveaxis(self._dofs[self._elements], 1, -1).reshape(-1, LANES))
         named = dict(zip(("gradient_x", "gradient_y", "gradient_z"), self._gradients, strict=True))
@@ -187,52 +191,55 @@ class ElementBatches:
         """Forces of each element on its degrees of freedom after the last assembly, N, shape (elements, freedoms)."""
         return self._arrange_by_element(self._forces, 3 * self._dofs.shape[1])
 
-    def pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
-        """Forces of pressures in lanes, Pa, on the degrees of freedom of the elements, at the last evaluated state.
+    def compute_pressure_forces(self, pressures: np.ndarray) -> np.ndarray:
+        """Compute the nodal forces of pressures on each element, at the last assembled displacements.
+
+        Args:
+            pressures: amplitudes of the pressure modes, Pa, arranged like `pressures` of this class.
 
         Returns:
-            N, shape (elements, freedoms of an element).
+            Forces, N, shape (elements, freedoms of an element).
         """
         rates = self._arrange_by_element(self.volume_rates, self._modes, 3 * self._dofs.shape[1])
         return np.einsum("em,emi->ei", self.convert_lanes_to_elements(pressures), rates)
 
     @property
-    def stretch_rates(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Arrays that the kernel reads, and their derivatives with respect to log(height of the undeformed mesh)."""
+    def arrays_with_height_derivatives(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Pairs of a kernel array and its derivative with respect to the logarithm of the undeformed mesh's height."""
         return [(self._gradients[2], -self._gradients[2]), (self._weights, self._weights.copy()),
                 (self._mode_values, -0.5 * self._mode_values)]
 
-    def set_moduli(self, ratios: np.ndarray) -> None:
-        """Set the ratio of the moduli of each element to those of its material, shape (elements,)."""
+    def set_modulus_ratios(self, ratios: np.ndarray) -> None:
+        """Set the factor of each element on the moduli of its material, 1, shape (elements,)."""
         self.moduli[:] = ratios[self._elements]
 
     def convert_lanes_to_elements(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Convert amplitudes of the pressure modes from lanes to elements, shape (elements, modes)."""
+        """Convert amplitudes of the pressure modes from the arrangement in lanes to shape (elements, modes)."""
         return self._arrange_by_element(amplitudes, self._modes)
 
     def convert_elements_to_lanes(self, amplitudes: np.ndarray) -> np.ndarray:
-        """Convert amplitudes from elements to lanes; the inverse of `convert_lanes_to_elements`."""
+        """Convert amplitudes of the pressure modes, shape (elements, modes), to the arrangement in lanes."""
         return self._arrange_in_lanes(amplitudes)
 
     def update_pressures(self, motion: np.ndarray, kappa: np.ndarray | float) -> None:
-        """Update the pressures after a linear solution.
+        """Update `pressures` by the linearised pressure equation after the displacements of a linear solution.
 
         Args:
             motion: increments of the degrees of freedom, m, shape (freedoms,).
             kappa: bulk modulus, or those of the batches, Pa.
         """
         nodes = self._dofs.shape[1]
-        moved = motion[self._equations_of_nodes].reshape(self.batches, 1, 3 * nodes, LANES)
+        moved = motion[self._equations_in_lanes].reshape(self.batches, 1, 3 * nodes, LANES)
         rates = self.known_rates.reshape(self.batches, self._modes, 3 * nodes, LANES)
         change = self.gaps.reshape(self.batches, self._modes, LANES) + (rates * moved).sum(axis=2)
         self.pressures += ((np.reshape(kappa, (-1, 1)) * self.moduli)[:, None] * change).reshape(-1, LANES)
 
-    def store_volume_rates(self) -> None:
-        """Store the present derivatives of the volumes as those in the matrix."""
+    def store_assembled_volume_rates(self) -> None:
+        """Copy the present volume derivatives to `known_rates`, because the assembled matrix contains them."""
         self.known_rates[:] = self.volume_rates
 
-    def add_known_volumes(self, forces: np.ndarray, kappa: np.ndarray) -> None:
-        """Correct forces for the elimination of the pressures with the volume derivatives in the matrix.
+    def correct_forces_for_old_volume_rates(self, forces: np.ndarray, kappa: np.ndarray) -> None:
+        """Correct forces for a matrix of an earlier state, whose pressures were eliminated with `known_rates`.
 
         Args:
             forces: N, shape (freedoms,); changed in place.
@@ -245,14 +252,20 @@ class ElementBatches:
         forces += np.bincount(self._equations.ravel(), more.ravel(), minlength=forces.size + 1)[:-1]
 
     @cached_property
-    def _equations_of_nodes(self) -> np.ndarray:
+    def _equations_in_lanes(self) -> np.ndarray:
         # Unused lanes have the equations of the last element, so that they remain copies of it.
         own = (self._dofs[:, :, None] + np.arange(3, dtype=np.int32)).reshape(self.count, -1)
         return np.moveaxis(own[self._elements], 1, -1)
 
 
-def find_entry_indices(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Indices of entries in the data of a matrix in compressed columns with sorted rows."""
+def find_sparse_entry_indices(pattern, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Return the indices in ``data`` of entries (row, column) of a sparse matrix in compressed columns.
+
+    Args:
+        pattern: a `scipy.sparse.csc_array` with sorted row indices.
+        rows: row numbers of entries that exist in the matrix, shape (...).
+        columns: their column numbers, shape (...).
+    """
     count = pattern.shape[0]
     keys = np.repeat(np.arange(count, dtype=np.int64), np.diff(pattern.indptr)) * count + pattern.indices
     return np.searchsorted(keys, columns.astype(np.int64) * count + rows)

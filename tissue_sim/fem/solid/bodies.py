@@ -10,17 +10,16 @@ from tissue_sim.experiment.tools.outline import Profile
 
 
 @dataclass(frozen=True, eq=False)
-class Body:
-    """A rigid body of revolution, and the nodes that may touch it.
+class RigidBody:
+    """A rigid body of revolution (a part of the tool, or the base), and the nodes that may touch it.
 
     Attributes:
         profile: outline in the frame of the body.
-        nodes: indices of the nodes.
-        friction: of its face and of its shaft: a coefficient, 0 for frictionless, `STICK` for no
-            slip.
-        moves: whether the body moves with the tool; else its frame is that of the mesh.
-        tied: whether an interface without slip holds the nodes from the start.
-        stays: whether the nodes cannot lift off.
+        nodes: indices of the nodes in the mesh, shape (n,).
+        friction: Coulomb coefficients of the face and of the shaft, 1; 0: frictionless; `STICK`: no slip.
+        moves: whether the body moves with the tool; else it is at rest in the frame of the mesh.
+        tied: whether nodes that touch the body at the first touch are held there without slip.
+        stays: whether the contact also transmits tension, so that the nodes cannot lift off.
         first_line: index of the first segment of the profile that the nodes may touch.
         closed: whether a sharp shaft is extended downwards while the tool is pressed in, because the tissue that is
             held below an upright face occupies the space there.
@@ -37,7 +36,7 @@ class Body:
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestSurfacePoints:
     """Nearest points of a body's surface to given points, in the frame of the body.
 
     Attributes:
@@ -45,7 +44,7 @@ class Nearest:
         normal: outward normal, shape (n, 3).
         curvature: derivative of the normal with respect to position, 1/m, shape (n, 3, 3).
         on_shaft: whether the nearest point belongs to the shaft, shape (n,).
-        meridian: direction along the outline, shape (n, 3).
+        meridian: unit tangent of the outline, shape (n, 3).
     """
 
     gap: np.ndarray
@@ -55,13 +54,13 @@ class Nearest:
     meridian: np.ndarray
 
 
-def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
+def find_nearest_surface_points(body: RigidBody, points: np.ndarray, pressed_in: bool) -> NearestSurfacePoints:
     """Find the nearest points of a body's surface.
 
     Args:
         body: the body.
         points: in the frame of the body, m, shape (n, 3).
-        pressed_in: whether the body is at its position of first touch, or deeper; see `Body.closed`.
+        pressed_in: whether the body is at its position of first touch, or deeper; see `RigidBody.closed`.
     """
     profile, first = body.profile, body.first_line
     closed = body.closed and pressed_in and first == profile.shaft and profile.rounding == 0.0
@@ -96,5 +95,5 @@ def nearest(body: Body, points: np.ndarray, pressed_in: bool) -> Nearest:
     curvature = (bent[:, None, None] * meridian[:, :, None] * meridian[:, None]
                  + hoop[:, None, None] * around[:, :, None] * around[:, None])
     rounded = beyond & (profile.rounding > 0.0)
-    return Nearest(sign * distance - profile.rounding, normal, curvature,
-                   (best + first >= profile.shaft) & ~rounded, meridian)
+    return NearestSurfacePoints(sign * distance - profile.rounding, normal, curvature,
+                                (best + first >= profile.shaft) & ~rounded, meridian)

@@ -13,7 +13,9 @@ from tissue_sim.pose import Pose
 
 
 class CondensedTangent:
-    """Copy of a tangent, which stays constant while the iteration continues, with its factor and condensed matrices.
+    """Copy of the tangent of one iterate, with its factor and its Schur complement on the interface nodes.
+
+    The copy stays constant while the iteration of the solver continues.
 
     Args:
         free: free degrees of freedom of the solid, for the sparsity pattern.
@@ -23,14 +25,14 @@ class CondensedTangent:
         time: time of the contact state of the iterate, s; set by the owner.
         pose: pose of the tool at the iterate; set by the owner.
         interface: indices, in the `ContactSurface`, of the nodes onto which the tangent is condensed, shape (m,).
-        nodes: those of them that are published, shape (n,).
+        nodes: interface nodes that are published to the contact solver, shape (n,).
         volume_rates: volume derivatives with which the pressures were eliminated, see `ElementBatches`.
         held: columns of the matrix for the degrees of freedom that the tool holds.
         factor: None before it is computed, or if the matrix is singular.
-        compliance: of the published nodes, m/N, shape (3 n, 3 n).
+        compliance: compliance matrix of the published nodes, m/N, shape (3 n, 3 n).
         tool_coupling: derivative of the nodal displacements with respect to the pose of the tool that holds tissue,
             shape (3 n, 6).
-        stiffness: derivative of the wrench, shape (6, 6).
+        stiffness: minus the derivative of the wrench of the held nodes with respect to the pose, shape (6, 6).
     """
 
     time: float
@@ -50,9 +52,9 @@ class CondensedTangent:
         self.volume_rates, self.held = np.zeros(0), free.all[:, held]
         self.factor: CondensedFactor | None = None
 
-    def assign(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray, volume_rates: np.ndarray,
-               executor: Executor) -> None:
-        """Copy the present tangent and start its factorisation.
+    def start_condensation(self, free: FreeDofSystem, interface: np.ndarray, equations: np.ndarray,
+                           volume_rates: np.ndarray, executor: Executor) -> None:
+        """Copy the present tangent, and start its factorisation and condensation in an executor.
 
         Args:
             free: matrix with the present values.
@@ -65,9 +67,10 @@ class CondensedTangent:
         self.interface, self.volume_rates, self.factor = interface, volume_rates.copy(), None
         self._order = np.argsort(equations.ravel())
         self._sorted = equations.ravel()[self._order]
-        self._is_done = executor(self._compute)
+        self._is_done = executor(self._condense)
 
-    def _compute(self) -> None:
+    def _condense(self) -> None:
+        """Set `factor`; it stays None if the matrix is singular."""
         self.factor = self._sparse.condense(self._matrix, self._sorted)
 
     @property
@@ -75,34 +78,46 @@ class CondensedTangent:
         """Whether the factorisation has ended, with or without a factor."""
         return self._is_done()
 
-    def choose(self, nodes: np.ndarray, equations: np.ndarray) -> None:
-        """Publish nodes of the interface, given with the equations of their degrees of freedom, shape (n, 3)."""
+    def select_published_nodes(self, nodes: np.ndarray, equations: np.ndarray) -> None:
+        """Set the published nodes and their compliance.
+
+        Args:
+            nodes: indices in the `ContactSurface`, a subset of `interface`, shape (n,).
+            equations: numbers of their degrees of freedom among the free ones, shape (n, 3).
+        """
         assert self.factor is not None
         indices = np.searchsorted(self._sorted, equations.ravel())
         self.nodes, self.compliance = nodes, self.factor.compliance[np.ix_(indices, indices)]
         self.tool_coupling, self.stiffness = np.zeros((3 * nodes.size, 6)), np.zeros((6, 6))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Displacements for forces on the free degrees of freedom, shape (free,) or (free, n)."""
+        """Return the displacements, m, under forces on the free degrees of freedom, N, shape (free,) or (free, n)."""
         assert self.factor is not None
         return self.factor.solve(right)
 
     @property
-    def rows(self) -> np.ndarray:
+    def interface_rows(self) -> np.ndarray:
         """Indices of the interface equations among the free degrees of freedom, sorted, shape (3 m,)."""
         return self._sorted
 
-    def begin(self, right: np.ndarray) -> np.ndarray:
-        """First half of `solve`: the interface rows hold the displacements; see `CondensedFactor.begin`."""
+    def begin_solution(self, right: np.ndarray) -> np.ndarray:
+        """Do the first half of `solve`, after which the rows of the interface already contain displacements, m.
+
+        Args:
+            right: forces on the free degrees of freedom, N, shape (free,).
+
+        Returns:
+            Argument of `finish_solution`, shape (free,); see `CondensedFactor.begin`.
+        """
         assert self.factor is not None
         return self.factor.begin(right)
 
-    def push(self, forces: np.ndarray) -> np.ndarray:
-        """First half of a solution for forces on the interface only, shape (m, 3)."""
+    def begin_solution_for_interface(self, forces: np.ndarray) -> np.ndarray:
+        """Do the first half of a solution for forces on the interface nodes only, N, shape (m, 3)."""
         assert self.factor is not None
         return self.factor.begin_push(forces.ravel()[self._order])
 
-    def finish(self, begun: np.ndarray) -> np.ndarray:
-        """Second half of a solution: displacements of all free degrees of freedom."""
+    def finish_solution(self, begun: np.ndarray) -> np.ndarray:
+        """Do the second half of a solution; return the displacements of all free degrees of freedom, m."""
         assert self.factor is not None
         return self.factor.finish(begun)

@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, Bond
-from tissue_sim.fem.solid.bodies import Body, nearest
-from tissue_sim.fem.solid.contact_laws import NodeLaws
+from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
+from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.contact_state import ContactState
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.pose import Pose
 
 #: Settings of the active set.
@@ -35,7 +35,7 @@ class ContactEvaluation:
         violation: largest violation of a contact condition, m.
         slipping: number of slipping nodes.
         switched: number of nodes that changed their state.
-        wanting: number of nodes that should have changed their state but were not allowed to.
+        wanting: number of nodes whose state violates a contact condition, but that were not allowed to change it.
     """
 
     violation: float
@@ -57,11 +57,11 @@ class ContactNodes:
 
     Attributes:
         nodes: indices in the mesh, shape (n,).
-        moves, stays: `Body.moves` and `Body.stays` of each node, shape (n,).
+        moves, stays: `RigidBody.moves` and `RigidBody.stays` of each node, shape (n,).
         parts: bodies, and indices of their nodes in these arrays.
-        bound: bond of each node, a `Bond`, shape (n,).
+        bound: committed bond of each node to its body, a `Bond`, shape (n,).
         anchors: displacements at which nodes are held or stick, in the frame of the body, m, shape (n, 3).
-        pressed, slips: active sets of the present step, shape (n,).
+        pressed, slips: active sets of the present step: nodes in contact, and nodes that slip, shape (n,).
         slipped: nodes that slipped at the last equilibrium, shape (n,).
         forces: of contact and friction on the bodies, N, in the frame of the mesh, shape (n, 3).
         rates: derivative of all forces with respect to nodal motions relative to the bodies, N/m, shape (n, 3, 3).
@@ -73,8 +73,8 @@ class ContactNodes:
 
     state: ContactState
 
-    def __init__(self, bodies: Sequence[Body], places: np.ndarray, areas: np.ndarray,
-                 laws: NodeLaws | None = None):
+    def __init__(self, bodies: Sequence[RigidBody], places: np.ndarray, areas: np.ndarray,
+                 laws: NodalContactLaws | None = None):
         taken: dict[bool, set[int]] = {True: set(), False: set()}
         nodes, owners = [], []
         for number, body in enumerate(bodies):
@@ -100,11 +100,11 @@ class ContactNodes:
         self._about = np.zeros(n)  # length of slip at which a node that begins to slip is aimed, m; 0: none
         self.forces, self.missed, self.normals, self._law_forces = np.zeros((4, n, 3))
         self.rates, self.known_rates, self.law_rates = np.zeros((3, n, 3, 3))
-        self.laws = laws or NodeLaws()
+        self.laws = laws or NodalContactLaws()
 
     @property
-    def acting(self) -> np.ndarray:
-        """All forces on the bodies at the last evaluation, with those of the laws, N, shape (n, 3)."""
+    def total_forces(self) -> np.ndarray:
+        """Forces on the bodies at the last evaluation, `forces` plus those of the contact laws, N, shape (n, 3)."""
         return self.forces + self._law_forces if self.laws else self.forces
 
     @property
@@ -112,14 +112,14 @@ class ContactNodes:
         """Whether any node may slip against friction."""
         return bool((self._friction > 0.0).any())
 
-    def set_stiffness(self, modulus: float) -> None:
+    def set_penalty_stiffness(self, modulus: float) -> None:
         """Set the penalty stiffness for a shear modulus of the tissue, Pa."""
         areas = np.maximum(self.areas, 1e-3 * self.areas.max(initial=0.0))
         self.springs[:] = SOLID_PENALTY.normal * modulus * np.sqrt(areas)
 
     def place_at_first_touch(self, start: Pose, datum: float, displacement: np.ndarray,
                              settled: ContactNodes | None = None) -> None:
-        """Place the tool at its first touch, and connect the nodes that touch a body with friction there.
+        """Set the frame of the first touch, and bind the nodes that touch a body there, with stick or friction.
 
         Args:
             start: pose of the tool.
@@ -127,32 +127,32 @@ class ContactNodes:
             displacement: of the nodes of the mesh, m, shape (nodes, 3).
             settled: contact with bodies at rest in the settled state; None: the mesh is undeformed.
         """
-        self._first = Frame(start, datum)
+        self._first = ToolFrame(start, datum)
         for body, own in self.parts:
             places, moved = self.places[own], self.places[own] + displacement[self.nodes[own]]
             if body.moves:
                 places, moved = self._first.transform_to_tool(places), self._first.transform_to_tool(moved)
-            touches = nearest(body, moved, pressed_in=True).gap <= self._slack
+            touches = find_nearest_surface_points(body, moved, pressed_in=True).gap <= self._slack
             self.bound[own[touches]] = Bond.HELD if body.tied else Bond.TOUCHED
             self.anchors[own[touches]] = (moved - places)[touches]
         if settled is not None:
             _, here, there = np.intersect1d(np.where(self.moves, -1, self.nodes), settled.nodes, return_indices=True)
-            for array, left in zip(self.kept, settled.kept, strict=True):
+            for array, left in zip(self.state_arrays, settled.state_arrays, strict=True):
                 array[here] = left[there]
-        self._first_bonds = tuple(array.copy() for array in self.kept)
+        self._first_bonds = tuple(array.copy() for array in self.state_arrays)
 
-    def forget(self) -> None:
-        """Restore connections and forces of the first touch."""
-        for array, first in zip(self.kept, self._first_bonds, strict=True):
+    def reset_to_first_touch(self) -> None:
+        """Restore bonds, anchors, slip and forces of the first touch."""
+        for array, first in zip(self.state_arrays, self._first_bonds, strict=True):
             array[:] = first
 
-    def begin(self) -> None:
-        """Begin a step with the connections of the last equilibrium."""
+    def begin_step(self) -> None:
+        """Copy bonds, anchors and slip states of the last committed equilibrium to the step that begins."""
         self.held[:], self.held_at[:] = self.bound, self.anchors
         self.pressed[:], self.slips[:], self._ways[:], self._about[:] = False, self.slipped, self.ways_before, 0.0
 
-    def measure(self, displacement: np.ndarray, frame: Frame) -> tuple[np.ndarray, ...]:
-        """Measure the nodes relative to their bodies, and store the normals.
+    def compute_contact_kinematics(self, displacement: np.ndarray, frame: ToolFrame) -> tuple[np.ndarray, ...]:
+        """Compute displacement and gap of the nodes relative to their bodies, and store `normals`.
 
         Returns:
             Displacement in the frame of the body since the first touch, m, (n, 3); gap, m, (n,); derivative of the
@@ -169,7 +169,7 @@ class ContactNodes:
             moved = places + displacement[own]
             at = frame.transform_to_tool(moved) if body.moves else moved
             travel[own] = at - (self._first.transform_to_tool(places) if body.moves else places)
-            found = nearest(body, at, pressed_in)
+            found = find_nearest_surface_points(body, at, pressed_in)
             gap[own], shaft[own] = found.gap, found.on_shaft
             rotation = frame.rotation if body.moves else np.eye(3)
             turn[own] = rotation
@@ -177,8 +177,8 @@ class ContactNodes:
             curved[own] = rotation @ found.curvature @ rotation.T
         return travel, gap, curved, shaft, turn, meridians
 
-    def evaluate(self, displacement: np.ndarray, frame: Frame, changeable: int, slack: float, bending: float,
-             negligible: float, tolerance: float) -> ContactEvaluation:
+    def evaluate_and_update_active_set(self, displacement: np.ndarray, frame: ToolFrame, changeable: int, slack: float,
+                                       bending: float, negligible: float, tolerance: float) -> ContactEvaluation:
         """Compute forces, derivatives and constraint residuals at a state, and update the active sets.
 
         Args:
@@ -192,7 +192,7 @@ class ContactNodes:
         """
         n = len(self.nodes)
         self.rates[:], self.missed[:] = 0.0, 0.0
-        travel, gap, curved, shaft, turn, meridians = self.measure(displacement, frame)
+        travel, gap, curved, shaft, turn, meridians = self.compute_contact_kinematics(displacement, frame)
         normals, forces, springs = self.normals, self.forces, self.springs
         augmentation, stick = ACTIVE_SET.augmentation_factor, SOLID_PENALTY.stick_factor
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
@@ -291,33 +291,40 @@ class ContactNodes:
                                   normal, limit, mu, springs, stick * springs, normals, slip, ways, curved, turn)
         return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
 
-    def store_rates(self) -> None:
-        """Store the present derivatives, without those of the laws, as those in the matrix."""
+    def store_assembled_contact_rates(self) -> None:
+        """Copy `rates` without those of the laws to `known_rates`, because the factorised matrix contains them."""
         self.known_rates[:] = self.rates - self.law_rates
 
-    def update_forces(self, motion: np.ndarray) -> None:
-        """Update the forces after a linear solution with nodal increments relative to the bodies, m, shape (n, 3)."""
+    def update_linearised_forces(self, motion: np.ndarray) -> None:
+        """Add the linearised change after a linear solution to `forces`.
+
+        Args:
+            motion: displacement increments of the nodes relative to their bodies, m, shape (n, 3).
+        """
         self.forces += np.einsum("nij,nj->ni", self.known_rates, self.missed + motion)
         self._about[:] = 0.0
 
-    def release(self) -> int:
-        """Release held nodes that pull more than the laws bear at an equilibrium; returns their number."""
-        bears = np.where(self.moves, self.laws.compute_largest_pull(self.nodes), 0.0)
+    def release_pulled_nodes(self) -> int:
+        """Release held nodes whose tension at an equilibrium exceeds the adhesion of the laws; return their number."""
+        bears = np.where(self.moves, self.laws.compute_largest_adhesive_pull(self.nodes), 0.0)
         pulls = (self.held == Bond.HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
         self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), Bond.TOUCHED, Bond.FREE)
         return int(pulls.sum())
 
-    def hold(self) -> None:
-        """Connect the nodes to the bodies that they touch at this equilibrium."""
+    def bind_touching_nodes(self) -> None:
+        """Bind the nodes to the bodies that they touch at this equilibrium, with their new anchors."""
         loose = self.held != Bond.HELD
         self.held[loose], self.held_at[loose] = self._met[loose], self._met_at[loose]
 
-    def commit(self) -> None:
-        """Accept the last step, which converged."""
+    def commit_step(self) -> None:
+        """Make bonds, anchors and slip states of the converged step the committed ones."""
         self.bound[:], self.anchors[:] = self.held, self.held_at
         self.slipped[:], self.ways_before[:] = self.slips & self.pressed, self._ways
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
-        """Arrays that define the committed state; writing saved copies into them restores the state."""
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
+        """Arrays of the committed contact state: bonds, anchors, slip, slip directions, forces.
+
+        Writing saved copies into these arrays restores the state.
+        """
         return self.bound, self.anchors, self.slipped, self.ways_before, self.forces

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.frame import ToolFrame
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class LawDifferenceSettings:
 _DIFFERENCES = LawDifferenceSettings()
 
 
-class LawRates(NamedTuple):
+class ContactLawDerivatives(NamedTuple):
     """Derivatives of the nodal forces on the tool, zero where no law acts.
 
     Attributes:
@@ -46,8 +46,9 @@ class LawRates(NamedTuple):
     normals: np.ndarray
 
     @classmethod
-    def of(cls, contact: ContactNodes, displacement: np.ndarray, frame: Frame) -> LawRates | None:
-        """Compute the derivatives at the last evaluated equilibrium; None if no law acts.
+    def differentiate_at_equilibrium(cls, contact: ContactNodes, displacement: np.ndarray,
+                                     frame: ToolFrame) -> ContactLawDerivatives | None:
+        """Compute the derivatives by differences at the last evaluated equilibrium; None if no law acts.
 
         Args:
             contact: contact nodes.
@@ -59,8 +60,9 @@ class LawRates(NamedTuple):
         if not near.any():
             return None
 
-        def forces(moved: np.ndarray, slip: np.ndarray, normal: np.ndarray) -> np.ndarray:
-            _, gap, curved, _, _, meridians = contact.measure(displacement + moved, frame)
+        def evaluate_law_forces(moved: np.ndarray, slip: np.ndarray, normal: np.ndarray) -> np.ndarray:
+            """Return the forces of the laws on the tool, N, for moved nodes, other slip and other normal forces."""
+            _, gap, curved, _, _, meridians = contact.compute_contact_kinematics(displacement + moved, frame)
             out = contact.normals[near]
             along = slip[near] - np.einsum("ni,ni->n", slip[near], out)[:, None] * out
             return laws.compute_forces(nodes, gap[near], normal[near], along, out, meridians[near], curved[near],
@@ -70,16 +72,19 @@ class LawRates(NamedTuple):
         by_place, by_slip = np.zeros((2, n, 3, 3))
         by_force = np.zeros((n, 3))
         for i, way in enumerate(step * np.eye(3)):
-            by_place[near, :, i] = (forces(way, slip, normal) - forces(-way, slip, normal)) / (2.0 * step)
-            by_slip[near, :, i] = (forces(still, slip + way, normal) - forces(still, slip - way, normal)) / (2.0 * step)
+            by_place[near, :, i] = (evaluate_law_forces(way, slip, normal)
+                                    - evaluate_law_forces(-way, slip, normal)) / (2.0 * step)
+            by_slip[near, :, i] = (evaluate_law_forces(still, slip + way, normal)
+                                   - evaluate_law_forces(still, slip - way, normal)) / (2.0 * step)
         more = _DIFFERENCES.step * np.maximum(np.abs(normal), _DIFFERENCES.min_force * np.abs(normal).max()) + 1e-300
-        by_force[near] = ((forces(still, slip, normal + more) - forces(still, slip, normal - more))
+        by_force[near] = ((evaluate_law_forces(still, slip, normal + more)
+                           - evaluate_law_forces(still, slip, normal - more))
                           / (2.0 * more[near, None]))
         contact.normals[:] = normals
         return cls(by_place, by_slip, by_force, normals)
 
-    def forces(self, motion: np.ndarray, slipped: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
-        """Derivatives of the forces with respect to m parameters, shape (n, 3, m).
+    def differentiate_forces(self, motion: np.ndarray, slipped: np.ndarray, contact_forces: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the law forces with respect to m parameters, shape (n, 3, m), by the chain rule.
 
         Args:
             motion: derivatives of the positions relative to the tool, shape (n, 3, m).
@@ -89,7 +94,11 @@ class LawRates(NamedTuple):
         normal = np.einsum("ni,nik->nk", self.normals, contact_forces)
         return self.by_place @ motion + self.by_slip @ slipped + self.by_force[:, :, None] * normal[:, None]
 
-    def with_motion(self, rates: np.ndarray) -> np.ndarray:
-        """Derivatives of the forces with respect to nodal motions, N/m, shape (n, 3, 3), for those of the contact."""
+    def differentiate_by_motion(self, rates: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the law forces with respect to nodal displacements, N/m, shape (n, 3, 3).
+
+        Args:
+            rates: derivatives of the contact forces with respect to nodal displacements, N/m, shape (n, 3, 3).
+        """
         normal = np.einsum("ni,nij->nj", self.normals, rates)
         return self.by_place + self.by_slip + self.by_force[:, :, None] * normal[:, None]

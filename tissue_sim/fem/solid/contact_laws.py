@@ -10,7 +10,7 @@ from tissue_sim.experiment.contact_law import ContactLaw, Traction, evaluate_tra
 _STEP = 1e-6
 
 
-class NodeLaws:
+class NodalContactLaws:
     """Sum of all additional contact laws.
 
     Args:
@@ -31,8 +31,8 @@ class NodeLaws:
     def __bool__(self) -> bool:
         return bool(self._laws)
 
-    def compute_largest_pull(self, nodes: np.ndarray) -> np.ndarray:
-        """Largest pull on nodes at zero gap and pressure, N, shape (n,)."""
+    def compute_largest_adhesive_pull(self, nodes: np.ndarray) -> np.ndarray:
+        """Return the adhesive force on nodes at zero gap and zero pressure, N, shape (n,)."""
         return np.zeros(nodes.size) if self._areas is None else self.strength * self._areas[nodes]
 
     def compute_forces(self, nodes: np.ndarray, gap: np.ndarray, normal: np.ndarray, slip: np.ndarray,
@@ -86,5 +86,6 @@ class NodeLaws:
 
     def _evaluate_traction(self, law: ContactLaw, gap: np.ndarray, pressure: np.ndarray, slips: tuple[np.ndarray, ...]
                            ) -> Traction:
+        """Evaluate a law at gaps, m, pressures, Pa, and two components of the slip, m, shape (n,) each."""
         # Copies, because a formula may change its arguments, which are passed to the next law.
         return evaluate_traction(law, gap.copy(), pressure.copy(), (slips[0].copy(), slips[1].copy()), self._face)

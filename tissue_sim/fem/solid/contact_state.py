@@ -17,7 +17,7 @@ class ContactState(NamedTuple):
         slides: pressed and slipping.
         goes: slipping far enough that the direction of slip is defined.
         keeps: whether the stick anchor stays.
-        met: whether the node is bound to a body from now on.
+        met: whether the node touches a body at this equilibrium and is bound to it in the next step.
         near: near enough for additional contact laws.
         gap: m.
         normal: force along the normal, N.
@@ -29,7 +29,7 @@ class ContactState(NamedTuple):
         slip: since the last equilibrium, m, shape (n, 3).
         ways: directions of slip, shape (n, 3).
         curved: derivative of the normals with respect to position, 1/m, shape (n, 3, 3).
-        turn: rotation from the frame of the body to that of the mesh, shape (n, 3, 3).
+        turn: rotation matrix from the frame of the body to that of the mesh, shape (n, 3, 3).
     """
 
     held: np.ndarray
@@ -52,13 +52,18 @@ class ContactState(NamedTuple):
     curved: np.ndarray
     turn: np.ndarray
 
-    def force_rates(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the contact forces, and residual derivatives of the constraints in N, shape (n, 3, m) each.
+    def differentiate_forces(self, motion: np.ndarray, anchors: np.ndarray, forces: np.ndarray) -> tuple[np.ndarray,
+                                                                                                         np.ndarray]:
+        """Differentiate the contact forces and the constraint residuals with respect to m parameters.
 
         Args:
             motion: derivatives of the nodal positions with respect to m parameters, shape (n, 3, m).
             anchors: derivatives of the anchors in the frames of their bodies, shape (n, 3, m).
             forces: present iterate of the derivatives of the forces, shape (n, 3, m).
+
+        Returns:
+            Derivatives of the contact forces, and derivatives of the constraint residuals times the penalty stiffness,
+            N per parameter, shape (n, 3, m) each.
         """
         n, way, springs = self.normals[:, :, None], self.ways[:, :, None], self.springs[:, None, None]
         gap = _project_on(n, motion)
@@ -85,23 +90,30 @@ class ContactState(NamedTuple):
         missing = np.where(_expand_mask(self.held), holds * slipped, missing)
         return np.where(acts, found, 0.0), np.where(acts, missing, 0.0)
 
-    def anchor_rates(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
-        """Derivatives of the anchors after this equilibrium; arguments as in `force_rates`."""
+    def differentiate_anchors(self, motion: np.ndarray, anchors: np.ndarray) -> np.ndarray:
+        """Return the derivatives of the anchors that follow from this equilibrium, m per parameter, shape (n, 3, m).
+
+        The arguments are those of `differentiate_forces`.
+        """
         n = self.normals[:, :, None]
         curvature = self.gap[:, None, None] * (self.curved @ motion)
         surface = self.turn.swapaxes(1, 2) @ (motion - _project_on(n, motion) * n - curvature)
         return np.where(_expand_mask(self.held | self.keeps), anchors, np.where(_expand_mask(self.met), surface, 0.0))
 
     @property
-    def kinds(self) -> np.ndarray:
-        """Flags of each node whose change between equilibria makes a kink, shape (5, n)."""
+    def kink_flags(self) -> np.ndarray:
+        """Flags held, pressed, sticks, slides and near of each node, shape (5, n).
+
+        If a flag changes between two equilibria, the force has a kink as a function of the parameters.
+        """
         return np.stack([self.held, self.pressed, self.sticks, self.slides, self.near])
 
 
 def _project_on(direction: np.ndarray, vectors: np.ndarray) -> np.ndarray:
-    """Component of vectors along directions, shape (n, 1, m) from (n, 3, 1) and (n, 3, m)."""
+    """Return the components of vectors, shape (n, 3, m), along unit vectors, (n, 3, 1); shape (n, 1, m)."""
     return (direction * vectors).sum(axis=1, keepdims=True)
 
 
 def _expand_mask(mask: np.ndarray) -> np.ndarray:
+    """Reshape a mask of the nodes from (n,) to (n, 1, 1)."""
     return mask[:, None, None]

@@ -14,14 +14,14 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
 from tissue_sim.fem.contact_settings import STICK, TOLERANCES
-from tissue_sim.fem.solid.bodies import Body
-from tissue_sim.fem.solid.contact_laws import NodeLaws
-from tissue_sim.fem.solid.placement import PLACEMENT, Placement
-from tissue_sim.fem.solid.sensitivity import StartRates
-from tissue_sim.fem.solid.settling import Settling, settle
+from tissue_sim.fem.solid.bodies import RigidBody
+from tissue_sim.fem.solid.contact_laws import NodalContactLaws
+from tissue_sim.fem.solid.placement import PLACEMENT, FirstTouchPlacement
+from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives
+from tissue_sim.fem.solid.settling import SelfWeightLoadSteps, solve_self_weight_equilibrium
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solid.tissue import element_layers
-from tissue_sim.fem.solid.touch import Touch, touch
+from tissue_sim.fem.solid.touch import FirstTouch, find_first_touch
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.layer import Layer
 from tissue_sim.mesh.grading import O_GRID, Grading
@@ -37,12 +37,13 @@ _LEAST_LARGEST = 0.17
 
 
 class Resolution(NamedTuple):
-    """Element type and sizes of a resolution.
+    """Element type and element sizes that belong to the name of a resolution, see `RESOLUTIONS`.
 
     Attributes:
         element: element type.
-        smallest, growth, largest: intervals from the edge of a tool's face outwards, in its radii, and their ratio.
-        around: number of elements along a quarter of the edge.
+        smallest: size of the elements at the edge of the tool's face, over the radius of the face, 1.
+        growth, largest: ratio of successive sizes away from the edge; largest size over the radius of the face, 1.
+        around: number of elements along a quarter of the circumference of the face.
         layer_elements: smallest number of elements through a layer of the material.
     """
 
@@ -71,13 +72,12 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: SolidMesh | Non
     Args:
         model: experiment and material.
         resolution: a key of `RESOLUTIONS`.
-        mesh: mesh to use instead.
+        mesh: mesh to use instead of the mesh of `resolution`.
         topology: model whose mesh (or `mesh`, which belongs to it) is moved to the geometry of `model`.
     """
     experiment = model.experiment
-    _require(experiment)
-    origin = topology or model
-    own = mesh is not None
+    _require_possible_interfaces(experiment)
+    origin, own = topology or model, mesh is not None
     if mesh is None:
         mesh = build_mesh(origin.experiment, resolution, origin.material.layers)
     if topology is not None:
@@ -102,8 +102,8 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     settled = settling = None
     undeformed = mesh
     if weight:
-        settled, settling = settle(lambda moulded: _make_standing_solver(model, moulded, layers), mesh,
-                                   experiment.specimen)
+        settled, settling = solve_self_weight_equilibrium(
+            lambda moulded: _make_solver_without_tool(model, moulded, layers), mesh, experiment.specimen)
         mesh = settled.mesh
     tool = experiment.tool
     bonded = mesh.sets["top" if tool.is_plate else "face"] if experiment.friction == "bonded" else np.zeros(0, int)
@@ -114,22 +114,24 @@ def _make_solver_on_mesh(model: Model, mesh: SolidMesh, start: Pose | None, datu
     places = mesh.nodes if settled is None else mesh.nodes + settled.x.reshape(-1, 3)
     top = places[mesh.sets["top"]]
     if datum is None:
-        first = touch(mesh, places, bodies, start)
+        first = find_first_touch(mesh, places, bodies, start)
         datum = first.height
     else:
-        first = touch(mesh, places, bodies, raised(start, -start.position[2]))
+        first = find_first_touch(mesh, places, bodies, raised(start, -start.position[2]))
         start = raised(start, first.height - datum - start.position[2])
-    laws = NodeLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2, _compute_law_areas(experiment, mesh))
-    solver = SolidSolver(mesh, model.material, _fixed_sets(experiment), bonded, bodies=bodies, laws=laws,
+    laws = NodalContactLaws(experiment.acting_laws, np.pi * experiment.contact_radius**2,
+                            _compute_law_areas(experiment, mesh))
+    solver = SolidSolver(mesh, model.material, _get_fixed_node_sets(experiment), bonded, bodies=bodies, laws=laws,
                          tolerance=tolerance, start=start, datum=datum, contact_radius=experiment.contact_radius,
-                         pins=_choose_pins(experiment, mesh), element_layers=layers, specific_weight=weight,
-                         settled=settled,
-                         lift=_ignored_heights(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
-                         start_rates=None if placed else settling and partial(_start_rates, settling, experiment,
-                                                                              first))
-    solver.placement = Placement(
+                         pins=_choose_rigid_motion_pins(experiment, mesh), element_layers=layers, settled=settled,
+                         specific_weight=weight,
+                         lift=_compute_ignored_heights(mesh, top[:, 2] - datum) if weight and tool.is_plate else None,
+                         start_rates=None if placed else settling and partial(_differentiate_first_touch, settling,
+                                                                              experiment, first))
+    solver.placement = FirstTouchPlacement(
         top, bodies, datum, is_level=experiment.specimen.is_flat and settled is None,
-        margin=experiment.specimen.margin, touch_height=lambda pose: touch(mesh, places, bodies, pose).height,
+        margin=experiment.specimen.margin,
+        touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
         remake=partial(_make_solver_at_pose, model, undeformed, start, datum, can_move))
     return solver
 
@@ -148,8 +150,8 @@ def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: floa
         solver: solver whose material, mass and requests are copied.
 
     Returns:
-        None if the tool would reach beyond the specimen, or if the mesh would have to be moved but cannot: the edge of
-        a flat tool must coincide with element edges.
+        The solver; None if the tool would reach beyond the specimen, or if the mesh would have to be moved but cannot:
+        the edge of a flat tool must coincide with element edges.
     """
     experiment = model.experiment
     (x, y, _), (u, v, _) = pose.position, start.position
@@ -170,8 +172,8 @@ def _make_solver_at_pose(model: Model, mesh: SolidMesh, start: Pose, datum: floa
     return other
 
 
-def _ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
-    """Heights that a plate ignores at all nodes, m, shape (nodes, ...).
+def _compute_ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
+    """Return the height of the nearest node of the top above the plate, for all nodes, m, shape (nodes, ...).
 
     A plate touches an unevenly settled top at all nodes at once, as if the top had been cut flat in its settled state.
 
@@ -185,31 +187,31 @@ def _ignored_heights(mesh: SolidMesh, heights: np.ndarray) -> np.ndarray:
     return heights[nearest_top]
 
 
-def _start_rates(settling: Settling, experiment: Experiment, first: Touch, neighbours: Neighbours
-                 ) -> StartRates | None:
-    """Derivatives of the state of the first touch with respect to parameters; None if they are not available."""
+def _differentiate_first_touch(settling: SelfWeightLoadSteps, experiment: Experiment, first: FirstTouch,
+                               neighbours: Neighbours) -> FirstTouchDerivatives | None:
+    """Differentiate the state of the first touch with respect to parameters; None if no derivatives are available."""
     mesh = settling.mesh
     specimen, over_sides = experiment.specimen, experiment.tool.is_plate or not experiment.specimen.is_flat
     if specimen.height_is == "placed" and experiment.acting_laws and over_sides:
         return None  # the areas for tractions would depend on the height as well
     if first.place is None:
         return None
-    found = settling.differentiate(neighbours)
+    found = settling.differentiate_settled_state(neighbours)
     if found is None:
         return None
     ways = found.settled[0].reshape(len(neighbours), -1, 3).copy()
     ways[:, :, 2] += np.multiply.outer(found.stretch, mesh.nodes[:, 2])
-    datum = np.array([first.rate(mesh, way) for way in ways])
-    lift = _ignored_heights(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
-    return StartRates(found.stretch, found.settled, found.resting, datum, lift)
+    datum = np.array([first.differentiate_height(mesh, way) for way in ways])
+    lift = _compute_ignored_heights(mesh, ways[:, mesh.sets["top"], 2].T - datum) if experiment.tool.is_plate else None
+    return FirstTouchDerivatives(found.stretch, found.settled, found.resting, datum, lift)
 
 
-def _fixed_sets(experiment: Experiment) -> dict[str, str]:
+def _get_fixed_node_sets(experiment: Experiment) -> dict[str, str]:
     return {"base": _FIXED[experiment.base_interface]} if experiment.base_interface in _FIXED else {}
 
 
-def _make_standing_solver(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
-    """Make the solver of the specimen on its base, without a tool."""
+def _make_solver_without_tool(model: Model, mesh: SolidMesh, layers: np.ndarray) -> SolidSolver:
+    """Make the solver of the specimen on its base without tool and weight, to which the weight is applied."""
     experiment, pins = model.experiment, []
     if experiment.base_interface not in ("bonded", "stick"):
         # Three pins without reaction forces, because the weight has no component along the base.
@@ -218,20 +220,20 @@ def _make_standing_solver(model: Model, mesh: SolidMesh, layers: np.ndarray) -> 
         middle = int(np.argmin(np.hypot(*place.T)))
         second = int(np.argmax(place[:, 0] - np.abs(place[:, 1] - place[middle, 1])))
         pins = [(int(base[middle]), "xy"), (int(base[second]), "y")]
-    return SolidSolver(mesh, model.material, _fixed_sets(experiment), np.zeros(0, int),
+    return SolidSolver(mesh, model.material, _get_fixed_node_sets(experiment), np.zeros(0, int),
                        bodies=_make_resting_bodies(experiment, mesh), start=experiment.tool_pose(0.0), pins=pins,
                        tolerance=TOLERANCES.plate * experiment.specimen.margin(),
                        contact_radius=experiment.contact_radius, element_layers=layers)
 
 
-def _choose_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
-    """Pins against rigid motions of a specimen between frictionless faces, or faces with friction before pressure acts.
+def _choose_rigid_motion_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str]]:
+    """Choose pins (node, fixed axes) against rigid motions of a specimen that no face holds horizontally.
 
-    The middle of the base is fixed horizontally, and one more node against rotation. By symmetry the pins carry no
-    force under a tool on the axis.
+    Faces without friction, and plates with friction before pressure acts, do not hold it. One pin is the middle of the
+    base, one is another node. By symmetry they carry no force under a tool on the axis.
 
     Raises:
-        InputError: a tool off the axis, whose side force the pins would carry.
+        InputError: the tool is off the axis, so that the pins would carry its lateral force.
     """
     faces = experiment.base_interface, experiment.friction
     without, rubbed = (all(loose(face) for face in faces) for loose in (_is_frictionless, _may_slip))
@@ -241,9 +243,8 @@ def _choose_pins(experiment: Experiment, mesh: SolidMesh) -> list[tuple[int, str
     x, y = mesh.nodes[base, 0], mesh.nodes[base, 1]
     middle, second = base[np.argmin(np.hypot(x, y))], base[np.argmax(x - np.abs(y))]
     if np.hypot(*mesh.nodes[middle, :2]) > 1e-9 or experiment.approach is not None:
-        remedy = "give one of them friction" if without and not experiment.tool.is_plate else "let it stick to one"
-        raise InputError(f"neither base nor tool keeps the specimen from sliding; {remedy}",
-                         field="friction_base")
+        remedy = "Give one of them friction" if without and not experiment.tool.is_plate else "Use 'stick' for one"
+        raise InputError(f"neither base nor tool keeps the specimen from sliding. {remedy}", field="friction_base")
     return [(int(middle), "xy"), (int(second), "y")]
 
 
@@ -255,26 +256,26 @@ def _may_slip(face: str | float) -> bool:
     return face == "frictionless" or not isinstance(face, str)
 
 
-def _require(experiment: Experiment) -> None:
-    """Check that the interfaces are possible on a curved specimen."""
+def _require_possible_interfaces(experiment: Experiment) -> None:
+    """Raise InputError if a specimen with curved faces has a base that is not bonded, or a bonded plate."""
     if not experiment.specimen.is_flat:
         shape = add_article(experiment.specimen.shape)
         if experiment.base_interface != "bonded":
-            raise InputError(f"must be 'bonded' below {shape}, whose curved base is held.", field="friction_base")
+            raise InputError(f"must be 'bonded' below {shape}; got {experiment.base_interface}", field="friction_base")
         if experiment.tool.is_plate and experiment.friction == "bonded":
-            raise InputError(f"a plate cannot be bonded to the curved top of {shape}; use 'stick', 'frictionless' or "
-                             "a coefficient of friction", field="friction")
+            raise InputError(f"must not be 'bonded' for a plate on the curved top of {shape}. Use 'stick', "
+                             "'frictionless' or a coefficient of friction", field="friction")
 
 
 def build_mesh(experiment: Experiment, resolution: str = "fast", layers: tuple[Layer, ...] = (),
                distance: float = 0.0) -> SolidMesh:
-    """Make the mesh of a resolution; element boundaries coincide with the interfaces of layers.
+    """Make the undeformed mesh of a resolution; element boundaries coincide with the interfaces of layers.
 
     Args:
         experiment: specimen, tool and approach.
         resolution: a key of `RESOLUTIONS`.
         layers: layers of the material.
-        distance: around the tool up to which the mesh is as fine as under the tool, m.
+        distance: distance from the edge of the tool up to which the mesh is as fine as under the tool, m.
 
     Raises:
         InputError: unknown resolution, or layers thicker than the specimen.
@@ -300,20 +301,20 @@ def _move_mesh(mesh: SolidMesh, topology: Model, experiment: Experiment) -> Soli
     """Move the mesh of a model to the geometry of an experiment, if that differs.
 
     Raises:
-        InputError: layers, or a shape whose mesh cannot be moved.
+        InputError: the geometry differs, and the model has layers or a shape whose mesh cannot be moved.
     """
     before, after = (each.specimen for each in (topology.experiment, experiment))
-    circles = _tool_circle(topology.experiment), _tool_circle(experiment)
+    circles = _find_mesh_ring_circle(topology.experiment), _find_mesh_ring_circle(experiment)
     if circles[0] == circles[1] and (before.shape, before.stated) == (after.shape, after.stated):
         return mesh
     if topology.material.layers:
-        raise InputError("the mesh of a solid with layers cannot be moved to another geometry; do not fit its sizes",
-                         field="topology")
+        raise InputError("must have no layers if the geometry differs, because the mesh of layers cannot be moved. Do "
+                         "not fit sizes of specimen and tool", field="topology")
     return after.moved_mesh(mesh, before, circles)
 
 
-def _tool_circle(experiment: Experiment) -> Circle:
-    """Circle about which the rings of the mesh are arranged."""
+def _find_mesh_ring_circle(experiment: Experiment) -> Circle:
+    """Return the circle at the edge of the tool, around which the rings of elements are arranged."""
     tool = experiment.tool
     if tool.is_plate:
         return Circle(O_GRID.plate_ring * experiment.specimen.margin(), (0.0, 0.0))
@@ -321,49 +322,49 @@ def _tool_circle(experiment: Experiment) -> Circle:
     return Circle(tool.face_radius or experiment.contact_radius, (offset, 0.0))
 
 
-def _friction_coefficient(interface: str | float) -> float:
-    """Coefficient of friction of an interface, for tissue that touches it during the test; `STICK` without slip."""
+def _get_friction_coefficient(interface: str | float) -> float:
+    """Return the coefficient of friction of an interface, 1; `STICK` for 'bonded' and 'stick'."""
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
-def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[Body]:
-    """Bodies at rest: the base, which the nodes of the base and of the lower half of the side may touch."""
+def _make_resting_bodies(experiment: Experiment, mesh: SolidMesh) -> list[RigidBody]:
+    """Return the bodies at rest: the base, which nodes of the base and of the lower half of the side may touch."""
     bottom = float(mesh.nodes[:, 2].min())
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = _friction_coefficient(experiment.base_interface)
-    side = _side_nodes(mesh)
-    bodies = [Body(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
+    mu = _get_friction_coefficient(experiment.base_interface)
+    side = _select_side_nodes(mesh)
+    bodies = [RigidBody(plane, side[mesh.nodes[side, 2] < 0.5 * bottom], (mu, mu), moves=False)]
     if experiment.base_interface not in _FIXED:
-        bodies.insert(0, Body(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
+        bodies.insert(0, RigidBody(plane, mesh.sets["base"], (mu, mu), moves=False, tied=mu == STICK, stays=True))
     return bodies
 
 
-def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[Body]:
+def _make_moving_bodies(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, start: Pose) -> list[RigidBody]:
     """Return the parts of the tool, each with the nodes that may touch it; `start`: pose at first touch."""
-    tool, mu = experiment.tool, _friction_coefficient(experiment.friction)
+    tool, mu = experiment.tool, _get_friction_coefficient(experiment.friction)
     free = np.setdiff1d(mesh.sets["top"], bonded)
     if tool.is_plate:
-        side = _side_nodes(mesh)
+        side = _select_side_nodes(mesh)
         high = side[mesh.nodes[side, 2] >= 0.5 * float(mesh.nodes[:, 2].min())]
-        return [Body(tool.profile, np.concatenate([free, high]), (mu, mu))]
-    wall = _friction_coefficient(experiment.friction_wall)
+        return [RigidBody(tool.profile, np.concatenate([free, high]), (mu, mu))]
+    wall = _get_friction_coefficient(experiment.friction_wall)
     if tool.face_radius == 0:
-        return [Body(tool.profile, free, (mu, wall))]
+        return [RigidBody(tool.profile, free, (mu, wall))]
     upright = not any(start.orientation[1:3])
     under = np.intersect1d(mesh.sets["face"], free)
     outside = np.setdiff1d(free, under)
     if experiment.friction == "bonded":
-        return [Body(tool.profile, outside, (mu, wall), first_line=1, closed=upright)]
+        return [RigidBody(tool.profile, outside, (mu, wall), first_line=1, closed=upright)]
     # Tissue next to a sharp edge cannot move under the face without slip.
     first = 0 if tool.edge_radius else 1
-    return [Body(tool.profile, under, (mu, wall), tied=mu == STICK),
-            Body(tool.profile, outside, (mu, wall), first_line=first, closed=upright)]
+    return [RigidBody(tool.profile, under, (mu, wall), tied=mu == STICK),
+            RigidBody(tool.profile, outside, (mu, wall), first_line=first, closed=upright)]
 
 
-def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
-                 ) -> tuple[list[Body], float]:
+def make_tool_bodies_and_datum(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, places: np.ndarray
+                 ) -> tuple[list[RigidBody], float]:
     """Make the bodies of the tool, and find its first touch.
 
     Args:
@@ -377,11 +378,11 @@ def tool_contact(experiment: Experiment, mesh: SolidMesh, bonded: np.ndarray, pl
     """
     start = experiment.tool_pose(0.0)
     bodies = _make_moving_bodies(experiment, mesh, bonded, start)
-    return bodies, touch(mesh, places, bodies, start).height
+    return bodies, find_first_touch(mesh, places, bodies, start).height
 
 
 def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
-    """Area that each node represents for tractions of the tool, m2, shape (nodes,).
+    """Compute the area that each node represents for tractions of the tool, m2, shape (nodes,).
 
     At the rim of the top only the area of the top counts, at the edge of a flat face only that of the face.
     """
@@ -394,6 +395,6 @@ def _compute_law_areas(experiment: Experiment, mesh: SolidMesh) -> np.ndarray:
     return areas
 
 
-def _side_nodes(mesh: SolidMesh) -> np.ndarray:
-    """Nodes of the side that belong neither to the base nor to the top."""
+def _select_side_nodes(mesh: SolidMesh) -> np.ndarray:
+    """Return the indices of the nodes of the side that belong neither to the base nor to the top."""
     return np.setdiff1d(mesh.sets["side"], np.concatenate([mesh.sets["base"], mesh.sets["top"]]))

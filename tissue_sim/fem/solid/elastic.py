@@ -5,43 +5,46 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.pose import Pose
 
 # These functions belong to `SolidSolver` and use its protected members; they are separate to keep the files short.
 
 
-def held_places(solver: SolidSolver) -> np.ndarray:
-    """Positions of the nodes that the tool holds, in the frame of the tool, m, shape (n, 3)."""
+def held_node_positions(solver: SolidSolver) -> np.ndarray:
+    """Return the positions of the nodes that a bonded tool holds, in the frame of the tool, m, shape (n, 3)."""
     return solver._held_at
 
 
-def held_freedoms(solver: SolidSolver) -> np.ndarray:
-    """Whether nodes are held, by the tool or by the base, along each axis, shape (nodes, 3)."""
+def held_freedom_mask(solver: SolidSolver) -> np.ndarray:
+    """Return whether each node is held along x, y and z, by a bonded tool or by the base, shape (nodes, 3)."""
     held = np.ones(solver.x.size, dtype=bool)
     held[solver._free] = False
     return held.reshape(-1, 3)
 
 
-def lifted_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
-    """Return the motion of a tool that holds tissue from its first touch to a pose, shape (12,).
+def tool_motion_amplitudes(solver: SolidSolver, pose: Pose) -> np.ndarray:
+    """Return the motion of a bonded tool from its first touch to a pose: 3 displacements, m, and 9 matrix entries.
 
-    See `Frame.compute_motion_from`.
+    See `ToolFrame.compute_motion_from`.
     """
-    return Frame(pose, solver.datum).compute_motion_from(Frame(solver._start, solver.datum))
+    return ToolFrame(pose, solver.datum).compute_motion_from(ToolFrame(solver._start, solver.datum))
 
 
-def linear_response(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
-    """Displacements of the resting solid for small motions of the nodes that the tool holds, m, shape (freedoms, n).
+def solve_linear_response(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
+    """Solve for the linear response of the resting solid to small motions of the nodes that a bonded tool holds.
 
     Args:
-        solver: solver; it is reset to the resting state.
-        motions: displacements of these degrees of freedom, m, shape (3 nodes, n).
+        solver: solver of the solid; it is reset to the resting state.
+        motions: displacements of the held degrees of freedom, m, shape (3 held nodes, n).
+
+    Returns:
+        Displacements of all degrees of freedom, m, shape (freedoms, n); the free ones are 0 if the tangent is singular.
     """
     solver.lift_off()
-    solver._assemble()
-    solver._matrix.add(np.zeros_like(solver.contact.rates))
+    solver._assemble_forces_and_tangent()
+    solver._matrix.add_contact_stiffness(np.zeros_like(solver.contact.rates))
     factor = solver._sparse.factorise(solver._matrix.free, symmetric=True)
     answer = np.zeros((solver.x.size, motions.shape[1]))
     answer[solver._moved] = motions
@@ -51,34 +54,34 @@ def linear_response(solver: SolidSolver, motions: np.ndarray) -> np.ndarray:
     return answer
 
 
-def element_forces(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: float) -> np.ndarray:
-    """Forces of single elements at a displacement, m, shape (freedoms,), from the resting state.
+def element_forces_at_displacement(solver: SolidSolver, displacement: np.ndarray, bulk_ratio: float) -> np.ndarray:
+    """Return the nodal forces of each element, N, at a displacement from the resting state, m, shape (freedoms,).
 
-    The state of the solver is kept. See `Tissue.element_forces`.
+    The state of the solver is kept. See `Tissue.compute_element_forces`.
     """
     rest, pressures, _ = solver._rest
     solver.x[:] = rest + displacement
-    forces = solver.tissue.element_forces(bulk_ratio, pressures)
+    forces = solver.tissue.compute_element_forces(bulk_ratio, pressures)
     solver._restore_committed_state()
     return forces
 
 
-def node_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) -> np.ndarray:
+def compute_node_compliance(solver: SolidSolver, nodes: np.ndarray, axis: np.ndarray) -> np.ndarray:
     """Return the compliance matrix of nodes of the resting solid along one axis, m/N, shape (n, n).
 
     Column k contains the displacements of the nodes along the axis under a unit force on node k along the axis.
 
     Args:
-        solver: is at rest afterwards.
-        nodes: numbers, shape (n,).
-        axis: of unit length, shape (3,).
+        solver: solver of the solid; it is at rest afterwards.
+        nodes: indices of the nodes, shape (n,).
+        axis: unit vector, shape (3,).
 
     Raises:
         ConvergenceError: the tangent at rest is singular or indefinite.
     """
     solver.lift_off()
-    solver._assemble()
-    solver._matrix.add(np.zeros_like(solver.contact.rates))
+    solver._assemble_forces_and_tangent()
+    solver._matrix.add_contact_stiffness(np.zeros_like(solver.contact.rates))
     factor = solver._sparse.factorise(solver._matrix.free, symmetric=True)
     loads = np.zeros((solver.x.size, nodes.size))
     loads[(3 * nodes[:, None] + np.arange(3)).ravel(), np.repeat(np.arange(nodes.size), 3)] = np.tile(axis, nodes.size)

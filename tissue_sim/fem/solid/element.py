@@ -19,7 +19,7 @@ from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
 
 class SettingColumn(IntEnum):
-    """Columns of the settings of a kernel."""
+    """Columns of the array ``settings`` of the assembly kernels."""
 
     #: Bulk modulus, Pa.
     KAPPA = 0
@@ -45,22 +45,27 @@ SCRATCH = sum(size for _, size in _sizes)
 
 
 class ElementFunctions(NamedTuple):
-    """Taichi functions of a batch: `integrate` computes its forces, `stiffen` then its stiffness."""
+    """Taichi functions of a batch of elements; `compute_stiffness_blocks` must follow `integrate_forces`.
 
-    integrate: Any
-    stiffen: Any
+    Attributes:
+        integrate_forces: computes the nodal forces, and the data of the stiffness if a tangent is requested.
+        compute_stiffness_blocks: computes the stiffness of all pairs of nodes from these data.
+    """
+
+    integrate_forces: Any
+    compute_stiffness_blocks: Any
 
 
 @cache
-def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
-    """Return the functions of an element type and an energy."""
+def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctions:
+    """Return the Taichi functions of an element type, a key of `SOLID_ELEMENTS`, and a strain energy."""
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.node_count, element.pressure_modes, element.quadrature[1].size
     s = scratch(LANES, SCRATCH)
-    stress_and_tangent = point.function(energy)
-    inverse_root, cofactor = inverse_root_function(), point.cofactor_function()
-    soften, relax = soften_function(9), point.relax_function()
+    compute_stress_and_tangent = point.make_stress_function(energy)
+    inverse_root, compute_cofactor = inverse_root_function(), point.make_cofactor_function()
+    soften, apply_relaxation = soften_function(9), point.make_relax_function()
     vec = ti.types.vector(LANES, ti.f64)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
@@ -70,13 +75,14 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     # points are kept in the scratch field, not in variables: with stores in a loop LLVM uses vector instructions.
 
     @ti.func
-    def at_point(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(), moduli: ti.template(),
+    def evaluate_stress_at_point(b, q, tangent: ti.template(), remembers, H, J, p, weights: ti.template(),
+                                 moduli: ti.template(),
                  coefficients: ti.template(), elements: ti.template(), past: ti.template(), inherited: ti.template(),
-                 largest: ti.template(), stresses: ti.template(), energies: ti.template()):
-        """Compute stress and dJ/dF of a point times its weight, and store its tangent in the scratch field."""
+                                 largest: ti.template(), stresses: ti.template(), energies: ti.template()):
+        """Return dW/dF and dJ/dF of quadrature point q times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
-        W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
-        cof = cofactor(F)
+        W, P, T = compute_stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
+        cof = compute_cofactor(F)
         if remembers > 0.0:
             f = past[PastColumn.FACTOR]
             W = f * W
@@ -93,7 +99,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                     T1[n] = T2[n]
             h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                  for i in ti.static(range(6))]
-            S, P3, T3 = relax(F, cof, J, past[PastColumn.INSTANT], h, P1, T1)
+            S, P3, T3 = apply_relaxation(F, cof, J, past[PastColumn.INSTANT], h, P1, T1)
             for i in ti.static(range(6)):
                 for l in ti.static(range(LANES)):
                     stresses[elements[b, l], q, i] = S[i][l]
@@ -112,13 +118,13 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         return [wm * P[m] + wp * cof[m] for m in ti.static(range(9))], [w * cof[m] for m in ti.static(range(9))]
 
     @ti.func
-    def integrate(b, kappa, tangent, remembers, x: ti.template(), pressures: ti.template(), dofs: ti.template(),
-                  gx: ti.template(), gy: ti.template(), gz: ti.template(), weights: ti.template(),
-                  mode_values: ti.template(), moduli: ti.template(), coefficients: ti.template(),
-                  elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
+    def integrate_forces(b, kappa, tangent, remembers, x: ti.template(), pressures: ti.template(), dofs: ti.template(),
+                         gx: ti.template(), gy: ti.template(), gz: ti.template(), weights: ti.template(),
+                         mode_values: ti.template(), moduli: ti.template(), coefficients: ti.template(),
+                         elements: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
                   stresses: ti.template(), energies: ti.template(), volume_rates: ti.template(), gaps: ti.template(),
-                  forces: ti.template()):
-        """Compute the nodal forces of a batch, with the eliminated pressure increments; returns the smallest J.
+                         forces: ti.template()):
+        """Integrate the nodal forces of a batch, with the eliminated pressure increments; return the smallest J.
 
         The material history is that of `tissue_sim.fem.history`.
         """
@@ -158,13 +164,15 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             P, cof = [vec(0.0) for _m in ti.static(range(9))], [vec(0.0) for _m in ti.static(range(9))]
             # Compiled twice, because forces alone take three quarters of the time.
             if tangent > 0.0:
-                P1, cof1 = at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients,
-                                    elements, past, inherited, largest, stresses, energies)
+                P1, cof1 = evaluate_stress_at_point(b, q, True, remembers, H, 1.0 + dilation, p, weights, moduli,
+                                                    coefficients,
+                                                    elements, past, inherited, largest, stresses, energies)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             else:
-                P1, cof1 = at_point(b, q, False, remembers, H, 1.0 + dilation, p, weights, moduli, coefficients,
-                                    elements, past, inherited, largest, stresses, energies)
+                P1, cof1 = evaluate_stress_at_point(b, q, False, remembers, H, 1.0 + dilation, p, weights, moduli,
+                                                    coefficients,
+                                                    elements, past, inherited, largest, stresses, energies)
                 for m in ti.static(range(9)):
                     P[m], cof[m] = P1[m], cof1[m]
             for a in range(nodes):
@@ -192,9 +200,9 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         return least.min()
 
     @ti.func
-    def stiffen(b, kappa, moduli: ti.template(), gx: ti.template(), gy: ti.template(), gz: ti.template(),
-                stiffness: ti.template()):
-        """Compute the stiffness of all pairs of nodes (c, a), a <= c.
+    def compute_stiffness_blocks(b, kappa, moduli: ti.template(), gx: ti.template(), gy: ti.template(),
+                                 gz: ti.template(), stiffness: ti.template()):
+        """Compute the 3 x 3 stiffness blocks of all pairs of nodes (c, a), a <= c, with eliminated pressures.
 
         Entry 3 k + i of the nine of a pair is the force on a along i for a displacement of c along k.
         """
@@ -227,4 +235,4 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                 at = 9 * (c * (c + 1) // 2) + i
                 stiffness[at] = s[PAIRS + i]
 
-    return ElementFunctions(integrate, stiffen)
+    return ElementFunctions(integrate_forces, compute_stiffness_blocks)

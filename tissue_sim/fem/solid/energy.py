@@ -35,6 +35,7 @@ _PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def _permutation_sign(i: int, k: int, m: int) -> int:
+    """Return the Levi-Civita symbol of three indices from 0 to 2: 1, -1 or 0."""
     return (i - k) * (k - m) * (m - i) // 2
 
 
@@ -46,56 +47,57 @@ COFACTOR = {(m, n): (3 * (3 - m // 3 - n // 3) + 3 - m % 3 - n % 3,
 
 
 @cache
-def _isochoric_chain():
+def _make_isochoric_chain():
     """Return the Python function (I1, I2, J, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
 
     The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
     """
-    return taichi_function(_isochoric_derivatives, ("solid chain",), __file__)
+    return taichi_function(_derive_isochoric_chain, ("solid chain",), __file__)
 
 
-def _isochoric_derivatives():
+def _derive_isochoric_chain():
+    """Return arguments and symbolic expressions of `_make_isochoric_chain`, by the chain rule."""
     I1, I2, J = v = sp.symbols("I1 I2 J", positive=True)
     s = sp.Symbol("s", positive=True)
     first = sp.symbols("W1 W2", real=True)
     second = sp.symbols("W11 W12 W22", real=True)
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
 
-    def total(expression, x):
-        """Derivative with respect to x, with s as a function of J."""
+    def differentiate_with_scale(expression, x):
+        """Differentiate an expression with respect to x, where s = J^(-2/3) depends on J."""
         inner = -sp.Rational(2, 3) * s / x if x is J else 0
         return sp.diff(expression, x) + sp.diff(expression, s) * inner
 
     bars = (s * I1, s**2 * I2)
-    slopes = [[total(bar, x) for x in v] for bar in bars]
+    slopes = [[differentiate_with_scale(bar, x) for x in v] for bar in bars]
     gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
+    curvature = [sum(first[m] * differentiate_with_scale(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
     return (*v, s, *first, *second), [*gradient, *curvature]
 
 
 @cache
-def cofactor_function():
-    """Return the Taichi function ``cofactor(F)``: dJ/dF, 9 components."""
+def make_cofactor_function():
+    """Return the Taichi function ``compute_cofactor(F)``: dJ/dF, 9 components."""
     ti = initialise()
 
     @ti.func
-    def cofactor(F):
+    def compute_cofactor(F):
         return [F[4] * F[8] - F[5] * F[7], F[5] * F[6] - F[3] * F[8], F[3] * F[7] - F[4] * F[6],
                 F[2] * F[7] - F[1] * F[8], F[0] * F[8] - F[2] * F[6], F[1] * F[6] - F[0] * F[7],
                 F[1] * F[5] - F[2] * F[4], F[2] * F[3] - F[0] * F[5], F[0] * F[4] - F[1] * F[3]]
 
-    return cofactor
+    return compute_cofactor
 
 
 @cache
-def relax_function():
-    """Return the Taichi function ``relax(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
+def make_relax_function():
+    """Return the Taichi function ``apply_relaxation(F, cof, J, instant, h, P, A) -> (S, P, A)``."""
     ti = initialise()
 
     @ti.func
-    def relax(F, cof, J, instant, h, P, A):
+    def apply_relaxation(F, cof, J, instant, h, P, A):
         """Replace the elastic stress F S of this step by that of the hereditary integral, F (instant S + h); return S.
 
         S and h are isochoric second Piola-Kirchhoff stresses (XX, XY, XZ, YY, YZ, ZZ); see
@@ -114,12 +116,14 @@ def relax_function():
                     tangent[ti.static(PLACE[3 * i + I][3 * i + K])] += h[ti.static(SYMMETRIC_PLACE[I][K])]
         return S, [instant * P[m] + pushed[m] for m in ti.static(range(9))], tangent
 
-    return relax
+    return apply_relaxation
 
 
 @cache
-def function(energy: KernelEnergy):
-    """Return the Taichi function ``stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A)`` of an energy.
+def make_stress_function(energy: KernelEnergy):
+    """Return the Taichi function of stress and tangent of a strain energy.
+
+    Its signature is ``compute_stress_and_tangent(F, J, root, coefficients, tangent) -> (W, P, A)``.
 
     Args of the Taichi function:
         F: deformation gradient, 9 components; its determinant J must be positive.
@@ -135,15 +139,16 @@ def function(energy: KernelEnergy):
 
 
 def _make_invariant_function(energy: KernelEnergy):
+    """Return the function of `make_stress_function` for an energy of the invariants I1 and I2."""
     ti = initialise()
     count = energy.count
 
     derivatives = invariant_derivatives(energy)
-    chain = _isochoric_chain()
-    cofactor = cofactor_function()
+    chain = _make_isochoric_chain()
+    compute_cofactor = make_cofactor_function()
 
     @ti.func
-    def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
+    def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
         scale = root * root
         # F^T F and F F^T.
         right = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
@@ -151,7 +156,7 @@ def _make_invariant_function(energy: KernelEnergy):
         left = [[F[3 * i] * F[3 * k] + F[3 * i + 1] * F[3 * k + 1] + F[3 * i + 2] * F[3 * k + 2]
                  for k in ti.static(range(3))] for i in ti.static(range(3))]
         I1 = right[0][0] + right[1][1] + right[2][2]
-        cof = cofactor(F)
+        cof = compute_cofactor(F)
         I2 = cof[0] * cof[0]
         for n in ti.static(range(1, 9)):
             I2 += cof[n] * cof[n]
@@ -184,17 +189,18 @@ def _make_invariant_function(energy: KernelEnergy):
             A[ti.static(PLACE[m][n])] = a
         return w[0], P, A
 
-    return stress_and_tangent
+    return compute_stress_and_tangent
 
 
 def _make_stretch_function(energy: KernelEnergy):
+    """Return the function of `make_stress_function` for an energy of the principal stretches."""
     ti = initialise()
     count = energy.count
 
     derivatives = stretch_derivatives(energy)
 
     @ti.func
-    def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
+    def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):
         # Jacobi rotations diagonalise F^T F; V contains its directions, and F V has orthogonal columns.
         zero = 0.0 * J
         C = [[F[i] * F[k] + F[3 + i] * F[3 + k] + F[6 + i] * F[6 + k] for k in ti.static(range(3))]
@@ -266,4 +272,4 @@ def _make_stretch_function(energy: KernelEnergy):
                 A[ti.static(PLACE[m][n])] += along[m] * one[n] + across[m] * other[n]
         return w[0][2] + w[1][2] + w[2][2], P, A
 
-    return stress_and_tangent
+    return compute_stress_and_tangent

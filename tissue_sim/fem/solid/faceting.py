@@ -33,11 +33,11 @@ _SETTINGS = FacetingSettings()
 
 
 @dataclass(frozen=True)
-class Faceting:
-    """Distance between flat sides of elements and the round outline of the tool.
+class FacetingGeometry:
+    """Geometry of the flat sides of elements under a round tool, means weighted by the contact forces.
 
     Attributes:
-        inside: mean distance between the sides and the outline, m.
+        inside: mean distance by which the sides lie inside the outline of the tool, m.
         depth: largest displacement under the tool, along its normal, m.
         size: mean width of the sides, m.
     """
@@ -47,13 +47,14 @@ class Faceting:
     size: float
 
     @property
-    def share(self) -> float:
+    def missing_fraction(self) -> float:
         """Fraction of the force that is missing, 1.5 inside / depth (Hertz: F ~ depth^1.5); infinite without depth."""
         return _HERTZ_EXPONENT * self.inside / self.depth if self.depth else math.inf
 
 
-def estimate_faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> Faceting | None:
-    """Compute the faceting error of a round tool that presses on nodes only.
+def estimate_faceting_geometry(contact: ContactNodes, mesh: SolidMesh,
+                               displacement: np.ndarray) -> FacetingGeometry | None:
+    """Estimate how far flat sides of elements lie inside the outline of a round tool that presses on nodes only.
 
     A flat side between nodes at distance h is inside of a surface with principal curvatures k1 and k2 by
     h^2 (k1 + k2) / 12 in the mean.
@@ -77,12 +78,13 @@ def estimate_faceting(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
         return None
     inside = float(np.average(areas * curvature, weights=round_ones)) / 12.0
     indentation = np.abs(np.einsum("ni,ni->n", displacement[contact.nodes], state.normals))
-    return Faceting(inside, float(indentation[carried > 0.0].max()),
-                    math.sqrt(float(np.average(areas, weights=round_ones))))
+    return FacetingGeometry(inside, float(indentation[carried > 0.0].max()),
+                            math.sqrt(float(np.average(areas, weights=round_ones))))
 
 
-def faceting_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray, force: float) -> float | None:
-    """Estimate the error of a force, N, because of flat sides under a round tool.
+def estimate_faceting_force_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray,
+                                  force: float) -> float | None:
+    """Estimate the force that is missing because of flat sides under a round tool, N.
 
     Args:
         contact: contact nodes at an equilibrium.
@@ -91,13 +93,14 @@ def faceting_error(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndar
         force: magnitude of the force on the tool, N.
 
     Returns:
-        N; None if the error is not known.
+        Missing force, N, positive; None if `estimate_faceting_geometry` returns None.
     """
-    found = estimate_faceting(contact, mesh, displacement)
+    found = estimate_faceting_geometry(contact, mesh, displacement)
     if found is None:
         return None
     # The estimate holds for small fractions; beyond one half it is at least the whole force.
-    return force * found.share / (1.0 - found.share) if found.share < _SETTINGS.largest_fraction else force
+    fraction = found.missing_fraction
+    return force * fraction / (1.0 - fraction) if fraction < _SETTINGS.largest_fraction else force
 
 
 def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.ndarray) -> list[str]:
@@ -111,12 +114,12 @@ def faceting_warnings(contact: ContactNodes, mesh: SolidMesh, displacement: np.n
         displacement: displacement of all nodes, m, shape (nodes, 3).
 
     Returns:
-        One sentence, or none: the error is small, or the elements have curved sides.
+        One message; an empty list if the error is small or the elements have curved sides.
     """
-    found = estimate_faceting(contact, mesh, displacement)
-    if found is None or not found.depth or found.share <= _SETTINGS.warning_fraction:
+    found = estimate_faceting_geometry(contact, mesh, displacement)
+    if found is None or not found.depth or found.missing_fraction <= _SETTINGS.warning_fraction:
         return []
-    share, size = found.share, 1e3 * found.size
+    share, size = found.missing_fraction, 1e3 * found.size
     smaller = size * math.sqrt(_SETTINGS.warning_fraction / share)
     missing = "most of the force" if share > _SETTINGS.largest_fraction else f"about {100.0 * share:.2g} % of the force"
     return [f"faceting error: the flat sides of the elements under the tool, {size:.2g} mm wide, are inside of its "

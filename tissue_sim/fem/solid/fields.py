@@ -25,7 +25,7 @@ _SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
 
 @dataclass(frozen=True, eq=False)
 class SolidFields:
-    """Fields at every sample of a simulated recording.
+    """Fields of a three-dimensional solid at every sample of a simulated recording.
 
     Attributes:
         mesh: undeformed mesh.
@@ -86,8 +86,8 @@ class SolidFields:
         """Return the same fields with other values of `material_data`."""
         return replace(self, **changed)
 
-    def part(self, elements: np.ndarray) -> SolidFields:
-        """Return the fields of some of the elements; nodes keep their indices.
+    def select_elements(self, elements: np.ndarray) -> SolidFields:
+        """Return a copy with some of the elements only; all nodes remain, with their indices.
 
         Args:
             elements: indices of the elements, shape (m,).
@@ -99,8 +99,8 @@ class SolidFields:
                        weights=self.weights[elements], moduli=self.moduli[elements],
                        stresses=None if self.stresses is None else self.stresses[:, elements])
 
-    def means(self) -> SolidFields:
-        """Return fields with one point in each element: the mean deformation over its volume."""
+    def average_over_elements(self) -> SolidFields:
+        """Return a copy with one quadrature point in each element, with the mean deformation of the element."""
         volumes = self.weights.sum(axis=1, keepdims=True)
         shares = self.weights / volumes
         return replace(self, gradients=np.einsum("eq,eqai->eai", shares, self.gradients)[:, None],
@@ -109,11 +109,11 @@ class SolidFields:
                        else np.einsum("eq,seqi->sei", shares, self.stresses)[:, :, None])
 
     def displacement(self, sample: int = -1) -> np.ndarray:
-        """Displacement (x, y, z) of the nodes, m, shape (nodes, 3)."""
+        """Return the displacement (x, y, z) of the nodes at a sample, m, shape (nodes, 3)."""
         return self.displacements[sample]
 
     def deformation_gradient(self, sample: int = -1) -> np.ndarray:
-        """Deformation gradient F_iJ at the quadrature points, shape (elements, q, 3, 3)."""
+        """Return the deformation gradient F_iJ at the quadrature points of a sample, shape (elements, q, 3, 3)."""
         u = self.displacement(sample)[self.mesh.connectivity]
         count, points, nodes, _ = self.gradients.shape
         # As matrix products, (i, a) (a, qJ).
@@ -122,7 +122,7 @@ class SolidFields:
         return rates + np.eye(3)
 
     def at_points(self, name: str, sample: int = -1) -> np.ndarray:
-        """Field of `SOLID_UNITS` at the quadrature points, shape (elements, q).
+        """Return a field of `SOLID_UNITS` at the quadrature points of a sample, shape (elements, q).
 
         For the definition of stress, pressure and energy see `tissue_sim.fem.axisymmetric.fields.Fields.at_points`.
         Components rr, zz, rz and hoop refer to the axis of the scene, at the deformed position of the point.
@@ -145,32 +145,32 @@ class SolidFields:
             return J
         left = F @ F.swapaxes(-1, -2)
         if name == "stretch":
-            return principal_stretches(left)[..., 0]
+            return compute_principal_stretches(left)[..., 0]
         modulus = self.moduli[:, None]
         p = 0.0 if self.pressures is None else np.einsum("eqm,em->eq", self.pressure_modes, self.pressures[sample])
         if name == "energy":
-            energy, _ = self._evaluate_principal_response(principal_stretches(left))
+            energy, _ = self._evaluate_principal_response(compute_principal_stretches(left))
             own = modulus * self.material.instantaneous_factor * energy
             return own + p**2 / (2.0 * self.bulk_modulus[:, None] * modulus)
         scale = modulus / J
         if self.stresses is None and name in ("pressure", "von_mises"):
             # From principal stresses, without their directions.
-            _, tau = self._evaluate_principal_response(principal_stretches(left))
+            _, tau = self._evaluate_principal_response(compute_principal_stretches(left))
             if name == "pressure":
                 return -(scale * tau.mean(axis=-1) + p)
             return scale * np.sqrt(1.5 * ((tau - tau.mean(axis=-1, keepdims=True)) ** 2).sum(axis=-1))
-        tensor = scale[..., None, None] * self._isochoric_stress(F, left, sample)
+        tensor = scale[..., None, None] * self._compute_isochoric_stress(F, left, sample)
         mean = np.trace(tensor, axis1=-2, axis2=-1) / 3.0
         if name == "pressure":
             return -(mean + p)
         if name == "von_mises":
             return np.sqrt(1.5 * ((tensor - mean[..., None, None] * np.eye(3)) ** 2).sum(axis=(-2, -1)))
-        first, second = self._component_directions(name, sample)
+        first, second = self._compute_component_directions(name, sample)
         across = 0.0 if name in ("cauchy_rz", "cauchy_xy", "cauchy_yz", "cauchy_xz") else p
         return np.einsum("eqi,eqik,eqk->eq", first, tensor, second) + across
 
     def _evaluate_by_region(self, name: str, sample: int) -> np.ndarray:
-        """Evaluate a field for elements of several materials."""
+        """Return a field at the quadrature points, each region evaluated with its own material, (elements, q)."""
         count, materials = len(self.mesh.connectivity), self.material.regions
         base = replace(self.material, regions={})
         taken = np.concatenate(list(self.mesh.regions.values()))
@@ -178,14 +178,15 @@ class SolidFields:
         parts = [(np.setdiff1d(np.arange(count), taken), base)]
         parts += [(each, materials.get(region, base)) for region, each in self.mesh.regions.items()]
         for elements, material in parts:
-            found[elements] = replace(self.part(elements), material=material).at_points(name, sample)
+            found[elements] = replace(self.select_elements(elements), material=material).at_points(name, sample)
         return found
 
     def _evaluate_principal_response(self, stretches: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return energy density, J/m3, and principal Kirchhoff stresses, Pa, for principal stretches, (..., 3)."""
         return self.material.energy_law.principal_response(stretches, self.material.parameters)
 
-    def _isochoric_stress(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
-        """Isochoric Kirchhoff stress in units of `moduli`, Pa, shape (elements, q, 3, 3)."""
+    def _compute_isochoric_stress(self, F: np.ndarray, left: np.ndarray, sample: int) -> np.ndarray:
+        """Return the isochoric Kirchhoff stress over the ratio `moduli`, Pa, shape (elements, q, 3, 3)."""
         if self.stresses is not None:
             return F @ self.stresses[sample][..., _SYMMETRIC] @ F.swapaxes(-1, -2)
         squares, ways = np.linalg.eigh(left)
@@ -193,14 +194,14 @@ class SolidFields:
         return (ways * tau[..., None, :]) @ ways.swapaxes(-1, -2)
 
     def _interpolate_at_points(self, nodal: np.ndarray) -> np.ndarray:
-        """Interpolate nodal vectors, shape (nodes, 3), at the quadrature points, shape (elements, q, 3)."""
+        """Interpolate nodal vectors, shape (nodes, 3), to the quadrature points, shape (elements, q, 3)."""
         values, _ = self.mesh.element.evaluate_shape_functions(self.mesh.element.quadrature[0])
         if self.weights.shape[1] == 1 < len(values):
             values = values.mean(axis=0, keepdims=True)
         return np.einsum("qa,eai->eqi", values, nodal[self.mesh.connectivity])
 
-    def _component_directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
-        """Two unit vectors that define a stress component, shape (elements, q, 3) each."""
+    def _compute_component_directions(self, name: str, sample: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return the unit vectors a and b of the stress component a . sigma b, shape (elements, q, 3) each."""
         shape = (*self.weights.shape, 3)
         if name in _ALONG:
             first, second = (np.broadcast_to(np.eye(3)[axis], shape) for axis in _ALONG[name])
@@ -215,14 +216,14 @@ class SolidFields:
                 "cauchy_hoop": (around, around)}[name]
 
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
-        """Smallest and largest principal stretch; the fraction `TAIL` of the volume is left out at each end."""
+        """Return smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
-        stretches = principal_stretches(F @ F.swapaxes(-1, -2))
+        stretches = compute_principal_stretches(F @ F.swapaxes(-1, -2))
         return (volume_quantile(stretches[..., 2], self.weights, TAIL),
                 volume_quantile(stretches[..., 0], self.weights, 1 - TAIL))
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """Field at the nodes, shape (nodes,).
+        """Return a field at the nodes of a sample, shape (nodes,).
 
         Each element's polynomial through its quadrature points is averaged over the elements of a node; 0 at nodes
         without an element.
@@ -233,13 +234,13 @@ class SolidFields:
 
 
 def _compute_determinant(F: np.ndarray) -> np.ndarray:
-    """Determinants of 3 x 3 matrices, shape (..., 3, 3); faster than by factorisation."""
+    """Return the determinants of 3 x 3 matrices, shape (...) from (..., 3, 3), without a factorisation."""
     (a, b, c), (d, e, f), (g, h, i) = ([F[..., row, column] for column in range(3)] for row in range(3))
     return a * (e * i - f * h) + b * (f * g - d * i) + c * (d * h - e * g)
 
 
-def principal_stretches(left: np.ndarray) -> np.ndarray:
-    """Principal stretches, largest first, of left or right Cauchy-Green tensors, shape (..., 3) from (..., 3, 3).
+def compute_principal_stretches(left: np.ndarray) -> np.ndarray:
+    """Return principal stretches, largest first, (..., 3), of left or right Cauchy-Green tensors, (..., 3, 3).
 
     Trigonometric roots of the characteristic polynomial, a few times faster than eigenvectors; the error is 1e-8 of the
     differences of the stretches (Smith, Communications of the ACM 4 (1961) 168).

@@ -7,12 +7,16 @@ import numpy as np
 from tissue_sim.pose import Pose
 
 
-class Frame:
-    """Rotation of the tool, shape (3, 3), and position of its deepest point in the frame of the mesh, m, shape (3,).
+class ToolFrame:
+    """Rotation and position of the tool in the frame of the mesh.
 
     Args:
-        pose: pose in the frame of the scene.
+        pose: pose of the tool in the frame of the scene.
         datum: height of the scene's origin in the frame of the mesh, m.
+
+    Attributes:
+        rotation: rotation matrix from the frame of the tool to that of the mesh, shape (3, 3).
+        origin: position of the tool's deepest point, m, shape (3,).
     """
 
     def __init__(self, pose: Pose, datum: float):
@@ -24,8 +28,8 @@ class Frame:
         x0, y0, z0 = pose.position
         self.origin = np.array([x0, y0, z0 + datum])
 
-    def compute_motion_from(self, first: Frame) -> np.ndarray:
-        """Motion from another frame: displacement, m, and change of the rotation matrix row by row, shape (12,)."""
+    def compute_motion_from(self, first: ToolFrame) -> np.ndarray:
+        """Return displacement, m, and change of the rotation matrix, row by row, from another frame, shape (12,)."""
         return np.concatenate([self.origin - first.origin, (self.rotation - first.rotation).ravel()])
 
     def transform_to_tool(self, points: np.ndarray) -> np.ndarray:
@@ -36,14 +40,14 @@ class Frame:
         """Transform points from the frame of the tool to that of the mesh, m, shape (n, 3)."""
         return points @ self.rotation.T + self.origin
 
-    def rates(self, points: np.ndarray) -> np.ndarray:
-        """Derivative of points fixed to the tool with respect to its position and a rotation about its deepest point.
+    def differentiate_points(self, points: np.ndarray) -> np.ndarray:
+        """Differentiate points fixed to the tool with respect to its position and a rotation about its deepest point.
 
         Args:
-            points: in the frame of the mesh, m, shape (n, 3).
+            points: positions in the frame of the mesh, m, shape (n, 3).
 
         Returns:
-            Shape (n, 3, 6).
+            Derivatives by displacement (columns 0 to 2, 1) and rotation vector (columns 3 to 5, m), shape (n, 3, 6).
         """
         rates = np.zeros((len(points), 3, 6))
         rates[:, 0, 0] = rates[:, 1, 1] = rates[:, 2, 2] = 1.0
@@ -55,7 +59,7 @@ class Frame:
 
 
 def differentiate_rotated_forces(forces: np.ndarray) -> np.ndarray:
-    """Derivative of forces, shape (n, 3), that rotate with a body, with respect to its pose, shape (n, 3, 6)."""
+    """Differentiate forces, N, shape (n, 3), that rotate with a body, with respect to its pose, shape (n, 3, 6)."""
     rates = np.zeros((*forces.shape, 6))
     x, y, z = forces.T
     rates[:, 0, 4], rates[:, 0, 5] = z, -y

@@ -10,13 +10,13 @@ import numpy as np
 from tissue_sim.mesh.solid import SolidMesh
 
 
-def fixed_freedoms(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
-    """Whether each node is fixed along x, y and z, shape (nodes, 3).
+def fixed_freedom_mask(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tuple[int, str]]) -> np.ndarray:
+    """Return whether each node is fixed along x, y and z, shape (nodes, 3).
 
     Args:
         mesh: mesh of the nodes.
         fixed: node set -> axes, ``"z"`` or ``"xyz"``.
-        pins: nodes and axes.
+        pins: pairs of a node and the axes along which the node is fixed, ``"xy"``.
     """
     stays = np.zeros((len(mesh.nodes), 3), dtype=bool)
     held: list[tuple[Any, str]] = [*((mesh.sets[name], axes) for name, axes in fixed.items()), *pins]
@@ -27,7 +27,7 @@ def fixed_freedoms(mesh: SolidMesh, fixed: Mapping[str, str], pins: Sequence[tup
 
 
 class FreeDofSystem:
-    """Submatrix of the free degrees of freedom, with the stiffness of the contact.
+    """Submatrix of the stiffness matrix for the free degrees of freedom, with the stiffness of the contact.
 
     Args:
         matrix: matrix of all degrees of freedom, whose data are overwritten by each assembly.
@@ -53,7 +53,11 @@ class FreeDofSystem:
         self._blocks = np.asarray(numbered[rows.ravel(), columns.ravel()]).ravel() - 1 if blocks.size else (
             np.zeros(0, dtype=np.intp))
 
-    def add(self, rates: np.ndarray) -> None:
-        """Add contact stiffness, N/m, shape (n, 3, 3), to the matrix that was assembled last."""
+    def add_contact_stiffness(self, rates: np.ndarray) -> None:
+        """Add the contact stiffness to the matrix that was assembled last, and update the submatrix `free`.
+
+        Args:
+            rates: stiffness of each contact node, N/m, shape (n, 3, 3).
+        """
         np.add.at(self.all.data, self._blocks, rates.ravel())
         self.free.data[:] = self.all.data[self._entries]

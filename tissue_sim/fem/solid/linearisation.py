@@ -19,10 +19,10 @@ from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_now
 from tissue_sim.fem.contact_settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import library
-from tissue_sim.fem.solid.bodies import Body, nearest
+from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.discretisation import make_solver
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.settings import LinearisationSettings
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.material.material import Material
@@ -36,21 +36,27 @@ _SETTINGS = LinearisationSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class _Step:
-    """Increment of the displacements, m: total, part of the contact forces, and part of the held nodes."""
+class _NewtonIncrement:
+    """Increment of the displacements in a Newton step, in the rows of `SolidLinearisation._select_rows_for_norm`, m.
+
+    Attributes:
+        motion: total increment.
+        pushed: contribution of the contact forces.
+        carried: contribution of the motion of the held nodes.
+    """
 
     motion: np.ndarray
     pushed: np.ndarray
     carried: np.ndarray
 
     def reduces_next_step(self, settles: np.ndarray, share: float, rounding: float) -> bool:
-        """Whether a damped step reduces the next step (restricted monotonicity test).
+        """Whether the next Newton step after a damped step is shorter (restricted monotonicity test).
 
         Source: Deuflhard, Newton Methods for Nonlinear Problems, 2011, section 3.3.
 
         Args:
             settles: new increment that balances the tissue without contact, m.
-            share: fraction of the step that was made.
+            share: damping factor: fraction of the step that was made, 1.
             rounding: length below which a step is zero, m.
         """
         following = settles + self.pushed + (1.0 - share) * self.carried
@@ -58,7 +64,9 @@ class _Step:
 
 
 class SolidLinearisation:
-    """`tissue_sim.fem.condensed.model.BulkLinearisation` of a solid; no other code may step the solver.
+    """Linearisation of a solid for multirate simulation, see `tissue_sim.fem.condensed.model.BulkLinearisation`.
+
+    The linearisation owns the solver: no other code may step it.
 
     Args:
         solver: solver at the first touch.
@@ -90,7 +98,7 @@ class SolidLinearisation:
         self._meets = np.flatnonzero((self._equations >= 0).all(axis=1))
         self._count = min(candidates, self._meets.size)
         self._most = min(self._count * (_SETTINGS.more if library() == "pardiso" else 1), self._meets.size)
-        self.surface = self._describe(self._count)
+        self.surface = self._make_contact_surface(self._count)
         self._untouched = solver.save()
         self._epoch, self._number, self._time = 0, 0, 0.0
         self._interface = self._meets[:0]
@@ -101,12 +109,12 @@ class SolidLinearisation:
         self._coming: CondensedTangent | None = None
         # Whether the tangent in use belongs to an earlier iterate.
         self._stale = False
-        self._settles = np.zeros(solver._free.size)  # first half of a solution, see `CondensedTangent.begin`
+        self._settles = np.zeros(solver._free.size)  # first half of a solution, see `CondensedTangent.begin_solution`
         self.executor: Executor = run_now
         self.residual = 0.0
 
-    def _describe(self, candidates: int) -> ContactSurface:
-        """Make the description of the surface and of the tool for the contact."""
+    def _make_contact_surface(self, candidates: int) -> ContactSurface:
+        """Return the description of surface and tool for the contact solver, with at most `candidates` nodes."""
         solver, contact, mine = self._solver, self._solver.contact, self._mine
         bodies = [body for body in contact.bodies if body.moves]
         lines = max((len(body.profile.vertices) - 1 - body.first_line for body in bodies), default=1)
@@ -117,7 +125,7 @@ class SolidLinearisation:
             chains[number, :len(chain)] = chain
             own = np.isin(self.nodes, body.nodes)
             outlines[own], friction[own] = number, body.friction
-        start = Frame(solver.pose, solver.datum)
+        start = ToolFrame(solver.pose, solver.datum)
         springs = SOLID_PENALTY.normal * np.sqrt(np.maximum(contact.areas, 1e-3 * contact.areas.max(initial=0.0)))[mine]
         return ContactSurface(contact.places[mine].copy(), springs, friction, outlines, chains, shapes,
                               contact.bound[mine].astype(np.int32),
@@ -132,206 +140,209 @@ class SolidLinearisation:
 
     @property
     def solver(self) -> SolidSolver:
-        """Solver whose last committed state is the last iterate."""
+        """Solver of the solid; its committed state is the last iterate."""
         return self._solver
 
     def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
         """See `BulkLinearisation.linearise`."""
         solver = self._solver
         if state.epoch != self._epoch:
-            self._rest()
+            self._restore_untouched_state()
             self._epoch, self._tangent, self._time = state.epoch, None, state.time
         if self._tangent is None:
-            return self._restart(state, ahead)
+            return self._relinearise_from_committed(state, ahead)
         if state.model != self._number:
             return None
         due = self._coming is None or self._coming.is_done
-        if due and self._change_tangent(state, state.pose, ahead):
-            self._settle()
-        before, here = tuple(array.copy() for array in solver._state), solver.pose
-        step = self._step(state)
-        after = tuple(array.copy() for array in solver._state)
-        solver.tissue.prepare(max(0.0, state.time - self._time))
+        if due and self._adopt_finished_tangent(state, state.pose, ahead):
+            self._store_contact_free_increment()
+        before, here = tuple(array.copy() for array in solver._iterate_arrays), solver.pose
+        step = self._apply_newton_increment(state)
+        after = tuple(array.copy() for array in solver._iterate_arrays)
+        solver.tissue.prepare_step(max(0.0, state.time - self._time))
         settles, old = self._settles, self._stale
         for share in _SETTINGS.old_fractions if old else _SETTINGS.fractions:
-            for array, one, other in zip(solver._state, before, after, strict=True):
+            for array, one, other in zip(solver._iterate_arrays, before, after, strict=True):
                 array[:] = one + share * (other - one)
             if not self._assemble_forces(due):
                 continue
             pose, self._stale = between(here, state.pose, share), True
             if old:
-                self._settle()
-                measured = self._select_measured_part(self._settles)
-                if not step.reduces_next_step(measured, share, _SETTINGS.rounding * self._size):
+                self._store_contact_free_increment()
+                measured = self._select_rows_for_norm(self._settles)
+                if not step.reduces_next_step(measured, share, _SETTINGS.rounding * self._displacement_norm):
                     continue
-            begun = self._begin(state, pose, ahead, self.executor) if due else None
+            begun = self._start_condensation(state, pose, ahead, self.executor) if due else None
             if begun is not None and begun.is_done:
-                if not self._change_tangent(state, pose, ahead):
+                if not self._adopt_finished_tangent(state, pose, ahead):
                     continue  # without parallel factorisation an iterate with a singular tangent is not accepted
                 self._stale = False
             if not (old and self._stale):
-                self._settle()
-            self._note_residual(state)
-            self._commit(pose)
+                self._store_contact_free_increment()
+            self._store_relative_residual(state)
+            self._commit_iterate(pose)
             self._time = state.time
             return self._make_condensed_model(state, pose)
-        for array, old_one in zip(solver._state, before, strict=True):
+        for array, old_one in zip(solver._iterate_arrays, before, strict=True):
             array[:] = old_one
         self._settles, self._stale = settles, old
         if self._coming is None or not self._assemble_forces(False):
             self._tangent = None
         return None
 
-    def _rest(self) -> None:
-        """Return to the tissue before the first touch, with the present material."""
+    def _restore_untouched_state(self) -> None:
+        """Restore the solver's state before the first touch, with the present material."""
         solver = self._solver
         solver.restore(self._untouched)
         for array, rest in zip(solver._committed, solver._rest, strict=True):
             array[:] = rest
-        solver.tissue.prepare(0.0)
+        solver.tissue.prepare_step(0.0)
         solver._restore_committed_state()
 
-    def _restart(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
-        """Linearise at the present state, or at rest if that is not possible."""
+    def _relinearise_from_committed(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
+        """Linearise with a new tangent at the committed state, or at rest if that tangent is singular; else None."""
         solver, self._coming = self._solver, None
-        for go_back in (solver._restore_committed_state, self._rest):
+        for go_back in (solver._restore_committed_state, self._restore_untouched_state):
             go_back()
             pose = solver.pose if self._holds else state.pose
             if not self._assemble_forces(True):
                 continue
-            self._begin(state, pose, ahead, run_now)
-            if self._change_tangent(state, pose, ahead):
+            self._start_condensation(state, pose, ahead, run_now)
+            if self._adopt_finished_tangent(state, pose, ahead):
                 self._stale = False
-                self._settle()
-                self._note_residual(state)
+                self._store_contact_free_increment()
+                self._store_relative_residual(state)
                 return self._make_condensed_model(state, pose)
         return None
 
-    def _step(self, state: ContactState) -> _Step:
-        """Make the step to the pose and the contact forces of a state."""
+    def _apply_newton_increment(self, state: ContactState) -> _NewtonIncrement:
+        """Add the Newton increment for the pose and the contact forces of a state to displacements and pressures."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
         motion, carried = np.zeros_like(solver.x), np.zeros(solver._free.size)
         if self._holds:
-            motion[solver._moved] = solver.held_displacement(Frame(state.pose, solver.datum)) - solver.x[solver._moved]
-            carried = -tangent.begin((tangent.held @ motion[solver._moved])[solver._free])
+            motion[solver._moved] = solver.compute_held_displacement(ToolFrame(state.pose,
+                                                                               solver.datum)) - solver.x[solver._moved]
+            carried = -tangent.begin_solution((tangent.held @ motion[solver._moved])[solver._free])
         loaded = np.flatnonzero(state.forces.any(axis=1))
         if np.isin(loaded, tangent.interface).all():
-            pushed = -tangent.push(state.forces[tangent.interface])
+            pushed = -tangent.begin_solution_for_interface(state.forces[tangent.interface])
         else:
             right = np.zeros_like(solver.x)
             right[self._freedoms[loaded]] = state.forces[loaded]
-            pushed = -tangent.begin(right[solver._free])
+            pushed = -tangent.begin_solution(right[solver._free])
         begun = self._settles + pushed + carried
-        motion[solver._free] = tangent.finish(begun)
+        motion[solver._free] = tangent.finish_solution(begun)
         solver.x += motion
         solver.tissue.update_pressures(motion)
-        return _Step(*(self._select_measured_part(each) for each in (begun, pushed, carried)))
+        return _NewtonIncrement(*(self._select_rows_for_norm(each) for each in (begun, pushed, carried)))
 
-    def _select_measured_part(self, begun: np.ndarray) -> np.ndarray:
-        """Return the part of a begun solution whose length is compared.
+    def _select_rows_for_norm(self, begun: np.ndarray) -> np.ndarray:
+        """Return the displacements of a begun solution that the norms of the step control use, m.
 
-        The part is the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
+        These are the interface, where the contact acts, or all free degrees of freedom if the tool holds tissue.
         """
         assert self._tangent is not None
-        return self._tangent.finish(begun) if self._holds else begun[self._tangent.rows]
+        return self._tangent.finish_solution(begun) if self._holds else begun[self._tangent.interface_rows]
 
     @property
-    def _size(self) -> float:
-        """Length of the displacement in the same norm, m."""
+    def _displacement_norm(self) -> float:
+        """Norm of the displacement in the rows of `_select_rows_for_norm`, m."""
         assert self._tangent is not None
         displacement = self._solver.x[self._solver._free]
-        return float(np.linalg.norm(displacement if self._holds else displacement[self._tangent.rows]))
+        return float(np.linalg.norm(displacement if self._holds else displacement[self._tangent.interface_rows]))
 
-    def _settle(self) -> None:
-        """Store the increment that balances the tissue as it was assembled last, without contact."""
+    def _store_contact_free_increment(self) -> None:
+        """Store the Newton increment without contact forces for the residual that was assembled last."""
         solver, tangent, right = self._solver, self._tangent, self._solver.batches.residual[:-1].copy()
         assert tangent is not None
         if self._stale:
-            solver.tissue.add_known_volumes(right)
-        self._settles = -tangent.begin(right[solver._free])
+            solver.tissue.correct_forces_for_old_volume_rates(right)
+        self._settles = -tangent.begin_solution(right[solver._free])
         if self._holds:
-            self._reactions = right[solver._moved] + tangent.held[solver._free].T @ tangent.finish(self._settles)
+            motion = tangent.finish_solution(self._settles)
+            self._reactions = right[solver._moved] + tangent.held[solver._free].T @ motion
 
     def _assemble_forces(self, tangent: bool) -> bool:
-        """Assemble forces, and optionally the tangent, without contact; returns whether no element is inside out."""
+        """Assemble forces, and optionally the tangent, without contact; return False if an element is inside out."""
         solver = self._solver
-        solver._least = solver.tissue.assemble(tangent)
+        solver._least = solver.tissue.assemble_forces_and_tangent(tangent)
         if tangent:
-            solver._matrix.add(self._none)
+            solver._matrix.add_contact_stiffness(self._none)
         return 0.0 < solver._least < 1e30
 
-    def _commit(self, pose: Pose) -> None:
-        """Accept the iterate."""
+    def _commit_iterate(self, pose: Pose) -> None:
+        """Make the present iterate, with this pose of the tool, the committed state of the solver."""
         solver = self._solver
-        solver.tissue.commit()
+        solver.tissue.commit_step()
         solver._committed = solver.x.copy(), solver.batches.pressures.copy(), solver.contact.forces.copy()
         solver._pose = pose
 
-    def _note_residual(self, state: ContactState) -> None:
-        """Store the relative residual with the contact forces of a state."""
+    def _store_relative_residual(self, state: ContactState) -> None:
+        """Set `residual`, the relative residual with the contact forces of a state."""
         solver, unbalanced = self._solver, self._solver.batches.residual[:-1].copy()
         unbalanced[self._freedoms] += state.forces
         held = float(np.linalg.norm(unbalanced[solver._reacting]))
         self.residual = float(np.linalg.norm(unbalanced[solver._free])) / max(held, solver._floor)
 
-    def _begin(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
-               executor: Executor) -> CondensedTangent | None:
-        """Start the condensation of the tangent that was assembled last; None while another one is in progress."""
+    def _start_condensation(self, state: ContactState, pose: Pose, ahead: Sequence[Pose],
+                            executor: Executor) -> CondensedTangent | None:
+        """Start the condensation of the tangent assembled last and return it; None while another one is in progress."""
         # A finished tangent that is not in use may be overwritten.
         spare = next((each for each in self._tangents if each is not self._tangent and each.is_done), None)
         if spare is None or self._coming is not None:
             return None
-        solver, order, loaded = self._solver, *self._order_nodes(state, pose, ahead)
+        solver, order, loaded = self._solver, *self._order_contact_candidates(state, pose, ahead)
         if not np.isin(order[:max(int(_SETTINGS.needed * self._most), loaded)], self._interface).all():
             self._interface = np.sort(order[:self._most])
         spare.time, spare.pose = state.time, pose
-        spare.assign(solver._matrix, self._interface, self._equations[self._interface], solver.batches.volume_rates,
-                     executor)
+        spare.start_condensation(solver._matrix, self._interface, self._equations[self._interface],
+                                 solver.batches.volume_rates, executor)
         self._coming = spare
         return spare
 
-    def _change_tangent(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
-        """Use the tangent whose condensation has ended; returns False if there is none or it is singular."""
+    def _adopt_finished_tangent(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> bool:
+        """Use the tangent whose condensation has ended; return False if there is none or it is singular."""
         coming, self._coming = self._coming, None
         if coming is None or coming.factor is None:
             return False
-        order, _ = self._order_nodes(state, pose, ahead)
+        order, _ = self._order_contact_candidates(state, pose, ahead)
         nodes = order[np.isin(order, coming.interface)][:self._count]
-        coming.choose(nodes, self._equations[nodes])
+        coming.select_published_nodes(nodes, self._equations[nodes])
         self._tangent, self._base = coming, self._number + 1
         self._solver.batches.known_rates[:] = coming.volume_rates
         return True
 
-    def _order_nodes(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray, int]:
+    def _order_contact_candidates(self, state: ContactState, pose: Pose, ahead: Sequence[Pose]) -> tuple[np.ndarray,
+                                                                                                         int]:
         """Order the nodes that the tool may touch: loaded nodes first, then by gap.
 
         Returns:
-            Indices, and the number of loaded nodes.
+            Indices in the `ContactSurface`, shape (k,), and the number of loaded nodes.
         """
         meets, loaded = self._meets, np.abs(state.forces).sum(axis=1) > 0.0
         gaps = np.stack([self._compute_gaps(each) for each in (pose, *ahead)])[:, meets]
         return meets[np.lexsort((gaps.min(axis=0), ~loaded[meets]))], int(loaded.sum())
 
     def _compute_gaps(self, pose: Pose) -> np.ndarray:
-        """Distances of the surface nodes from the tool at a pose, m, shape (s,)."""
+        """Return the gaps between the surface nodes and a tool at a pose, m, shape (s,)."""
         solver, contact = self._solver, self._solver.contact
-        frame, gaps = Frame(pose, solver.datum), np.full(self.nodes.size, np.inf)
+        frame, gaps = ToolFrame(pose, solver.datum), np.full(self.nodes.size, np.inf)
         at = frame.transform_to_tool(contact.places[self._mine] + solver.x[self._freedoms])
         for body in contact.bodies:
             if body.moves:
                 own = np.isin(self.nodes, body.nodes)
-                gaps[own] = nearest(body, at[own], pressed_in=True).gap
+                gaps[own] = find_nearest_surface_points(body, at[own], pressed_in=True).gap
         return gaps
 
     def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedContact:
-        """Make the linearisation at the last iterate."""
+        """Return the linearisation at the last iterate, condensed onto the published nodes."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
         free_displacement = solver.x[self._freedoms[tangent.nodes]] + self._settles[self._equations[tangent.nodes]]
         wrench = np.zeros(6)
         if self._holds:
-            levers = Frame(pose, solver.datum).rates(solver._node_positions(solver._bonded))
+            levers = ToolFrame(pose, solver.datum).differentiate_points(solver._get_node_positions(solver._bonded))
             forces = -self._reactions.reshape(-1, 3)
             wrench = np.einsum("nik,ni->k", levers, forces)
             if self._number + 1 == self._base:
@@ -369,8 +380,8 @@ def make_linearisation(model: Model, *, resolution: str = "realtime", mesh: Soli
     return SolidLinearisation(make_solver(model, resolution=resolution, mesh=mesh), candidates)
 
 
-def _pack_outline(body: Body) -> tuple[np.ndarray, tuple[float, ...]]:
-    """Segments of a body's outline, and its row in `ContactSurface.shapes`."""
+def _pack_outline(body: RigidBody) -> tuple[np.ndarray, tuple[float, ...]]:
+    """Return the segments of a body's outline, shape (lines, 5), and its row of `ContactSurface.shapes`."""
     profile, first = body.profile, body.first_line
     start, segment = profile.vertices[first:-1], np.diff(profile.vertices[first:], axis=0)
     length = np.linalg.norm(segment, axis=1)

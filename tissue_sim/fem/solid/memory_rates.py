@@ -29,7 +29,7 @@ class KinkSettings:
 _KINK = KinkSettings()
 
 
-class MemoryRates:
+class HistoryDerivatives:
     """Derivatives of the history of one material with respect to m parameters, at the last committed step.
 
     Args:
@@ -55,12 +55,15 @@ class MemoryRates:
         self._decays, self._gains = np.zeros((2, m, len(memory.internal)))
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
-        """Arrays that are carried from step to step, parameters first; overwriting them restores another state."""
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
+        """Derivatives of stresses, internal variables and largest energy density, parameters first.
+
+        Writing saved copies into these arrays restores the derivatives of another step.
+        """
         return self._before, self._internal, self._largest
 
     def begin_step(self) -> None:
-        """Prepare the derivatives of a step, after the history has been prepared for the step."""
+        """Set `inherited` for a step, after `Memory.prepare_step`."""
         memory = self.memory
         if not len(memory.internal):
             return
@@ -99,16 +102,16 @@ class MemoryRates:
         for array, before in self._kept:
             array[:] = before
 
-    def directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the arrays of the history that the assembly reads, with their derivatives by parameter k."""
+    def get_input_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return pairs (history array that the assembly reads, its derivative with respect to parameter k)."""
         memory = self.memory
         if not memory.works:
             return []
         return [(memory.past, self._past_rates[k]), (memory.inherited, self.inherited[k]),
                 (memory.largest, self._largest[k])]
 
-    def commit(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
-        """Update the derivatives of the history when a step is committed.
+    def commit_parameter(self, k: int, stress: np.ndarray, energy: np.ndarray) -> None:
+        """Update the derivatives of the history with respect to parameter k when a step is committed.
 
         Args:
             k: index of the parameter.

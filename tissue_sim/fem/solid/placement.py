@@ -11,11 +11,11 @@ import numpy as np
 
 from tissue_sim.fem.contact_settings import Bond
 from tissue_sim.fem.free_tool import AT_REST
-from tissue_sim.fem.solid.bodies import Body, nearest
+from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.faceting import faceting_error
-from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.mass import Mass
+from tissue_sim.fem.solid.faceting import estimate_faceting_force_error
+from tissue_sim.fem.solid.frame import ToolFrame
+from tissue_sim.fem.solid.mass import LumpedMass
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Solver, Step
 from tissue_sim.kernel_owner import KernelOwner
@@ -42,15 +42,18 @@ class PlacementTolerances:
 PLACEMENT = PlacementTolerances()
 
 
-class PlacedSolver(KernelOwner, Solver):
-    """Solver whose mesh belongs to one position of the first touch, and that can be made again for another one.
+class RelocatableSolver(KernelOwner, Solver):
+    """Base class of `SolidSolver`: placement and motion of the tool without contact.
+
+    The mesh belongs to one position of the first touch. For a first touch at another position the solver is replaced by
+    one with a moved mesh.
 
     Attributes:
         placement: makes the solver for a first touch at another pose; None: the solver cannot be moved.
     """
 
     ignores_twist = True
-    placement: Placement | None = None
+    placement: FirstTouchPlacement | None = None
     contact: ContactNodes
     tissue: Tissue
     material: Material
@@ -58,7 +61,7 @@ class PlacedSolver(KernelOwner, Solver):
     _committed: tuple[np.ndarray, ...]
     _rest: tuple[np.ndarray, ...]
     _tolerance: float
-    _mass: Mass | None
+    _mass: LumpedMass | None
     _bonded: np.ndarray
     _start: Pose
     _pose: Pose
@@ -68,24 +71,25 @@ class PlacedSolver(KernelOwner, Solver):
         return pose.position[2] if self.placement is None else self.placement.height_above(pose)
 
     def place_tool(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool`. The mesh is moved, so that it has the same fineness under the tool."""
-        if self.placement is None or self.placement.is_at(self._start, pose):
+        """See `FreeTool.place_tool`. The mesh is moved with the tool, so that it is equally fine under the tool."""
+        if self.placement is None or self.placement.is_at_mesh_position(self._start, pose):
             return True
-        other = self.placement.make_solver_at_touch(pose, self)
+        other = self.placement.make_solver_for_touch_pose(pose, self)
         if other is None:
             return False
         self.__dict__.update(other.__dict__)
         return True
 
     def _add_error_estimate(self, step: Step) -> Step:
-        """Add the estimated error of the force to a converged step, if stiffness is requested in every step."""
+        """Return a converged step with its estimated force error, if stiffness is requested in every step."""
         if not self._asked:
             return step
-        error = faceting_error(self.contact, self.mesh, self.committed_displacement, math.hypot(*step.wrench[:3]))
+        error = estimate_faceting_force_error(self.contact, self.mesh, self.committed_displacement,
+                                              math.hypot(*step.wrench[:3]))
         return step if error is None else replace(step, force_error=error)
 
     def copy_settings_to(self, other: Any) -> None:
-        """Copy material, mass and requests to another solver of the same model."""
+        """Copy material, density and the request for stiffness to another solver of the same model."""
         if self._asked:
             other.ask_for_stiffness()
         if self._mass is not None:
@@ -98,17 +102,17 @@ class PlacedSolver(KernelOwner, Solver):
         contact = self.contact
         if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != Bond.FREE))).any():
             return None
-        frame, displacement, least = Frame(pose, self.datum), self.committed_displacement, math.inf
+        frame, displacement, least = ToolFrame(pose, self.datum), self.committed_displacement, math.inf
         for body, own in contact.parts:
             if body.moves and own.size:
                 at = frame.transform_to_tool(contact.places[own] + displacement[contact.nodes[own]])
-                least = min(least, float(nearest(body, at, pressed_in=False).gap.min()))
+                least = min(least, float(find_nearest_surface_points(body, at, pressed_in=False).gap.min()))
         return least
 
     @property
     def relaxes(self) -> bool:
         """See `FreeTool.relaxes`."""
-        return self.tissue.remembers
+        return self.tissue.has_history
 
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""
@@ -143,21 +147,21 @@ class PlacedSolver(KernelOwner, Solver):
         self._pose = pose
 
 
-class Placement:
-    """Positions of a first touch on the top of a solid.
+class FirstTouchPlacement:
+    """Height of the first touch of a tool on the top of a solid, and the solver for a first touch at another pose.
 
     Args:
         places: positions of the nodes of the top without a tool, m, shape (n, 3).
-        bodies: the tool and others.
+        bodies: parts of the tool; bodies at rest are ignored.
         datum: height of the scene's origin in the frame of the mesh, m.
         is_level: whether the top is flat and has not settled.
         margin: returns the distance of a point from the edge of the top, m.
         touch_height: returns the height of the scene's origin at which a tool at a pose touches, m; raises InputError
             outside of the top.
-        remake: returns the solver for a first touch at a pose; None if there is none.
+        remake: returns the solver for a first touch at a pose, or None if no solver can be made; None: never remake.
     """
 
-    def __init__(self, places: np.ndarray, bodies: list[Body], datum: float, is_level: bool,
+    def __init__(self, places: np.ndarray, bodies: list[RigidBody], datum: float, is_level: bool,
                  margin: Callable[[float, float], float], touch_height: Callable[[Pose], float],
                  remake: Callable[[Pose, Any], Any] | None):
         profiles = [body.profile for body in bodies if body.moves]
@@ -166,8 +170,8 @@ class Placement:
         self._datum, self._is_level, self._margin = datum, is_level, margin
         self._touch_height, self._remake = touch_height, remake
 
-    def is_at(self, start: Pose, pose: Pose) -> bool:
-        """Whether a first touch at a pose is at the position of the mesh."""
+    def is_at_mesh_position(self, start: Pose, pose: Pose) -> bool:
+        """Whether a first touch at a pose needs no other mesh than the first touch at `start`."""
         x, y, z, *turn = motion(start, pose)
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
 
@@ -188,11 +192,11 @@ class Placement:
         except InputError:
             return math.inf  # outside the top
 
-    def make_solver_at_touch(self, pose: Pose, solver: Any) -> Any:
+    def make_solver_for_touch_pose(self, pose: Pose, solver: Any) -> Any:
         """Return the solver for a first touch at a pose; None if no such solver can be made.
 
         Args:
             pose: pose of the tool at the first touch.
-            solver: solver whose material and mass the new solver gets.
+            solver: solver whose material and density are copied to the new solver.
         """
         return None if self._remake is None else self._remake(pose, solver)

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from tissue_sim.fem.point_effects import LONGEST, require_formula
-from tissue_sim.fem.solid.batches import ElementBatches, find_entry_indices
+from tissue_sim.fem.solid.batches import ElementBatches, find_sparse_entry_indices
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
@@ -22,17 +22,17 @@ _IN_MEMORY = [0, 3, 4, 1, 5, 2]
 _AT_ONCE = 200
 
 
-class SolidEffects:
-    """All point effects of a material.
+class SolidPointEffects:
+    """Point effects of a material: additional stress at the quadrature points, with state variables.
 
     Args:
         batches: batches of the mesh.
-        connectivity: shape (elements, nodes of an element).
+        connectivity: indices of the nodes of each element of the mesh, shape (elements, nodes of an element).
         elements: indices of the elements of the material, shape (n,).
 
     Attributes:
         states: state variables of all effects at the last committed step, shape (n, q, variables).
-        stress: sum of the stresses there, Pa, in the order of a memory, shape (n, q, 6).
+        stress: sum of their second Piola-Kirchhoff stresses there, Pa, shape (n, q, 6: XX, XY, XZ, YY, YZ, ZZ).
     """
 
     def __init__(self, batches: ElementBatches, connectivity: np.ndarray, elements: np.ndarray):
@@ -67,25 +67,25 @@ class SolidEffects:
             self._found, self._makes = self.states.copy(), makes
         self._effects = points
 
-    def prepare(self, dt: float) -> None:
-        """Set the length of the next step, dt in s."""
+    def prepare_step(self, dt: float) -> None:
+        """Set the duration dt of the next step, s."""
         self._dt = min(dt, LONGEST)
 
-    def commit(self) -> None:
-        """Accept the state variables of the last step, which converged."""
+    def commit_step(self) -> None:
+        """Make state variables and stresses of the converged step the committed ones."""
         self.states[:], self.stress[:] = self._found, self._stress
 
-    def add(self, x: np.ndarray, tangent: bool) -> None:
-        """Add forces, and optionally stiffness, at displacements x, m, shape (freedoms,), to those of the batches."""
-        gradients = self._batches.of_points[0]
-        ratios = self._batches.element_moduli
+    def add_forces_and_stiffness(self, x: np.ndarray, tangent: bool) -> None:
+        """Add forces, and if `tangent` stiffness, at displacements x, m, shape (freedoms,), to those of the batches."""
+        gradients = self._batches.point_gradients_and_modes[0]
+        ratios = self._batches.element_modulus_ratios
         forces, stiffness = np.zeros(self._dofs.shape), []
         for first in range(0, len(self._elements), _AT_ONCE):
             part = slice(first, first + _AT_ONCE)
             mine = self._elements[part]
             G, dofs = gradients[mine], self._dofs[part]
             F = np.eye(3) + np.einsum("eai,eqaJ->eqiJ", x[dofs].reshape(*dofs.shape[:1], -1, 3), G)
-            S, D = self._respond(part, F)
+            S, D = self._evaluate_effects(part, F)
             weights = self._batches.weights[mine] * ratios[mine, None]
             # Derivative of the Green strains, with doubled shears, with respect to the nodal positions.
             B = np.stack([np.einsum("eqi,eqa->eqai", F[..., I], G[..., J])
@@ -108,18 +108,19 @@ class SolidEffects:
             matrix = self._batches.matrix
             if self._places is None:
                 rows, columns = np.broadcast_arrays(self._dofs[:, :, None], self._dofs[:, None])
-                self._places = find_entry_indices(matrix, rows, columns).ravel()
+                self._places = find_sparse_entry_indices(matrix, rows, columns).ravel()
             matrix.data += np.bincount(self._places, np.concatenate(stiffness).ravel(), minlength=matrix.nnz)
 
-    def _respond(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Evaluate the effects of some elements, and store their new state variables.
+    def _evaluate_effects(self, part: slice, F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Evaluate the effects in a range of elements, and store their new state variables.
 
         Args:
-            part: elements.
+            part: range of the elements in the constructor's `elements`.
             F: deformation gradients, shape (e, q, 3, 3).
 
         Returns:
-            Stress, Pa, shape (e, q, 6), and tangent, Pa, shape (e, q, 6, 6).
+            Second Piola-Kirchhoff stress, Pa, shape (e, q, 6: 11, 22, 33, 12, 13, 23), and its derivative with respect
+            to the Green strains (shears doubled), Pa, shape (e, q, 6, 6).
         """
         C = [np.einsum("eqi,eqi->eq", F[..., I], F[..., J]) for I, J in _PAIRS]
         S, D, at = np.zeros((*F.shape[:2], 6)), np.zeros((*F.shape[:2], 6, 6)), 0

@@ -16,10 +16,10 @@ import numpy as np
 
 from tissue_sim.fem.linear.sparse import SparseSolver
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.contact_law_rates import LawRates
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.contact_law_rates import ContactLawDerivatives
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.free_dofs import FreeDofSystem
-from tissue_sim.fem.solid.memory_rates import MemoryRates
+from tissue_sim.fem.solid.memory_rates import HistoryDerivatives
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.material.material import Material
@@ -30,7 +30,7 @@ _WIDTH = 10.0
 
 @dataclass(frozen=True)
 class RefinementSettings:
-    """Iterative refinement of the linear solutions.
+    """Settings of the iterative refinement of the linear solutions.
 
     Attributes:
         tolerance: relative residual at which the refinement ends, 1.
@@ -47,8 +47,8 @@ _SETTINGS = RefinementSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class SolidParts:
-    """Parts of a solver that its derivatives use.
+class SensitivityInputs:
+    """Data of a solver from which its derivatives are computed.
 
     Attributes:
         nodes: undeformed positions of the nodes, m, shape (nodes, 3).
@@ -67,20 +67,21 @@ class SolidParts:
     tissue: Tissue
     contact: ContactNodes
     matrix: FreeDofSystem
-    first: Frame
+    first: ToolFrame
     assemble: Callable[[], None]
 
 
 @dataclass(frozen=True, eq=False)
-class StartRates:
+class FirstTouchDerivatives:
     """Derivatives of the state of the first touch with respect to m parameters.
 
     Attributes:
-        stretch: of the logarithm of the height of the undeformed mesh, shape (m,).
-        settled: `SolidSensitivity.carried` of the settled specimen; None: it is undeformed.
-        resting: indices of the nodes of its contact.
-        datum: of the height of the scene's origin in the frame of the mesh, m, shape (m,).
-        lift: of the height of nodes above the surface that the tool is assumed to touch, m, shape (nodes, m); None: 0.
+        stretch: derivative of the logarithm of the height of the undeformed mesh, shape (m,).
+        settled: `SolidSensitivity.state_derivatives` of the settled specimen; None: the specimen is undeformed.
+        resting: indices of the contact nodes of the settled specimen, shape (n,).
+        datum: derivative of the height of the scene's origin in the frame of the mesh, m, shape (m,).
+        lift: derivative of the height of the nodes above the surface that the tool is assumed to touch, m, shape
+            (nodes, m); None: 0.
     """
 
     stretch: np.ndarray
@@ -90,8 +91,8 @@ class StartRates:
     lift: np.ndarray | None
 
     @classmethod
-    def for_undeformed_specimen(cls, stretch: np.ndarray) -> StartRates:
-        """Make the derivatives for an undeformed specimen."""
+    def from_undeformed_specimen(cls, stretch: np.ndarray) -> FirstTouchDerivatives:
+        """Make the derivatives of an undeformed specimen from those of the logarithm of its height, shape (m,)."""
         return cls(stretch, None, np.zeros(0, dtype=np.intp), np.zeros_like(stretch), None)
 
 
@@ -105,18 +106,19 @@ class SolidSensitivity:
         widths: distance of each parameter's neighbours, shape (m,).
 
     Attributes:
-        force: derivatives of the force along z, N per unit, shape (m,).
-        vector: derivatives of all three components, shape (m, 3).
+        force: derivatives of the force on the tool along z, N per unit of the parameter, shape (m,).
+        vector: derivatives of all three components of this force, shape (m, 3).
     """
 
-    def __init__(self, parts: SolidParts, input_rates: Sequence[Sequence[np.ndarray]], memories: Sequence[MemoryRates],
-                 widths: np.ndarray):
+    def __init__(self, parts: SensitivityInputs, input_rates: Sequence[Sequence[np.ndarray]],
+                 memories: Sequence[HistoryDerivatives], widths: np.ndarray):
         self._parts, self._memories, self._half = parts, memories, _WIDTH * widths
         self._regions = range(len(memories))
         m, n = widths.size, parts.contact.nodes.size
         #: For each parameter and region: input arrays and their derivatives.
         self._inputs = [[[(array, rate[k]) for array, rate in zip(region.inputs, rates, strict=True) if rate[k].any()]
-                         for region, rates in zip(parts.tissue.regions, input_rates, strict=True)] for k in range(m)]
+                         for region, rates in zip(parts.tissue.region_derivative_inputs, input_rates, strict=True)]
+                        for k in range(m)]
         self.vector = np.zeros((m, 3))
         self.force = self.vector[:, 2]
         #: Derivatives of: the anchors, in the frames of their bodies; the undeformed positions relative to the bodies;
@@ -125,29 +127,32 @@ class SolidSensitivity:
         self._held = np.zeros((parts.moved.size // 3, 3, m))
         self._origin, self._undeformed = np.zeros((3, m)), np.zeros((*parts.nodes.shape, m))
         self._stretch, self._motion = np.zeros(m), np.zeros((parts.x.size, m))
-        self._laws: LawRates | None = None
+        self._laws: ContactLawDerivatives | None = None
         self._added, self._sparse = np.zeros((n, 3, 3)), SparseSolver()
         self._stretched: list[tuple[np.ndarray, np.ndarray]] = []
         self._kinds, self._changed = np.zeros((5, n), dtype=bool), False
 
     @classmethod
-    def of(cls, parts: SolidParts, neighbours: Neighbours, here: Material,
-           set_material: Callable[[Material], None]) -> SolidSensitivity:
-        """Make the derivatives from the neighbours of a material, which are set in turn; the material is restored.
+    def from_neighbours(cls, parts: SensitivityInputs, neighbours: Neighbours, here: Material,
+                        set_material: Callable[[Material], None]) -> SolidSensitivity:
+        """Make the derivatives from materials with increased and decreased parameters, set one after the other.
+
+        The material of the solver is restored.
 
         Args:
             parts: parts of a solver before its first step.
             neighbours: see `tissue_sim.fem.solver.Neighbours`.
-            here: material of the solver.
+            here: present material of the solver, which is restored.
             set_material: sets the material of the solver.
         """
-        def inputs(material: Material) -> list[list[np.ndarray]]:
+        def copy_material_inputs(material: Material) -> list[list[np.ndarray]]:
+            """Set a material, and return copies of the arrays that it sets, for each region."""
             set_material(material)
             return [[array.copy() for array in (*region.inputs, region.memory.past)] for region in regions]
 
-        regions = parts.tissue.regions
+        regions = parts.tissue.region_derivative_inputs
         try:
-            sides = [(inputs(more), inputs(less)) for more, less, _ in neighbours]
+            sides = [(copy_material_inputs(more), copy_material_inputs(less)) for more, less, _ in neighbours]
         finally:
             set_material(here)
         widths = np.array([width for *_, width in neighbours])
@@ -160,14 +165,14 @@ class SolidSensitivity:
                     rate[k] = (above - below) / widths[k]
             rates.append(found[:-1])
             relaxations = [(region.relaxation(more), region.relaxation(less)) for more, less, _ in neighbours]
-            memories.append(MemoryRates(region.memory, found[-1], relaxations, widths))
+            memories.append(HistoryDerivatives(region.memory, found[-1], relaxations, widths))
         return cls(parts, rates, memories, widths)
 
-    def begin(self, start: StartRates) -> None:
+    def set_first_touch_derivatives(self, start: FirstTouchDerivatives) -> None:
         """Set the derivatives of the state of the first touch, before the first step."""
         parts, contact, first = self._parts, self._parts.contact, self._parts.first
         self._stretch[:] = start.stretch
-        self._stretched = parts.tissue.batches.stretch_rates if start.stretch.any() else []
+        self._stretched = parts.tissue.batches.arrays_with_height_derivatives if start.stretch.any() else []
         self._undeformed[:, 2] = parts.nodes[:, 2, None] * start.stretch
         self._origin[2] = start.datum
         self._apart[:] = self._undeformed[contact.nodes]
@@ -179,7 +184,8 @@ class SolidSensitivity:
         if start.settled is not None:
             motion, anchors, *remembered = start.settled
             self._motion[:] = motion.T
-            for array, left in zip([array for each in self._memories for array in each.kept], remembered, strict=True):
+            for array, left in zip([array for each in self._memories for array in each.state_arrays], remembered,
+                                   strict=True):
                 array[:] = left
         met, turned = self._select_contact_rows(self._motion) + self._apart, first.rotation.T
         self._anchors[:] = np.where(contact.moves[:, None, None], turned @ met, met)
@@ -191,17 +197,17 @@ class SolidSensitivity:
         self._held[:] = turned @ (places[parts.moved[::3] // 3] - self._origin)
 
     @property
-    def carried(self) -> list[np.ndarray]:
-        """Derivatives of displacements, anchors and history at the last committed step, parameters first."""
+    def state_derivatives(self) -> list[np.ndarray]:
+        """Derivatives of displacements, anchors and history arrays at the last committed step, parameters first."""
         return [self._motion.T, np.moveaxis(self._anchors, -1, 0), *(array for each in self._memories
-                                                                     for array in each.kept)]
+                                                                     for array in each.state_arrays)]
 
     def pop_changed(self) -> bool:
         """Whether the contact changed since the last call; see `tissue_sim.fem.solver.Derivatives`."""
         changed, self._changed = self._changed, False
         return changed
 
-    def advance(self, frame: Frame) -> None:
+    def update_at_equilibrium(self, frame: ToolFrame) -> None:
         """Update the derivatives at an equilibrium, before anchors change and the step is committed.
 
         The contact must have been evaluated with the anchors of the step. The matrix must be that of the tissue; the
@@ -212,8 +218,8 @@ class SolidSensitivity:
         """
         parts, m = self._parts, self._half.size
         state = parts.contact.state
-        self._changed |= not np.array_equal(state.kinds, self._kinds)
-        self._kinds = state.kinds
+        self._changed |= not np.array_equal(state.kink_flags, self._kinds)
+        self._kinds = state.kink_flags
         if not m:
             return
         residual = parts.tissue.batches.residual.copy()
@@ -224,25 +230,27 @@ class SolidSensitivity:
             each.begin_step()
         rates = np.stack([self._differentiate_forces(k) for k in range(m)], axis=1)
         follows = frame.rotation @ self._held + self._origin - self._undeformed[parts.moved[::3] // 3]
-        self._laws = LawRates.of(parts.contact, parts.x.reshape(-1, 3)[parts.contact.nodes], frame)
-        motion, forces = self._solve(rates, follows.reshape(-1, m))
+        self._laws = ContactLawDerivatives.differentiate_at_equilibrium(parts.contact,
+                                                                        parts.x.reshape(-1, 3)[parts.contact.nodes],
+                                                                        frame)
+        motion, forces = self._solve_for_derivatives(rates, follows.reshape(-1, m))
         held = -(rates + self._multiply_by_tangent(motion))[parts.moved].reshape(-1, 3, m)
         self.vector[:] = held.sum(axis=0).T + forces[parts.contact.moves].sum(axis=0).T
         self._update_history_rates(motion)
-        self._anchors = state.anchor_rates(self._select_contact_rows(motion) + self._apart, self._anchors)
+        self._anchors = state.differentiate_anchors(self._select_contact_rows(motion) + self._apart, self._anchors)
         self._motion = motion
         for each in aside:
             each.end_shift_from_kink()
         parts.tissue.batches.residual[:] = residual
 
     def _differentiate_forces(self, k: int) -> np.ndarray:
-        """Derivative of the forces at constant displacements with respect to parameter k, N per unit, (freedoms,)."""
-        acting = {number: [(array, rate) for array, rate in self._input_directions(k, number) if rate.any()]
+        """Return d forces / d parameter k at constant displacements, N per unit, shape (freedoms,)."""
+        acting = {number: [(array, rate) for array, rate in self._material_input_directions(k, number) if rate.any()]
                   for number in self._regions}
-        stretched, tissue = self._mesh_directions(k), self._parts.tissue
+        stretched, tissue = self._mesh_input_directions(k), self._parts.tissue
         regions = [number for number in self._regions if acting[number] or stretched]
         directions = [*stretched, *chain(*acting.values())]
-        forces, = self._difference_assembly(k, regions, directions, [tissue.batches.residual])
+        forces, = self._differentiate_assembly_numerically(k, regions, directions, [tissue.batches.residual])
         forces[2:-1:3] += tissue.specific_weight * self._stretch[k] * tissue.batches.volumes
         return forces[:-1]
 
@@ -251,27 +259,29 @@ class SolidSensitivity:
         for number, each in enumerate(self._memories):
             memory = each.memory
             for k in range(motion.shape[1] if memory.works else 0):
-                directions = [*self._mesh_directions(k), *self._input_directions(k, number),
+                directions = [*self._mesh_input_directions(k), *self._material_input_directions(k, number),
                               (self._parts.x, motion[:, k])]
-                each.commit(k, *self._difference_assembly(k, [number], directions, [memory.stresses, memory.energies]))
+                each.commit_parameter(k, *self._differentiate_assembly_numerically(k, [number], directions,
+                                                                                   [memory.stresses, memory.energies]))
 
-    def _input_directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Inputs of the assembly of a region, and their derivatives with respect to parameter k at rest."""
-        return self._inputs[k][number] + self._memories[number].directions(k)
+    def _material_input_directions(self, k: int, number: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return pairs (input array of a region's assembly, its derivative with respect to parameter k)."""
+        return self._inputs[k][number] + self._memories[number].get_input_directions(k)
 
-    def _mesh_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Inputs of the assembly that depend on the undeformed mesh, and their derivatives for parameter k."""
+    def _mesh_input_directions(self, k: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Return pairs (input array that depends on the undeformed mesh, its derivative by parameter k)."""
         return [(array, self._stretch[k] * rate) for array, rate in self._stretched] if self._stretch[k] else []
 
-    def _difference_assembly(self, k: int, regions: Sequence[int], directions: Sequence[tuple[np.ndarray, np.ndarray]],
-                             results: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Central difference of the assembly of some regions.
+    def _differentiate_assembly_numerically(self, k: int, regions: Sequence[int],
+                                            directions: Sequence[tuple[np.ndarray, np.ndarray]],
+                                            results: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Differentiate the assembly of some regions in a direction, by central differences.
 
         Args:
             k: index of the parameter, which determines the step.
             regions: indices of the regions.
             directions: input arrays and their derivatives.
-            results: arrays whose derivatives are returned. All arrays are restored.
+            results: arrays that the assembly writes and whose derivatives are returned. All arrays are restored.
         """
         arrays = [array for array, _ in directions]
         written: list[np.ndarray] = [self._parts.tissue.batches.residual]
@@ -283,29 +293,30 @@ class SolidSensitivity:
             for step in (self._half[k], -self._half[k]):
                 for (array, rate), value in zip(directions, here, strict=False):
                     array[:] = value + step * rate
-                self._parts.tissue.assemble_regions(regions)
+                self._parts.tissue.assemble_region_forces(regions)
                 found.append([result.copy() for result in results])
         finally:
             for array, value in kept:
                 array[:] = value
         return [(more - less) / (2.0 * self._half[k]) for more, less in zip(*found, strict=True)]
 
-    def _solve(self, rates: np.ndarray, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Solve for the derivatives of displacements and contact forces.
+    def _solve_for_derivatives(self, rates: np.ndarray, follows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Solve for the derivatives of displacements and contact forces with respect to m parameters.
 
         Args:
             rates: derivatives of the forces at constant displacements, shape (freedoms, m).
             follows: derivatives of the displacements of the held nodes, shape (3 held nodes, m).
 
         Returns:
-            Displacements, m per unit, shape (freedoms, m), and contact forces, N per unit, shape (n, 3, m).
+            Derivatives of displacements, m per unit, shape (freedoms, m), and of contact forces, N per unit, shape
+            (n, 3, m); NaN if the tangent is singular or the refinement does not reach the acceptable residual.
         """
         parts, contact = self._parts, self._parts.contact
         state, m, own = contact.state, rates.shape[1], contact.rates - contact.law_rates
         motion, forces = np.zeros_like(rates), np.zeros((contact.nodes.size, 3, m))
         motion[parts.moved] = follows
-        self._added = own if self._laws is None else own + self._laws.with_motion(own)
-        parts.matrix.add(self._added)
+        self._added = own if self._laws is None else own + self._laws.differentiate_by_motion(own)
+        parts.matrix.add_contact_stiffness(self._added)
         symmetric = not state.slides.any() and _are_symmetric(self._added)
         factor = self._sparse.factorise(parts.matrix.free, symmetric=symmetric)
         if factor is None:
@@ -331,27 +342,28 @@ class SolidSensitivity:
 
     def _differentiate_contact_forces(self, motion: np.ndarray, forces: np.ndarray
                                       ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the derivatives of the forces on the contact nodes.
+        """Differentiate the forces of the contact nodes with respect to m parameters.
 
         Returns:
             Derivatives of the contact forces, of the residuals of the constraints, and of all acting forces with those
             of the laws, N, shape (n, 3, m) each.
         """
         state, against = self._parts.contact.state, self._select_contact_rows(motion) + self._apart
-        found, missing = state.force_rates(against, self._anchors, forces)
+        found, missing = state.differentiate_forces(against, self._anchors, forces)
         acting = found + missing
         if self._laws is not None:
-            acting = acting + self._laws.forces(against, against - state.turn @ self._anchors, acting)
+            acting = acting + self._laws.differentiate_forces(against, against - state.turn @ self._anchors, acting)
         return found, missing, acting
 
     def _multiply_by_tangent(self, motion: np.ndarray) -> np.ndarray:
-        """Forces of the tissue alone for displacements; the contact stiffness in the matrix is subtracted."""
+        """Return the tissue's stiffness times displacements, N per unit; the contact stiffness is excluded."""
         product = self._parts.matrix.all @ motion
         np.add.at(product.reshape(-1, 3, motion.shape[1]), self._parts.contact.nodes,
                   -(self._added @ self._select_contact_rows(motion)))
         return product
 
     def _select_contact_rows(self, motion: np.ndarray) -> np.ndarray:
+        """Return the rows of the contact nodes, shape (n, 3, m), of an array of shape (freedoms, m)."""
         return motion.reshape(-1, 3, motion.shape[1])[self._parts.contact.nodes]
 
 

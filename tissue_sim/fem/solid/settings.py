@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class SolidNewtonSettings:
-    """Settings of Newton's method.
+    """Settings of Newton's method in `SolidSolver`.
 
     Attributes:
         max_halvings: largest number of bisections of an increment that turns an element inside out.

@@ -10,20 +10,20 @@ import numpy as np
 
 from tissue_sim.fem.contact_settings import ALL_POINTS
 from tissue_sim.fem.linear.sparse import Factor, SparseSolver
-from tissue_sim.fem.solid.bodies import Body
+from tissue_sim.fem.solid.bodies import RigidBody
 from tissue_sim.fem.solid.contact import ContactEvaluation, ContactNodes
-from tissue_sim.fem.solid.contact_laws import NodeLaws
+from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.faceting import faceting_warnings
 from tissue_sim.fem.solid.fields import SolidFields
-from tissue_sim.fem.solid.frame import Frame
-from tissue_sim.fem.solid.free_dofs import FreeDofSystem, fixed_freedoms
-from tissue_sim.fem.solid.mass import Mass
-from tissue_sim.fem.solid.placement import PlacedSolver
-from tissue_sim.fem.solid.sensitivity import SolidParts, SolidSensitivity, StartRates
+from tissue_sim.fem.solid.frame import ToolFrame
+from tissue_sim.fem.solid.free_dofs import FreeDofSystem, fixed_freedom_mask
+from tissue_sim.fem.solid.mass import LumpedMass
+from tissue_sim.fem.solid.placement import RelocatableSolver
+from tissue_sim.fem.solid.sensitivity import FirstTouchDerivatives, SensitivityInputs, SolidSensitivity
 from tissue_sim.fem.solid.settings import NEWTON
-from tissue_sim.fem.solid.state import Sample, SavedState
+from tissue_sim.fem.solid.state import FieldSample, SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
-from tissue_sim.fem.solid.tangent import Tangent
+from tissue_sim.fem.solid.tangent import ReusableTangentFactor
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solid.tool_wrench import ToolConstraint, to_matrix_tuples
 from tissue_sim.fem.solver import Neighbours, OwnStiffness, Step, StepStatus
@@ -33,8 +33,8 @@ from tissue_sim.pose import Pose, Screw
 from tissue_sim.tool_force import Matrix, NextForce
 
 
-class SolidSolver(PlacedSolver):
-    """Stateful Newton solver of one three-dimensional boundary-value problem.
+class SolidSolver(RelocatableSolver):
+    """Newton solver of one three-dimensional boundary-value problem; it holds the state of the tissue.
 
     Args:
         mesh: undeformed mesh.
@@ -47,7 +47,7 @@ class SolidSolver(PlacedSolver):
         start: pose of the tool at its first touch, in the frame of the scene.
         datum: height of that frame's origin in the frame of the mesh, m.
         contact_radius: m, for the time of drainage, see `Material.relaxation`.
-        pins: nodes and axes, ``"xy"``, along which they are fixed if nothing else prevents rigid motions.
+        pins: pairs of a node and the axes, ``"xy"``, along which it is fixed if nothing else prevents rigid motions.
         element_layers: see `Tissue`.
         specific_weight: density times gravity, N/m3, towards -z.
         settled: solver on this mesh without a tool, in the state of the first touch; None: the undeformed mesh.
@@ -62,11 +62,11 @@ class SolidSolver(PlacedSolver):
     highest_order = 0
 
     def __init__(self, mesh: SolidMesh, material: Material, fixed: dict[str, str], bonded: np.ndarray, *,
-                 bodies: Sequence[Body] = (), laws: NodeLaws | None = None, tolerance: float = 0.0, start: Pose,
-                 datum: float = 0.0, contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
+                 bodies: Sequence[RigidBody] = (), laws: NodalContactLaws | None = None, tolerance: float = 0.0,
+                 start: Pose, datum: float = 0.0, contact_radius: float = 1.0, pins: Sequence[tuple[int, str]] = (),
                  element_layers: np.ndarray | None = None, specific_weight: float = 0.0,
                  settled: SolidSolver | None = None, lift: np.ndarray | None = None,
-                 start_rates: Callable[[Neighbours], StartRates | None] | None = None):
+                 start_rates: Callable[[Neighbours], FirstTouchDerivatives | None] | None = None):
         self.mesh, self.datum, self._tolerance = mesh, datum, tolerance
         self.x = np.zeros(3 * len(mesh.nodes))
         self.tissue = Tissue(mesh, self.x, contact_radius, element_layers)
@@ -74,14 +74,14 @@ class SolidSolver(PlacedSolver):
         if settled is not None:
             self.x[:], self.batches.pressures[:] = settled.x, settled.batches.pressures
         self._start = self._pose = start
-        freedoms, stays = np.arange(self.x.size).reshape(-1, 3), fixed_freedoms(mesh, fixed, pins)
+        freedoms, stays = np.arange(self.x.size).reshape(-1, 3), fixed_freedom_mask(mesh, fixed, pins)
         self._bonded, moved = np.asarray(bonded, dtype=np.intp), np.zeros_like(stays)
         moved[self._bonded] = True
         self._free = np.flatnonzero(~(stays | moved))
         self._reacting = np.flatnonzero(stays | moved)
         self._moved = freedoms[self._bonded].ravel()
         # Positions of the bonded nodes in the frame of the tool.
-        self._held_at = Frame(start, datum).transform_to_tool(self._node_positions(self._bonded))
+        self._held_at = ToolFrame(start, datum).transform_to_tool(self._get_node_positions(self._bonded))
         self.contact = ContactNodes(bodies, mesh.nodes, mesh.node_areas, laws)
         if lift is not None:
             self.contact.places[self.contact.moves, 2] -= lift[self.contact.nodes[self.contact.moves]]
@@ -89,17 +89,17 @@ class SolidSolver(PlacedSolver):
                                           None if settled is None else settled.contact)
         self._matrix = FreeDofSystem(self.batches.matrix, self._free, freedoms[self.contact.nodes])
         self._sparse = SparseSolver()
-        self._tangent = Tangent(self.tissue, self.contact, self._matrix, self._sparse, self._free)
+        self._tangent = ReusableTangentFactor(self.tissue, self.contact, self._matrix, self._sparse, self._free)
         self._largest_force, self._asked, self._modulus, self._least = 0.0, False, 0.0, 0.0
-        self._committed, self._rest = (tuple(array.copy() for array in self._state) for _ in range(2))
+        self._committed, self._rest = (tuple(array.copy() for array in self._iterate_arrays) for _ in range(2))
         self._derivatives: SolidSensitivity | None = None
         self._start_rates, self._mass = start_rates, None
         self._last: Step | None = None
         self._along: np.ndarray | None = None  # d displacements / d pose at the last stiffness, shape (freedoms, 6)
-        self._here = Frame(start, datum)  # frame of the tool at the present iterate
+        self._here = ToolFrame(start, datum)  # frame of the tool at the present iterate
         self.set_material(material)
         if settled is not None:
-            for array, left in zip(self.tissue.kept, settled.tissue.kept, strict=True):
+            for array, left in zip(self.tissue.state_arrays, settled.tissue.state_arrays, strict=True):
                 array[:] = left
 
     def set_material(self, material: Material) -> None:
@@ -110,7 +110,7 @@ class SolidSolver(PlacedSolver):
         # If all moduli change by one factor, the displacements stay the same and all forces change by the factor.
         for array in (*self._committed[1:], *self._rest[1:], self.batches.pressures, self.contact.forces):
             array *= material.mu0 / before
-        self.contact.set_stiffness(material.mu0)
+        self.contact.set_penalty_stiffness(material.mu0)
         self._floor = 1e-6 * material.mu0 * float(np.prod(np.ptp(self.mesh.nodes[self.mesh.sets["top"], :2], axis=0)))
 
     @property
@@ -126,22 +126,22 @@ class SolidSolver(PlacedSolver):
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
              own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for equilibrium; see `Solver.step`. The motion is solved linearly first."""
-        self.tissue.prepare(dt)
+        self.tissue.prepare_step(dt)
         if self._mass is not None:
-            self._mass.prepare(self._committed[0], dt, inertial)
-        frame = Frame(pose, self.datum)
+            self._mass.prepare_step(self._committed[0], dt, inertial)
+        frame = ToolFrame(pose, self.datum)
         if not resumes:
             self._restore_committed_state()
-        outcome = self._iterate(frame, tolerance, max_iterations)
+        outcome = self._solve_newton(frame, tolerance, max_iterations)
         if outcome.status is StepStatus.CONVERGED:
             if inertial and self._mass is not None and self._asked:
                 has_left = outcome.iterations < max_iterations
                 own = self._compute_static_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
                 outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
             if self._mass is not None:
-                self._mass.motion.commit(self._committed[0], self.x, dt, inertial)
-            self.contact.commit()
-            self.tissue.commit()
+                self._mass.motion.commit_step(self._committed[0], self.x, dt, inertial)
+            self.contact.commit_step()
+            self.tissue.commit_step()
             self._committed = self.x.copy(), self.batches.pressures.copy(), self.contact.forces.copy()
             self._pose = pose
             self._largest_force = max(self._largest_force, float(np.linalg.norm(outcome.wrench[:3])))
@@ -149,20 +149,20 @@ class SolidSolver(PlacedSolver):
         return outcome
 
     def _restore_committed_state(self) -> None:
-        """Return to the last committed state."""
+        """Set displacements, pressures and contact forces to those of the last committed state."""
         self.x[:], self.batches.pressures[:], self.contact.forces[:] = self._committed
-        self.contact.begin()
-        self._here = Frame(self._pose, self.datum)
+        self.contact.begin_step()
+        self._here = ToolFrame(self._pose, self.datum)
 
-    def _iterate(self, frame: Frame, tolerance: float, max_iterations: int) -> Step:
-        """Newton's method from the present iterate."""
+    def _solve_newton(self, frame: ToolFrame, tolerance: float, max_iterations: int) -> Step:
+        """Solve for equilibrium at a frame of the tool by Newton's method, from the present iterate."""
         contact, batches, x, tangent = self.contact, self.batches, self.x, self._tangent
-        goal = self.held_displacement(frame)
+        goal = self.compute_held_displacement(frame)
         here = self._here
         way = np.zeros_like(x)
         way[self._moved] = goal - x[self._moved]
         # Nodes in contact with the tool move with it in the first linear solution.
-        positions = self._contact_positions()
+        positions = self._get_contact_positions()
         tool_way = frame.transform_to_mesh(here.transform_to_tool(positions)) - positions
         pending = (max(np.abs(way).max(), np.abs(tool_way).max(initial=0.0))
                    > NEWTON.rest_motion * float(np.ptp(self.mesh.nodes)))
@@ -172,22 +172,22 @@ class SolidSolver(PlacedSolver):
         before = first_ratio = None
         tangent.stale = False
         while True:
-            self._assemble(not tangent.stale)
+            self._assemble_forces_and_tangent(not tangent.stale)
             if self._least <= 0.0 and before is not None and halvings < NEWTON.max_halvings:
                 halvings += 1
-                for array, earlier in zip(self._state, before, strict=True):
+                for array, earlier in zip(self._iterate_arrays, before, strict=True):
                     array[:] = 0.5 * (array + earlier)
                 continue
             displacement = x.reshape(-1, 3)[contact.nodes]
             # In the first iteration nodes at zero gap count as pressed, because the tool will move or a law pulls.
             slack = 1e-9 if pending or (contact.laws.strength > 0.0 and iterations == 0) else 0.0
-            evaluation = contact.evaluate(displacement, here if pending else frame, changeable, slack, bending,
-                                negligible, self._tolerance)
+            evaluation = contact.evaluate_and_update_active_set(displacement, here if pending else frame, changeable,
+                                                                slack, bending, negligible, self._tolerance)
             wanting, waits = max(evaluation.wanting, waits), 0
             residual = batches.residual[:-1].copy()
-            np.add.at(residual.reshape(-1, 3), contact.nodes, contact.acting)
+            np.add.at(residual.reshape(-1, 3), contact.nodes, contact.total_forces)
             unbalanced = float(np.linalg.norm(residual[self._free]))
-            balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.acting)))
+            balanced = float(np.hypot(np.linalg.norm(residual[self._reacting]), np.linalg.norm(contact.total_forces)))
             ratio = unbalanced / max(balanced, floor)
             status = None
             if not self._least > 0.0 or self._least >= 1e30:
@@ -195,23 +195,24 @@ class SolidSolver(PlacedSolver):
             elif not np.isfinite(ratio):
                 status = StepStatus.DIVERGED
             elif not pending and ratio <= tolerance and evaluation.violation <= self._tolerance and not wanting:
-                if contact.release():
+                if contact.release_pulled_nodes():
                     changeable, first_ratio, tangent.stale = ALL_POINTS, None, False
                     continue
                 if tangent.stale and (self._asked or self._derivatives is not None):
-                    self._assemble()
+                    self._assemble_forces_and_tangent()
                 if self._derivatives is not None:
                     # The derivatives belong to this step, with the anchors of the last equilibrium.
-                    contact.evaluate(displacement, frame, 0, 0.0, 1.0, negligible, self._tolerance)
-                    self._derivatives.advance(frame)
+                    contact.evaluate_and_update_active_set(displacement, frame, 0, 0.0, 1.0, negligible,
+                                                           self._tolerance)
+                    self._derivatives.update_at_equilibrium(frame)
                     if self._asked:
-                        self._assemble()
-                contact.hold()
+                        self._assemble_forces_and_tangent()
+                contact.bind_touching_nodes()
                 status = StepStatus.CONVERGED
                 if self._asked:
                     # The stiffness belongs to the new anchors.
-                    evaluation = contact.evaluate(displacement, frame, 0, 0.0, 1.0, negligible,
-                                                  self._tolerance)
+                    evaluation = contact.evaluate_and_update_active_set(displacement, frame, 0, 0.0, 1.0, negligible,
+                                                                        self._tolerance)
             elif iterations >= max_iterations:
                 status = StepStatus.SLOW
             elif first_ratio is not None and iterations > 3 and ratio > 1e3 * max(first_ratio, 1.0):
@@ -236,66 +237,67 @@ class SolidSolver(PlacedSolver):
             if iterations == 1:
                 first_ratio = ratio
             apart = -np.where(contact.moves[:, None] & pending, tool_way, 0.0)
-            before = tuple(array.copy() for array in self._state)
-            motion = tangent.solve(residual, way if pending else None, apart)
+            before = tuple(array.copy() for array in self._iterate_arrays)
+            motion = tangent.solve_increment(residual, way if pending else None, apart)
             x += motion
             self.tissue.update_pressures(motion)
-            contact.update_forces(motion.reshape(-1, 3)[contact.nodes] + apart)
+            contact.update_linearised_forces(motion.reshape(-1, 3)[contact.nodes] + apart)
             self._here = frame
             iterations += 1
             halvings = NEWTON.max_halvings if pending else 0  # the motion of the tool is not bisected here
-            tangent.keep(ratio, far=pending)
+            tangent.record_solution(ratio, far=pending)
             pending = False
             changeable = ALL_POINTS if iterations < NEWTON.all_points_iterations else iterations
             bending = 1.0 if ratio < 0.1 else 0.0
 
-    def held_displacement(self, frame: Frame) -> np.ndarray:
-        """Displacements of the nodes that the tool holds, for a frame of the tool, m, shape (3 n,)."""
+    def compute_held_displacement(self, frame: ToolFrame) -> np.ndarray:
+        """Return the displacements of the nodes that a bonded tool holds, for a frame of the tool, m, (3 n,)."""
         return (frame.transform_to_mesh(self._held_at) - self.mesh.nodes[self._bonded]).ravel()
 
     @property
-    def _state(self) -> tuple[np.ndarray, ...]:
+    def _iterate_arrays(self) -> tuple[np.ndarray, ...]:
         return self.x, self.batches.pressures, self.contact.forces
 
-    def _contact_positions(self) -> np.ndarray:
-        """Positions of the contact nodes, m, shape (n, 3)."""
-        return self._node_positions(self.contact.nodes)
+    def _get_contact_positions(self) -> np.ndarray:
+        """Return the deformed positions of the contact nodes, m, shape (n, 3)."""
+        return self._get_node_positions(self.contact.nodes)
 
-    def _assemble(self, tangent: bool = True) -> None:
-        self._least = self.tissue.assemble(tangent)
+    def _assemble_forces_and_tangent(self, tangent: bool = True) -> None:
+        self._least = self.tissue.assemble_forces_and_tangent(tangent)
         if tangent:
-            self.batches.store_volume_rates()
+            self.batches.store_assembled_volume_rates()
         if self._mass is not None:
             self._mass.add_inertial_forces(self.x, self.batches.residual[:-1], self._matrix.all if tangent else None)
 
-    def _make_tool_constraint(self, frame: Frame) -> ToolConstraint:
-        return ToolConstraint(frame, self._moved, self._node_positions(self._bonded),
-                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._contact_positions())
+    def _make_tool_constraint(self, frame: ToolFrame) -> ToolConstraint:
+        return ToolConstraint(frame, self._moved, self._get_node_positions(self._bonded),
+                    self.batches.residual[:-1][self._moved].reshape(-1, 3), self.contact, self._get_contact_positions())
 
     def _make_step_result(self, status: StepStatus, iterations: int, ratio: float, evaluation: ContactEvaluation,
-                          frame: Frame, factor: Factor | None = None) -> Step:
-        """Make the result of a step, with its stiffness if there is a factor of the last matrix."""
+                          frame: ToolFrame, factor: Factor | None = None) -> Step:
+        """Return the result of a step, with its stiffness matrix if a factor of the last matrix is given."""
         stiffness, constraint = None, self._make_tool_constraint(frame)
         if factor is not None:
-            stiffness, self._along = constraint.stiffness(self._matrix.all, factor, self._free)
-        return Step(status, iterations, ratio, cast("Screw", tuple(constraint.wrench().tolist())),
+            stiffness, self._along = constraint.condense_stiffness(self._matrix.all, factor, self._free)
+        return Step(status, iterations, ratio, cast("Screw", tuple(constraint.compute_wrench().tolist())),
                     None if stiffness is None else to_matrix_tuples(stiffness), evaluation.violation,
                     evaluation.slipping)
 
-    def _compute_static_stiffness(self, frame: Frame) -> Matrix | None:
-        """Static stiffness of the tissue directly after an inertial step; None if the static tangent is indefinite."""
+    def _compute_static_stiffness(self, frame: ToolFrame) -> Matrix | None:
+        """Return the stiffness without mass after an inertial step; None if the static tangent is indefinite."""
         assert self._mass is not None
         self._mass.rate, rate = 0.0, self._mass.rate
-        self._assemble()
+        self._assemble_forces_and_tangent()
         self._mass.rate = rate
         factor = self._tangent.factorise(symmetric=not self.contact.state.slides.any())
         if factor is None or not factor.definite:
             return None
-        return to_matrix_tuples(self._make_tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
+        return to_matrix_tuples(self._make_tool_constraint(frame).condense_stiffness(self._matrix.all, factor,
+                                                                                     self._free)[0])
 
     def follow_motion(self, density: float) -> bool:
         """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.follow_motion`."""
-        self._mass = Mass(self.mesh, self.batches.weights, density, self._matrix.all)
+        self._mass = LumpedMass(self.mesh, self.batches.weights, density, self._matrix.all)
         return True
 
     def ahead(self, dt: float) -> NextForce | None:
@@ -303,11 +305,11 @@ class SolidSolver(PlacedSolver):
         last = self._last
         if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
             return None
-        more, stiffer = self._mass.ahead(self.x, dt, self._along)
+        more, stiffer = self._mass.predict_force_change(self.x, dt, self._along)
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
         return NextForce(wrench, to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
-    def _node_positions(self, nodes: np.ndarray) -> np.ndarray:
+    def _get_node_positions(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]
 
     def differentiate(self, neighbours: Neighbours) -> SolidSensitivity | None:
@@ -316,40 +318,41 @@ class SolidSolver(PlacedSolver):
         start = None if begins is None else begins(neighbours)
         if self.tissue.effects or (begins is not None and start is None):
             return None
-        parts = SolidParts(self.mesh.nodes, self.x, self._free, self._moved, self.tissue, self.contact, self._matrix,
-                           Frame(self._start, self.datum), self._assemble)
+        parts = SensitivityInputs(self.mesh.nodes, self.x, self._free, self._moved, self.tissue, self.contact,
+                                  self._matrix, ToolFrame(self._start, self.datum), self._assemble_forces_and_tangent)
         saved = self.save()
-        self._derivatives = SolidSensitivity.of(parts, neighbours, self.material, self.set_material)
+        self._derivatives = SolidSensitivity.from_neighbours(parts, neighbours, self.material, self.set_material)
         self.restore(saved)
         self._restore_committed_state()
         if start is not None:
-            self._derivatives.begin(start)
+            self._derivatives.set_first_touch_derivatives(start)
         return self._derivatives
 
     def lift_off(self) -> None:
         """Remove the tool at once; see `Solver.lift_off`."""
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
-        self.contact.forget()
+        self.contact.reset_to_first_touch()
         self.stand_still()
         self._pose, self._largest_force = self._start, 0.0
         self._restore_committed_state()
 
     def save(self) -> SavedState:
-        """Return the committed state for `restore`."""
-        return SavedState(tuple(array.copy() for array in self._kept), self._pose, self._largest_force, self._start)
+        """Return a copy of the committed state, for `restore`."""
+        return SavedState(tuple(array.copy() for array in self._state_arrays), self._pose, self._largest_force,
+                          self._start)
 
     def restore(self, saved: SavedState) -> None:
-        """Restore a state of `save`."""
+        """Make a state that was returned by `save` the committed state."""
         self.place_tool(saved.start or self._start)
-        for array, before in zip(self._kept, saved.arrays, strict=True):
+        for array, before in zip(self._state_arrays, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force
 
     @property
-    def _kept(self) -> tuple[np.ndarray, ...]:
-        moving = () if self._mass is None else self._mass.motion.kept
-        return (*self._committed, *self.contact.kept, *self.tissue.kept, *moving)
+    def _state_arrays(self) -> tuple[np.ndarray, ...]:
+        moving = () if self._mass is None else self._mass.motion.state_arrays
+        return (*self._committed, *self.contact.state_arrays, *self.tissue.state_arrays, *moving)
 
     def set_resting_state(self) -> None:
         """Make the committed state the resting state, without a tool."""
@@ -357,26 +360,26 @@ class SolidSolver(PlacedSolver):
 
     @property
     def sag(self) -> float:
-        """Mean settlement of the top under the weight at the first touch, m."""
+        """Mean downward displacement of the top under self-weight at the first touch, m."""
         return -float(np.average(self._rest[0][2::3], weights=self.mesh.compute_node_areas("top")))
 
-    def field_sample(self) -> Sample:
+    def field_sample(self) -> FieldSample:
         """Return the data of the last committed state that `fields` needs."""
         x, pressures, _ = self._committed
-        return Sample(x.reshape(-1, 3).copy(), self.batches.convert_lanes_to_elements(pressures),
-                      self.tissue.stresses())
+        return FieldSample(x.reshape(-1, 3).copy(), self.batches.convert_lanes_to_elements(pressures),
+                           self.tissue.compute_committed_stresses())
 
-    def fields(self, samples: Sequence[Sample]) -> SolidFields:
-        """Return fields of states, given by `field_sample`."""
+    def fields(self, samples: Sequence[FieldSample]) -> SolidFields:
+        """Return the fields of states that were returned by `field_sample`."""
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]
-        return SolidFields(self.mesh, self.material, self.tissue.bulk_by_element,
+        return SolidFields(self.mesh, self.material, self.tissue.element_bulk_moduli,
                            np.array([sample.displacement for sample in samples]),
-                           np.array([sample.pressures for sample in samples]), *self.batches.of_points,
-                           self.batches.weights, self.batches.element_moduli, np.array(stresses) if stresses else None,
-                           self.datum)
+                           np.array([sample.pressures for sample in samples]), *self.batches.point_gradients_and_modes,
+                           self.batches.weights, self.batches.element_modulus_ratios, np.array(stresses) if stresses
+                           else None, self.datum)
 
     def deformed_surface(self) -> SolidSurface:
-        """Return the surface at the last committed state."""
+        """Return the deformed surface at the last committed state."""
         return SolidSurface(self.mesh, self.committed_displacement, self.datum)
 
     def warnings(self) -> list[str]:

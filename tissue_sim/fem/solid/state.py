@@ -10,13 +10,13 @@ from tissue_sim.pose import Pose
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
-    """Data of a committed state for fields.
+class FieldSample:
+    """Committed state from which `SolidSolver.fields` computes fields.
 
     Attributes:
-        displacement: of the nodes, m, shape (nodes, 3).
+        displacement: displacement of the nodes, m, shape (nodes, 3).
         pressures: pressure amplitudes of the elements, Pa, shape (elements, modes).
-        stresses: isochoric stresses with relaxation and softening, see `SolidFields`; None without such effects.
+        stresses: isochoric stresses, see `SolidFields.stresses`; None if the material has no history.
     """
 
     displacement: np.ndarray
@@ -26,10 +26,10 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """State on which the next step depends; see `SolidSolver.save`.
+    """Copy of everything on which the next step of a solver depends; see `SolidSolver.save`.
 
     Attributes:
-        arrays: arrays of solver, contact and material history.
+        arrays: copies of the state arrays of solver, contact and material history.
         pose: pose of the tool.
         largest_force: largest force so far, N.
         start: pose of the tool at its first touch, for which the mesh was made; None: the position of the model.

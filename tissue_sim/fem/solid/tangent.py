@@ -37,8 +37,8 @@ class ReuseSettings:
 _SETTINGS = ReuseSettings()
 
 
-class Tangent:
-    """Factor of the last assembled matrix.
+class ReusableTangentFactor:
+    """Factor of an assembled tangent that several Newton iterations use (modified Newton method).
 
     Args:
         tissue: tissue whose stiffness is in `matrix`.
@@ -48,8 +48,8 @@ class Tangent:
         free: indices of the free degrees of freedom.
 
     Attributes:
-        factor: None if there is none.
-        stale: whether the factor belongs to an earlier state.
+        factor: factor of the free part of the matrix; None before the first factorisation, or if singular.
+        stale: whether the factor belongs to an earlier iterate.
     """
 
     def __init__(self, tissue: Tissue, contact: ContactNodes, matrix: FreeDofSystem, sparse: SparseSolver,
@@ -60,23 +60,23 @@ class Tangent:
 
     def factorise(self, symmetric: bool) -> Factor | None:
         """Factorise the matrix that was assembled last, with the contact stiffness; None if it is singular."""
-        self._matrix.add(self._contact.rates)
-        self._contact.store_rates()
+        self._matrix.add_contact_stiffness(self._contact.rates)
+        self._contact.store_assembled_contact_rates()
         self.factor, self.stale = self._sparse.factorise(self._matrix.free, symmetric=symmetric), False
         return self.factor
 
-    def solve(self, right: np.ndarray, way: np.ndarray | None, apart: np.ndarray) -> np.ndarray:
-        """Compute the increment of displacements that balances unbalanced forces, m, shape (freedoms,).
+    def solve_increment(self, right: np.ndarray, way: np.ndarray | None, apart: np.ndarray) -> np.ndarray:
+        """Return the Newton increment of the displacements for a residual, m, shape (freedoms,).
 
         Args:
-            right: unbalanced forces, N, shape (freedoms,); they are overwritten.
+            right: residual, the unbalanced forces, N, shape (freedoms,); the array is overwritten.
             way: prescribed increments of the degrees of freedom that move with the tool, m; None: none.
             apart: additional increments of the contact nodes relative to their bodies, m, shape (n, 3).
         """
         assert self.factor is not None
         contact, motion = self._contact, np.zeros_like(right)
         if self.stale:
-            self._tissue.add_known_volumes(right)
+            self._tissue.correct_forces_for_old_volume_rates(right)
         pushed = np.einsum("nij,nj->ni", contact.known_rates, contact.missed)
         if way is not None:
             motion += way
@@ -86,11 +86,22 @@ class Tangent:
         motion[self._free] = -self.factor.solve(right[self._free])
         return motion
 
-    def keep(self, ratio: float, far: bool) -> None:
-        """Register a solution from a state with a relative residual `ratio`; `far`: a new tangent is needed next."""
+    def record_solution(self, ratio: float, far: bool) -> None:
+        """Record a solution from an iterate with a relative residual; it decides whether the factor is reused.
+
+        Args:
+            ratio: relative residual before the solution, 1.
+            far: whether the solution moved the tool, so that the next iteration needs a new tangent.
+        """
         self.stale, self._before = not far and ratio <= _SETTINGS.far, ratio
 
     def is_accurate(self, ratio: float, goal: float, changed: bool) -> bool:
-        """Whether a factor of an earlier state is accurate enough; never if the contact has changed."""
+        """Whether the factor of an earlier iterate reduces the residual fast enough to be used again.
+
+        Args:
+            ratio: present relative residual, 1.
+            goal: relative residual at which Newton's method ends, 1.
+            changed: whether the active sets of the contact changed; the factor is then not accurate.
+        """
         gain = min(ratio / max(self._before, 1e-300), _SETTINGS.no_gain)
         return not changed and (gain <= _SETTINGS.gain or ratio * gain**_SETTINGS.more <= goal)

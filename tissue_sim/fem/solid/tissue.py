@@ -9,10 +9,10 @@ import numpy as np
 
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.fem.history import Memory
-from tissue_sim.fem.solid.assembly import assembly_kernel
+from tissue_sim.fem.solid.assembly import make_assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import SettingColumn
-from tissue_sim.fem.solid.point_effects import SolidEffects
+from tissue_sim.fem.solid.point_effects import SolidPointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
@@ -22,13 +22,13 @@ from tissue_sim.material.viscoelasticity import Prony
 from tissue_sim.mesh.solid import SolidMesh
 
 
-class RegionParts(NamedTuple):
-    """Data of the elements of one material for derivatives.
+class RegionDerivativeInputs(NamedTuple):
+    """Data of the elements of one region that `SolidSensitivity` differentiates.
 
     Attributes:
         inputs: arrays that the material sets in place and the assembly reads.
         memory: history of these elements.
-        relaxation: returns the relaxing terms of these elements for a material of the whole solid.
+        relaxation: returns the Prony series of these elements, or None, for a material of the whole solid.
     """
 
     inputs: tuple[np.ndarray, ...]
@@ -37,7 +37,7 @@ class RegionParts(NamedTuple):
 
 
 class RegionElements:
-    """Elements of one material: history, and kernel.
+    """Elements of one region: their material, its history, and the assembly kernel.
 
     Args:
         name: name of the region of the mesh; "" for elements without a region.
@@ -59,7 +59,7 @@ class RegionElements:
         self.kernel: BoundKernel
 
     def set_material(self, own: Material, bulk: float, contact_radius: float) -> dict[str, np.ndarray]:
-        """Set a material and a bulk modulus, Pa; returns the arrays that the kernel reads, by name."""
+        """Set material and bulk modulus, Pa; return argument name of the kernel -> array of this region."""
         coefficients = own.energy_law.kernel_coefficients(own.parameters)
         if coefficients.size == self.coefficients.size:
             self.coefficients[:] = coefficients
@@ -94,7 +94,7 @@ class Tissue:
 
     def __init__(self, mesh: SolidMesh, x: np.ndarray, contact_radius: float,
                  element_layers: np.ndarray | None = None):
-        count, named = len(mesh.connectivity), element_groups(mesh)
+        count, named = len(mesh.connectivity), group_elements_by_region(mesh)
         self.batches = ElementBatches(mesh, tuple(named.values()))
         points = self.batches.weights.shape[1]
         self._regions = tuple(RegionElements(name, elements, points) for name, elements in named.items())
@@ -103,72 +103,74 @@ class Tissue:
         self.bulk_moduli = np.zeros(self.batches.batches)
         self.specific_weight = 0.0
         # Named regions have no point effects.
-        self.effects = SolidEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
+        self.effects = SolidPointEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
 
     @property
-    def memory(self) -> Memory:
-        """History of the elements of the first region; of all elements if there is only one region."""
+    def first_region_history(self) -> Memory:
+        """Material history of the elements of the first region; these are all elements if there is one region only."""
         return self._regions[0].memory
 
     @property
-    def bulk_by_element(self) -> np.ndarray:
+    def element_bulk_moduli(self) -> np.ndarray:
         """Bulk modulus of each element's material, Pa, shape (elements,)."""
         return np.repeat(self.bulk_moduli, LANES)[self.batches.lane_of]
 
     @property
-    def regions(self) -> tuple[RegionParts, ...]:
-        """Data of each region for derivatives."""
-        def relaxation(name: str) -> Callable[[Material], Prony | None]:
+    def region_derivative_inputs(self) -> tuple[RegionDerivativeInputs, ...]:
+        """Data of each region that `SolidSensitivity` differentiates."""
+        def make_relaxation_function(name: str) -> Callable[[Material], Prony | None]:
+            """Return the function material of the whole solid -> Prony series of a region."""
             return lambda material: material.regions.get(name, material).relaxation(self.contact_radius)
 
         kappa = slice(SettingColumn.KAPPA, SettingColumn.KAPPA + 1)
-        return tuple(RegionParts((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
-                                 region.memory, relaxation(region.name))
+        return tuple(RegionDerivativeInputs((region.settings[kappa], region.coefficients, self.batches.moduli[part]),
+                                            region.memory, make_relaxation_function(region.name))
                      for region, part in zip(self._regions, self.batches.parts, strict=True))
 
     def set_material(self, material: Material) -> None:
-        """Change parameters, bulk responses or laws.
+        """Set the materials of all regions; the history is kept.
 
         Raises:
             InputError: an effect that kernels do not support, a region that the mesh does not have, or a bulk ratio
                 outside of `BULK_RATIOS`; nothing is changed.
         """
-        require_regions(material, self._mesh)
+        require_mesh_regions(material, self._mesh)
         materials = [material.regions.get(region.name, material) for region in self._regions]
-        bulks = [bulk_modulus(each, self._mesh) for each in materials]
+        bulks = [find_finite_bulk_modulus(each, self._mesh) for each in materials]
         self.effects.set_effects(material.effects.values())
         self.material = material
-        self.batches.set_moduli(layer_ratios(material, self._layers))
+        self.batches.set_modulus_ratios(layer_modulus_ratios(material, self._layers))
         for region, own, bulk, part in zip(self._regions, materials, bulks, self.batches.parts, strict=True):
             named = region.set_material(own, bulk, self.contact_radius)
             region.settings[SettingColumn.REMEMBERS] = region.memory.works or bool(self.effects)
             self.bulk_moduli[part] = bulk
             with LOCK:
-                kernel = assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
-                region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.arrays(part)})
+                kernel = make_assembly_kernel(self._mesh.element.name, own.energy_law.kernel_energy)
+                region.kernel = BoundKernel(kernel, {"x": self._x, **named, **self.batches.get_kernel_arrays(part)})
 
-    def assemble(self, tangent: bool = True) -> float:
-        """Assemble forces, and optionally the stiffness, at the present displacements; returns the smallest J."""
-        self._run(self._regions, tangent)
+    def assemble_forces_and_tangent(self, tangent: bool = True) -> float:
+        """Assemble residual and optionally matrix at the present displacements; return the smallest volume ratio J."""
+        self._run_region_kernels(self._regions, tangent)
         if self.effects:
-            self.effects.add(self._x, tangent)
+            self.effects.add_forces_and_stiffness(self._x, tangent)
         if self.specific_weight:
             self.batches.residual[2:-1:3] += self.specific_weight * self.batches.volumes
         return min(float(region.least[0]) for region in self._regions)
 
-    def assemble_regions(self, numbers: Sequence[int]) -> None:
-        """Assemble the forces of the elements of some regions, without weight and point effects."""
+    def assemble_region_forces(self, numbers: Sequence[int]) -> None:
+        """Set the residual to the forces of some regions, given by their indices, without weight and point effects."""
         self.batches.residual[:] = 0.0
-        self._run([self._regions[number] for number in numbers], False)
+        self._run_region_kernels([self._regions[number] for number in numbers], False)
 
-    def _run(self, regions: Sequence[RegionElements], tangent: bool) -> None:
+    def _run_region_kernels(self, regions: Sequence[RegionElements], tangent: bool) -> None:
+        """Run the assembly kernels; the first region overwrites residual and matrix, the others add to them."""
         with LOCK:
             for region in regions:
                 region.settings[SettingColumn.TANGENT] = tangent
                 region.settings[SettingColumn.ADDS] = region is not regions[0]
                 region.kernel()
 
-    def element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
+    def compute_element_forces(self, bulk_ratio: float, standing: np.ndarray) -> np.ndarray:
         """Compute the forces of each element on its nodes, without weight, N, shape (elements, freedoms of an element).
 
         The bulk modulus is the element's, or `bulk_ratio` times its shear modulus if that is less.
@@ -181,50 +183,50 @@ class Tissue:
         for region, part in zip(self._regions, self.batches.parts, strict=True):
             region.settings[SettingColumn.KAPPA] = min(region.bulk, bulk_ratio * region.mu0)
             left[part] = 1.0 - region.settings[SettingColumn.KAPPA] / region.bulk
-        self.assemble()
+        self.assemble_forces_and_tangent()
         for region in self._regions:
             region.settings[SettingColumn.KAPPA] = region.bulk
         lost = left[:, None, None] * standing.reshape(self.batches.batches, -1, LANES)
-        return self.batches.element_forces + self.batches.pressure_forces(lost.reshape(standing.shape))
+        return self.batches.element_forces + self.batches.compute_pressure_forces(lost.reshape(standing.shape))
 
     def update_pressures(self, motion: np.ndarray) -> None:
         """Update the pressures after a linear solution with displacement increments, m, shape (freedoms,)."""
         self.batches.update_pressures(motion, self.bulk_moduli)
 
-    def add_known_volumes(self, forces: np.ndarray) -> None:
-        """See `ElementBatches.add_known_volumes`."""
-        self.batches.add_known_volumes(forces, self.bulk_moduli)
+    def correct_forces_for_old_volume_rates(self, forces: np.ndarray) -> None:
+        """See `ElementBatches.correct_forces_for_old_volume_rates`."""
+        self.batches.correct_forces_for_old_volume_rates(forces, self.bulk_moduli)
 
-    def prepare(self, dt: float) -> None:
-        """Prepare a step of dt seconds; see `Memory.prepare`."""
+    def prepare_step(self, dt: float) -> None:
+        """Prepare material history and point effects for a step of dt seconds; see `Memory.prepare_step`."""
         for region in self._regions:
-            region.memory.prepare(dt)
-        self.effects.prepare(dt)
+            region.memory.prepare_step(dt)
+        self.effects.prepare_step(dt)
 
-    def commit(self) -> None:
-        """Accept the last step, which converged."""
+    def commit_step(self) -> None:
+        """Make the history of the converged step the committed one."""
         for region in self._regions:
-            region.memory.commit()
+            region.memory.commit_step()
         if self.effects:
-            self.effects.commit()
+            self.effects.commit_step()
 
     @property
-    def kept(self) -> tuple[np.ndarray, ...]:
-        """Arrays that define the history of the committed state; writing saved copies into them restores it."""
+    def state_arrays(self) -> tuple[np.ndarray, ...]:
+        """Arrays of the committed material history; writing saved copies into them restores an earlier state."""
         added = (self.effects.states, self.effects.stress) if self.effects else ()
-        return (*(array for region in self._regions for array in region.memory.kept), *added)
+        return (*(array for region in self._regions for array in region.memory.state_arrays), *added)
 
     @property
-    def remembers(self) -> bool:
-        """Whether the material has a history, so that the tissue may change with time while nothing moves."""
+    def has_history(self) -> bool:
+        """Whether the stress depends on the history, so that the force may change while the tool is at rest."""
         return bool(self.effects) or any(region.memory.works for region in self._regions)
 
-    def stresses(self) -> np.ndarray | None:
-        """Isochoric second Piola-Kirchhoff stress of the last committed step, Pa, shape (elements, q, 6).
+    def compute_committed_stresses(self) -> np.ndarray | None:
+        """Return isochoric second Piola-Kirchhoff stresses of the committed step, Pa, shape (elements, q, 6).
 
         None if no material has a history.
         """
-        if not self.remembers:
+        if not self.has_history:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
         for region in self._regions:
@@ -234,8 +236,8 @@ class Tissue:
         return found
 
 
-def element_groups(mesh: SolidMesh) -> dict[str, np.ndarray]:
-    """Indices of the elements of each region by its name, "" for elements without a region; empty groups are left out.
+def group_elements_by_region(mesh: SolidMesh) -> dict[str, np.ndarray]:
+    """Return region name -> indices of its elements; "" for elements without a region. Empty groups are omitted.
 
     Raises:
         InputError: an element in two regions.
@@ -248,41 +250,41 @@ def element_groups(mesh: SolidMesh) -> dict[str, np.ndarray]:
     return {name: np.asarray(elements, dtype=np.intp) for name, elements in groups.items() if len(elements)}
 
 
-def require_regions(material: Material, mesh: SolidMesh) -> None:
-    """Require that the mesh has all regions of a material.
+def require_mesh_regions(material: Material, mesh: SolidMesh) -> None:
+    """Check that the mesh has all regions of a material.
 
     Raises:
         InputError: the mesh lacks a region.
     """
     for name in material.regions:
         if name not in mesh.regions:
-            known = nearest(name, mesh.regions) if mesh.regions else "; it names none"
+            known = nearest(name, mesh.regions) if mesh.regions else "; it has no named regions"
             raise InputError(f"the mesh has no region {name!r}{known}", field="material.regions")
 
 
 def element_layers(mesh: SolidMesh, layers: tuple[Layer, ...]) -> np.ndarray:
-    """Index of the layer that contains the centre of each element, shape (elements,); after the last one: no layer."""
+    """Return the index of the layer that contains the centre of each element; the number of layers: in no layer."""
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), mesh.element_depths)
 
 
-def layer_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
-    """Ratio of the moduli of elements to those of their material, by their layers, shape of `layers`."""
+def layer_modulus_ratios(material: Material, layers: np.ndarray) -> np.ndarray:
+    """Return the factors of layers on the moduli of their material, 1, for layer indices, shape of `layers`."""
     ratios = np.array([*(layer.ratio for layer in material.layers), 1.0])
     return ratios[np.minimum(layers, ratios.size - 1)]
 
 
-def node_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
-    """Initial shear modulus at each node, mean over its elements, Pa, shape (nodes,); layers: see `element_layers`."""
-    moduli = layer_ratios(material, layers)
-    for name, elements in element_groups(mesh).items():
+def node_shear_moduli(material: Material, mesh: SolidMesh, layers: np.ndarray) -> np.ndarray:
+    """Return the shear modulus mu0 at each node, Pa, (nodes,), mean over its elements; layers: `element_layers`."""
+    moduli = layer_modulus_ratios(material, layers)
+    for name, elements in group_elements_by_region(mesh).items():
         moduli[elements] *= material.regions.get(name, material).mu0
     nodes = mesh.connectivity.ravel()
     total = np.bincount(nodes, np.repeat(moduli, mesh.connectivity.shape[1]), minlength=len(mesh.nodes))
     return total / np.maximum(1, np.bincount(nodes, minlength=len(mesh.nodes)))
 
 
-def bulk_modulus(material: Material, mesh: SolidMesh) -> float:
-    """Bulk modulus of a material on a mesh, Pa; incompressible materials get a finite one.
+def find_finite_bulk_modulus(material: Material, mesh: SolidMesh) -> float:
+    """Return the bulk modulus of a material, Pa; an incompressible material gets a finite one that suits the mesh.
 
     Raises:
         InputError: a bulk ratio outside of `BULK_RATIOS`.

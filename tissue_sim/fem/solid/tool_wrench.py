@@ -8,7 +8,7 @@ import numpy as np
 
 from tissue_sim.fem.linear.sparse import Factor
 from tissue_sim.fem.solid.contact import ContactNodes
-from tissue_sim.fem.solid.frame import Frame, differentiate_rotated_forces
+from tissue_sim.fem.solid.frame import ToolFrame, differentiate_rotated_forces
 from tissue_sim.tool_force import Matrix
 
 
@@ -24,23 +24,24 @@ class ToolConstraint(NamedTuple):
         places: positions of the contact nodes, m, shape (m, 3).
     """
 
-    frame: Frame
+    frame: ToolFrame
     moved: np.ndarray
     held: np.ndarray
     forces: np.ndarray
     contact: ContactNodes
     places: np.ndarray
 
-    def wrench(self) -> np.ndarray:
-        """Force, then torque about the tool's deepest point, on the tool, N and N m, shape (6,)."""
+    def compute_wrench(self) -> np.ndarray:
+        """Return force and torque about the tool's deepest point, of tissue on the tool, N and N m, shape (6,)."""
         moves = self.contact.moves
-        rates = np.concatenate([self.frame.rates(self.held), self.frame.rates(self.places[moves])])
+        rates = np.concatenate([self.frame.differentiate_points(self.held),
+                                self.frame.differentiate_points(self.places[moves])])
         # The residual at held nodes is the force that the tool must apply.
-        forces = np.concatenate([-self.forces, self.contact.acting[moves]])
+        forces = np.concatenate([-self.forces, self.contact.total_forces[moves]])
         return np.einsum("nik,ni->k", rates, forces)
 
-    def stiffness(self, matrix: Any, factor: Factor, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Compute the stiffness of the tissue by condensation onto the pose of the tool.
+    def condense_stiffness(self, matrix: Any, factor: Factor, free: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Condense the stiffness of the tissue onto the pose of the tool (Schur complement).
 
         Args:
             matrix: stiffness matrix of all degrees of freedom, contact included.
@@ -53,12 +54,12 @@ class ToolConstraint(NamedTuple):
         """
         contact, frame, moves = self.contact, self.frame, self.contact.moves
         moved = np.zeros((matrix.shape[0], 6))
-        levers = frame.rates(self.held)
+        levers = frame.differentiate_points(self.held)
         moved[self.moved] = levers.reshape(-1, 6)
         way, turned = np.zeros((2, len(contact.nodes), 3, 6))
-        way[moves] = frame.rates(self.places[moves])
+        way[moves] = frame.differentiate_points(self.places[moves])
         # Contact forces rotate with the tool.
-        turned[moves] = differentiate_rotated_forces(contact.acting[moves])
+        turned[moves] = differentiate_rotated_forces(contact.total_forces[moves])
         # Nodal forces for a motion of the tool with fixed tissue; the matrix contains the contact stiffness.
         pushed = matrix @ moved
         np.add.at(pushed.reshape(-1, 3, 6), contact.nodes, turned - np.einsum("nij,njk->nik", contact.rates, way))
@@ -71,7 +72,7 @@ class ToolConstraint(NamedTuple):
         # The levers of the torque change as well: by the displacement of the node minus that of the tool.
         apart = np.concatenate([levers, answer.reshape(-1, 3, 6)[contact.nodes[moves]]])
         apart[:, :, :3] -= np.eye(3)
-        forces = np.concatenate([-self.forces, contact.acting[moves]])
+        forces = np.concatenate([-self.forces, contact.total_forces[moves]])
         wrench_rate[3:] += np.cross(apart, forces[:, :, None], axisa=1, axisb=1, axisc=1).sum(axis=0)
         return -wrench_rate, answer
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
-from tissue_sim.fem.solid.bodies import Body, Nearest, nearest
-from tissue_sim.fem.solid.frame import Frame
+from tissue_sim.fem.solid.bodies import NearestSurfacePoints, RigidBody, find_nearest_surface_points
+from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.mesh.side_points import FaceInterpolation
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose
@@ -48,7 +48,7 @@ _SETTINGS = TouchSettings()
 
 
 @dataclass(frozen=True)
-class Touch:
+class FirstTouch:
     """Position of a first touch on the top of a solid.
 
     Attributes:
@@ -63,10 +63,12 @@ class Touch:
     place: np.ndarray | None = None
     normal: np.ndarray | None = None
 
-    def rate(self, mesh: SolidMesh, ways: np.ndarray) -> float:
-        """Derivative of the height, m per parameter, for derivatives of the nodal positions, shape (nodes, 3).
+    def differentiate_height(self, mesh: SolidMesh, ways: np.ndarray) -> float:
+        """Differentiate `height` with respect to a parameter, m per unit. Requires a touched face.
 
-        Requires a touched face.
+        Args:
+            mesh: mesh of the solid.
+            ways: derivatives of the nodal positions, m per unit, shape (nodes, 3).
         """
         assert self.place is not None and self.normal is not None
         side = mesh.faces["top"][[self.side]]
@@ -75,7 +77,7 @@ class Touch:
         return float(way @ self.normal / self.normal[2])
 
 
-def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) -> Touch:
+def find_first_touch(mesh: SolidMesh, places: np.ndarray, bodies: list[RigidBody], start: Pose) -> FirstTouch:
     """Find the height at which a tool that moves downwards first touches the top.
 
     The surface between the nodes counts. Contact acts at nodes only, but depths measured from the first node that a
@@ -84,7 +86,7 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
     Args:
         mesh: mesh of the solid.
         places: positions of its nodes, m, shape (nodes, 3).
-        bodies: the tool and others.
+        bodies: parts of the tool; bodies at rest are ignored.
         start: pose of the tool.
 
     Raises:
@@ -93,39 +95,39 @@ def touch(mesh: SolidMesh, places: np.ndarray, bodies: list[Body], start: Pose) 
     """
     moving = [body for body in bodies if body.moves]
     if not moving:
-        return Touch(0.0)
-    tool = _Tool(moving, start, float(np.ptp(mesh.nodes[:, 2])))
+        return FirstTouch(0.0)
+    tool = _ConvexTool(moving, start, float(np.ptp(mesh.nodes[:, 2])))
     top = places[mesh.sets["top"]]
     if "top" not in mesh.faces:
-        return Touch(tool.find_touch_datum(top))
+        return FirstTouch(tool.find_touch_datum(top))
     sides = FaceInterpolation(mesh.element, places[mesh.faces["top"]])
     datum = tool.find_touch_datum(np.concatenate([top, sides.middles]))
     # Other faces cannot be nearer than the point that was met first.
     reaches = sides.radii + sides.bulges + _SETTINGS.slack * tool.scale
-    near = np.flatnonzero(tool.gaps(sides.middles, datum) <= reaches)
+    near = np.flatnonzero(tool.compute_gaps(sides.middles, datum) <= reaches)
     heights = sides.lattice[near, :, 2]
     if np.ptp(heights) <= _SETTINGS.slack * tool.scale:
         # The lowest point of the tool touches a flat top.
         datum += float(heights.max()) - tool.find_lowest_height(datum)
-    found = _Found(sides, near, tool, datum)
+    found = _NearestFacePoint(sides, near, tool, datum)
     if found.is_all:
-        return found.touch(datum)
+        return found.make_first_touch(datum)
     missed, slope = found.gap, 1.0
     # Secant method: over one flat face the distance is a linear function of the height.
     for _ in range(_SETTINGS.most_lifts):
         if abs(missed) <= _SETTINGS.found * tool.scale:
-            return found.touch(datum)
+            return found.make_first_touch(datum)
         lift = -missed / slope
         datum, before = datum + lift, missed
-        found = _Found(sides, near, tool, datum)
+        found = _NearestFacePoint(sides, near, tool, datum)
         missed = found.gap
         slope = max((missed - before) / lift, _SETTINGS.least_slope)
-    raise ConvergenceError(f"the tool's first touch was not found to better than {abs(missed) * 1e3:.2g} mm; check "
+    raise ConvergenceError(f"the search for the first touch ended with a gap of {abs(missed) * 1e3:.2g} mm. Check "
                            "whether the top of the mesh is folded")
 
 
-class _Tool:
-    """A convex tool, for a scene whose origin is at the height `datum` in the frame of the mesh.
+class _ConvexTool:
+    """Distances from a convex tool, for a scene whose origin is at the height `datum` in the frame of the mesh.
 
     Args:
         bodies: parts of the tool.
@@ -133,44 +135,44 @@ class _Tool:
         scale: height of the mesh, m.
     """
 
-    def __init__(self, bodies: list[Body], start: Pose, scale: float):
+    def __init__(self, bodies: list[RigidBody], start: Pose, scale: float):
         # Restrictions of nodes to parts of the tool have no meaning before the first touch.
         whole = {id(body.profile): replace(body, first_line=0, closed=False) for body in bodies}
         self._bodies, self._start, self.scale = list(whole.values()), start, scale
 
-    def nearest(self, points: np.ndarray, datum: float) -> list[Nearest]:
-        """Nearest points of each part to given points, m, shape (n, 3)."""
-        at = Frame(self._start, datum).transform_to_tool(points)
-        return [nearest(body, at, pressed_in=False) for body in self._bodies]
+    def find_nearest_on_parts(self, points: np.ndarray, datum: float) -> list[NearestSurfacePoints]:
+        """Return the surface points of each part of the tool that are nearest to given points, m, shape (n, 3)."""
+        at = ToolFrame(self._start, datum).transform_to_tool(points)
+        return [find_nearest_surface_points(body, at, pressed_in=False) for body in self._bodies]
 
-    def gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
-        """Distances of points, m, shape (..., 3), from the tool, m, shape (...)."""
-        found = self.nearest(points.reshape(-1, 3), datum)
+    def compute_gaps(self, points: np.ndarray, datum: float) -> np.ndarray:
+        """Return the signed distances of points, m, shape (..., 3), from the tool, m, shape (...); negative inside."""
+        found = self.find_nearest_on_parts(points.reshape(-1, 3), datum)
         return np.min([each.gap for each in found], axis=0).reshape(points.shape[:-1])
 
-    def normals(self, points: np.ndarray, datum: float) -> np.ndarray:
-        """Outward normals of the tool at the nearest points, in the frame of the mesh, shape (n, 3)."""
-        found = self.nearest(points, datum)
+    def compute_normals(self, points: np.ndarray, datum: float) -> np.ndarray:
+        """Return outward normals of the tool at the points nearest to given ones, in the frame of the mesh, (n, 3)."""
+        found = self.find_nearest_on_parts(points, datum)
         part = np.argmin([each.gap for each in found], axis=0)
-        return np.array([each.normal for each in found])[part, np.arange(len(points))] @ Frame(
+        return np.array([each.normal for each in found])[part, np.arange(len(points))] @ ToolFrame(
             self._start, datum).rotation.T
 
     def find_lowest_height(self, datum: float) -> float:
-        """Height of the lowest point of the tool in the frame of the mesh, m."""
-        frame = Frame(self._start, datum)
+        """Return the height of the lowest point of the tool in the frame of the mesh, m."""
+        frame = ToolFrame(self._start, datum)
         across, up = float(np.hypot(*frame.rotation[2, :2])), float(frame.rotation[2, 2])
         return float(frame.origin[2]) + min(float((body.profile.vertices @ [-across, up]).min()) - body.profile.rounding
                                             for body in self._bodies)
 
     def is_sharp_at(self, point: np.ndarray, datum: float) -> bool:
-        """Whether the tool has an edge or a tip where it touches a point, shape (3,)."""
+        """Whether the tool has an edge or a tip where it touches a point, m, shape (3,)."""
         away = datum + _SETTINGS.lift * self.scale
-        best = min(self.nearest(point[None], away), key=lambda each: each.gap[0])
+        best = min(self.find_nearest_on_parts(point[None], away), key=lambda each: each.gap[0])
         return float(np.abs(best.curvature[0]).max()) * self.scale > _SETTINGS.sharp
 
     def find_touch_datum(self, points: np.ndarray) -> float:
         """Return the height `datum`, m, at which the descending tool touches the first of the points, m, (n, 3)."""
-        if abs(self.gaps(points, 0.0).min()) < _SETTINGS.slack * self.scale:
+        if abs(self.compute_gaps(points, 0.0).min()) < _SETTINGS.slack * self.scale:
             return 0.0
         from scipy.optimize import brentq
 
@@ -179,15 +181,15 @@ class _Tool:
         for _ in range(_SETTINGS.most_approaches):
             if high < -_SETTINGS.passed * self.scale:
                 break
-            low = high - max(float(self.gaps(points, high).min()), 1e-5 * self.scale)
-            if self.gaps(points, low).min() <= 0.0:
-                return brentq(lambda height: float(self.gaps(points, height).min()), low, high, xtol=1e-15)
+            low = high - max(float(self.compute_gaps(points, high).min()), 1e-5 * self.scale)
+            if self.compute_gaps(points, low).min() <= 0.0:
+                return brentq(lambda height: float(self.compute_gaps(points, height).min()), low, high, xtol=1e-15)
             high = low
-        raise InputError("the tool comes down outside of the specimen, or between all of its nodes; move the tool, or "
+        raise InputError("the tool comes down outside of the specimen, or between all of its nodes. Move the tool, or "
                          "use a finer mesh", field="approach")
 
 
-class _Found:
+class _NearestFacePoint:
     """Point of some faces that is nearest to a tool, or deepest inside of it.
 
     On a flat face the distance from a convex tool is a convex function. A face is searched if it can be nearer than the
@@ -206,16 +208,16 @@ class _Found:
             horizontal one.
     """
 
-    def __init__(self, sides: FaceInterpolation, near: np.ndarray, tool: _Tool, datum: float):
+    def __init__(self, sides: FaceInterpolation, near: np.ndarray, tool: _ConvexTool, datum: float):
         self._sides, self._tool = sides, tool
         points = sides.lattice[near]
-        gaps = tool.gaps(points, datum)
+        gaps = tool.compute_gaps(points, datum)
         best = gaps.argmin(axis=1)
         least, rows = gaps.min(axis=1), np.arange(near.size)
         first = int(least.argmin())
         self.gap, self._side, self._place = float(least[first]), int(near[first]), sides.squares[best[first]]
         self.point = points[first, best[first]]
-        normals = tool.normals(points[rows, best], datum)
+        normals = tool.compute_normals(points[rows, best], datum)
         bounds = least + np.einsum("kqi,ki->kq", points - points[rows, best][:, None], normals).min(axis=1)
         bounds -= sides.bulges[near]
         slack, under = _SETTINGS.slack * tool.scale, points - self.point
@@ -233,38 +235,38 @@ class _Found:
                 self.gap, self._side, self._place = float(found[first]), int(searched[first]), place[first]
                 self.point = sides.interpolate_positions(searched[[first]], place[first][None, None])[0, 0]
 
-    def touch(self, datum: float) -> Touch:
-        """Return the touch at this point.
+    def make_first_touch(self, datum: float) -> FirstTouch:
+        """Return the first touch at this point, for a height `datum` of the scene's origin, m.
 
         The normal is that of the surface at an edge or a tip of the tool, else that of the tool.
         """
         sharp = self._tool.is_sharp_at(self.point, datum)
         normal = (self._sides.compute_unit_normal(self._side, self._place) if sharp
-                  else -self._tool.normals(self.point[None], datum)[0])
-        return Touch(datum, self._side, self._place, normal)
+                  else -self._tool.compute_normals(self.point[None], datum)[0])
+        return FirstTouch(datum, self._side, self._place, normal)
 
 
-def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _Tool, datum: float) -> tuple[np.ndarray,
-                                                                                                      np.ndarray]:
-    """Minimise the distances of faces from the tool.
+def _minimise_gaps(sides: FaceInterpolation, numbers: np.ndarray, tool: _ConvexTool,
+                   datum: float) -> tuple[np.ndarray, np.ndarray]:
+    """Find the point of each face that is nearest to the tool.
 
     The minimum along lines of one direction is a convex function of the line, so that both directions are searched in
     the same way.
 
     Returns:
-        Least distances, m, shape (k,), and their local coordinates, shape (k, 2).
+        Distances, m, shape (k,), and local coordinates of the points, shape (k, 2).
     """
-    def distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def compute_distances(u: np.ndarray, v: np.ndarray) -> np.ndarray:
         squares = np.stack([np.broadcast_to(u[..., None], v.shape), v], axis=-1)
         positions = sides.interpolate_positions(numbers, squares.reshape(len(numbers), -1, 2))
-        return tool.gaps(positions, datum).reshape(v.shape)
+        return tool.compute_gaps(positions, datum).reshape(v.shape)
 
-    def along(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return _minimise_convex(lambda v: distances(u, v), u.shape, end)
+    def minimise_along_line(u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return _minimise_convex(lambda v: compute_distances(u, v), u.shape, end)
 
     end = _SETTINGS.slack * tool.scale
-    found, u = _minimise_convex(lambda u: along(u)[0], numbers.shape, end)
-    _, v = along(u[:, None])
+    found, u = _minimise_convex(lambda u: minimise_along_line(u)[0], numbers.shape, end)
+    _, v = minimise_along_line(u[:, None])
     return found, np.stack([u, v[:, 0]], axis=-1)
 
 
@@ -278,7 +280,7 @@ def _minimise_convex(values: Callable[[np.ndarray], np.ndarray], shape: tuple[in
         end: the search ends when the values at the points differ by less.
 
     Returns:
-        Minima and their positions, shape `shape` each.
+        Smallest values and the arguments at which they occur, shape `shape` each.
     """
     low, high = np.zeros(shape), np.ones(shape)
     for _ in range(_SETTINGS.rounds):
