@@ -53,7 +53,7 @@ class BroydenCorrection:
         """Set the correction to zero."""
         self.rates[:] = 0.0
 
-    def learn(self, missed: Screw, last: Pose, pose: Pose) -> None:
+    def apply_secant_update(self, missed: Screw, last: Pose, pose: Pose) -> None:
         """Update the correction with the difference of two models.
 
         Args:
@@ -68,7 +68,7 @@ class BroydenCorrection:
             residual = np.array(missed) - self.rates @ step
             self.rates += BROYDEN.relaxation / square * np.outer(residual, self._scale * scaled)
 
-    def wrench(self, model: Pose, pose: Pose) -> Screw:
+    def compute_omitted_wrench(self, model: Pose, pose: Pose) -> Screw:
         """Return the wrench that a model omits at another pose, N and N m.
 
         Args:

@@ -98,13 +98,13 @@ class SlowSolver:
         converged = answer.status is ForceStatus.CONVERGED
         if self._last is not None and not converged:
             made = max(time - answer.age, last.time)
-        error = self._error(tool_pose, answer, last, ERROR_ESTIMATE.memory if converged else 1.0)
+        error = self._estimate_force_error(tool_pose, answer, last, ERROR_ESTIMATE.memory if converged else 1.0)
         evaluated = max(made - max(0.0, answer.stiffness_age - (time - made)), last.stiffness_time or -math.inf)
         self._before = self._last
         self._last = LocalModel(answer.wrench, answer.stiffness_matrix, tool_pose, made, error, min(made, evaluated))
         return self._last
 
-    def _error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
+    def _estimate_force_error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
         """Return the estimated error of a new model, N; None while it is unknown."""
         known = last.error
         if any(answer.wrench) or any(last.wrench):
@@ -165,7 +165,7 @@ class LocalModelBlend:
     def error(self) -> float:
         """Estimated error of the force, N: error of the model plus remaining offset; infinite if unknown."""
         error = self._model.error
-        return math.inf if error is None else error + _size(self.offset[:3])
+        return math.inf if error is None else error + _compute_norm(self.offset[:3])
 
     def publish(self, model: LocalModel) -> bool:
         """Replace the model by a new one.
@@ -196,7 +196,7 @@ class LocalModelBlend:
         """
         pose = pose_of(pose)
         if not (pose.is_finite and 0 < dt < math.inf):
-            return self._answer(ForceStatus.REFUSED)
+            return self._make_tool_force(ForceStatus.REFUSED)
         self.time += dt
         if self._pose is None:
             # At the first tick the whole wrench counts as a change of the model.
@@ -205,17 +205,17 @@ class LocalModelBlend:
         if self.age > self.oldest:
             self._switch_to_model(_NONE)
         if any(self.offset):
-            self.offset = _shorten(self.offset[:3], self.jump) + _shorten(self.offset[3:], self.torque_jump)
+            self.offset = _shorten_vector(self.offset[:3], self.jump) + _shorten_vector(self.offset[3:], self.torque_jump)
         self._pose = pose
         self._wrench = added(self._model.evaluate(pose), self.offset)
-        return self._answer(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
+        return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
     def _switch_to_model(self, model: LocalModel):
         self._model = model
         if self._pose is not None:
             self.offset = added(self._wrench, scaled(-1.0, model.evaluate(self._pose)))
 
-    def _answer(self, status: ForceStatus) -> ToolForce:
+    def _make_tool_force(self, status: ForceStatus) -> ToolForce:
         model, age, error = self._model, self.age, self.error
         is_known = math.isfinite(error)
         stiffness_age = age if model.stiffness_time is None else self.time - model.stiffness_time
@@ -224,13 +224,13 @@ class LocalModelBlend:
                          force_error=error if is_known else None, error_age=age if is_known else 0.0)
 
 
-def _size(vector: Vector) -> float:
+def _compute_norm(vector: Vector) -> float:
     return math.hypot(*vector)
 
 
-def _shorten(vector: Vector, step: float) -> Vector:
+def _shorten_vector(vector: Vector, step: float) -> Vector:
     """Shorten a vector by this length, at most to zero."""
-    size = _size(vector)
+    size = _compute_norm(vector)
     if size <= step:
         return (0.0, 0.0, 0.0)
     # Divide first: along an axis the direction is exactly 1.

@@ -106,9 +106,9 @@ class MultiRateTissue(KernelOwner):
         self._holds = model.experiment.friction == "bonded"
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self._untouched = self._reduced.history
-        self._begin()
+        self._reset_state()
 
-    def _begin(self) -> None:
+    def _reset_state(self) -> None:
         self._time, self._ticks, self.error, self._left = 0.0, 0, math.inf, 1.0
         self._answer = _AT_REST
         self._step: ContactStep | None = None
@@ -142,9 +142,9 @@ class MultiRateTissue(KernelOwner):
         # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
         for depth in MULTIRATE.touch_depths:
             self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
-        self._rest()
+        self._place_tool_above_tissue()
 
-    def _rest(self) -> None:
+    def _place_tool_above_tissue(self) -> None:
         """Place the tool in the air above the undeformed tissue."""
         assert self._stepper is not None
         self._stepper.place_in_air()
@@ -185,7 +185,7 @@ class MultiRateTissue(KernelOwner):
         self._ticks += 1
         if not self._prepared:
             self.prepare()
-        inside = self._advance(pose, dt)
+        inside = self._register_pose(pose, dt)
         if inside is None and self._holds:
             self._answer = self._step_in_air(pose, began)
         else:
@@ -193,7 +193,7 @@ class MultiRateTissue(KernelOwner):
         self._prepared = False
         return self._answer
 
-    def _advance(self, pose: Pose, dt: float) -> float | None:
+    def _register_pose(self, pose: Pose, dt: float) -> float | None:
         """Register the pose of a step, and begin the contact if it is the first touch; see `TouchState.advance`."""
         assert self._stepper is not None
         start, touched = self._link.surface.start, self._touch.has_touched
@@ -215,7 +215,7 @@ class MultiRateTissue(KernelOwner):
         assert self._stepper is not None
         self._known, start = None, self._link.surface.start
         if self._ticks % MULTIRATE.ticks_between_states == 0:
-            self._link.send(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
+            self._link.send_state(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
         status = ForceStatus.CONVERGED if self._link.alive else ForceStatus.LATE
         return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
                          compute_time=clock.perf_counter() - began)
@@ -227,7 +227,7 @@ class MultiRateTissue(KernelOwner):
         before, step = self._step, stepper.step(here)
         known, self._known, self._step, transition = self._known, None, step, self._transition
         if known is not None and before is not None:
-            transition.take_over(before, known, self._poses[-1][1] if self._poses else here, here, step)
+            transition.switch_to_new_model(before, known, self._poses[-1][1] if self._poses else here, here, step)
         if self._poses and stepper.distance(motion(self._poses[-1][1], here)) > transition.estimate.short:
             self._poses.clear()  # the tool jumped: its speed is unknown
         self._poses.append((self._time, here))
@@ -240,7 +240,7 @@ class MultiRateTissue(KernelOwner):
                 self._step = step = self._exchange_models(step, here)
         elif known is not None or self._ticks % MULTIRATE.ticks_between_states == 0:
             earlier, there = self._poses[0]
-            self._link.send(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
+            self._link.send_state(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
         return self._make_tool_force(step, here, pose, dt, began)
 
@@ -250,7 +250,7 @@ class MultiRateTissue(KernelOwner):
         self._prepared, stepper = True, self._stepper
         if stepper is None or stepper.model is None:
             return
-        model = self._link.receive(self._time)
+        model = self._link.receive_model(self._time)
         if model is not None and model.epoch == self._epoch:
             self._known = stepper.model
             self._set_model_and_times(model)
@@ -277,7 +277,7 @@ class MultiRateTissue(KernelOwner):
         for _ in range(MULTIRATE.max_exchanges):
             old = stepper.model
             # The clock is simulated: the pose must not be extrapolated by the wall time of a model.
-            model = self._link.exchange(
+            model = self._link.exchange_state_for_model(
                 stepper.state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
             if model is None:
                 break
@@ -286,12 +286,12 @@ class MultiRateTissue(KernelOwner):
             self._set_model_and_times(model)
             before, step = step, stepper.step(pose)
             missed = math.dist(before.wrench[:3], step.wrench[:3])
-            self._transition.learn(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
+            self._transition.update_error_estimate(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
             if (model.time >= self._time and model.material == self._material and step.converged
                     and missed <= max(MULTIRATE.force_floor, MULTIRATE.force_tolerance * math.hypot(*step.wrench[:3]))):
                 self._settled = True
                 break
-        self._transition.settle()
+        self._transition.clear_offset_and_correction()
         return step
 
     def _make_tool_force(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
@@ -307,9 +307,9 @@ class MultiRateTissue(KernelOwner):
         stepper, transition = self._stepper, self._transition
         assert stepper is not None and stepper.model is not None
         model = stepper.model
-        wrench, stiffness = transition.answer(step, here)
+        wrench, stiffness = transition.compute_wrench_and_stiffness(step, here)
         age = self._time - self._made
-        self.error, judged = transition.error(step, here, age)
+        self.error, judged = transition.estimate_wrench_error(step, here, age)
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.alive and age <= self.oldest
@@ -329,13 +329,13 @@ class MultiRateTissue(KernelOwner):
     def reset(self) -> None:
         """Restore the undeformed tissue before the first touch."""
         self._epoch += 1
-        self._begin()
+        self._reset_state()
         self._reduced.history = self._untouched
         if self._stepper is not None:
-            self._rest()
+            self._place_tool_above_tissue()
             self._stepper.set_model(self._first)
             start = self._link.surface.start
-            self._link.send(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
+            self._link.send_state(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
 
     @exclusive
     def set_parameters(self, **values: float) -> None:

@@ -102,7 +102,7 @@ class SlotWriter:
         total = SLOTS.head_size + count * self._stride
         empty = HEAD.pack(kind, SLOTS.version, self._stride, count, os.getpid()).ljust(total, b"\0")
         try:
-            _create_atomically(self.path, empty)
+            _create_file_atomically(self.path, empty)
             with self.path.open("r+b") as stream:
                 self._map = mmap.mmap(stream.fileno(), total)
         except FileExistsError:
@@ -197,21 +197,21 @@ class SlotReader:
         """Maximum size of the content of a slot, bytes."""
         return self._stride - _SLOT.size
 
-    def head(self, number: int) -> tuple[int, int]:
+    def read_slot_header(self, number: int) -> tuple[int, int]:
         """Return length (bytes) and checksum of the content of a number; (0, -1) if it is overwritten."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         found, length, checksum = _SLOT.unpack_from(self._map, offset)
         return (length, checksum) if found == number and length <= self.size else (0, -1)
 
-    def part(self, number: int, start: int, end: int) -> bytes:
+    def read_content_range(self, number: int, start: int, end: int) -> bytes:
         """Return the bytes from `start` to `end` of the content of a number, without a check.
 
-        The caller checks all parts together with the CRC-32 from `head`, whose start value is the number.
+        The caller checks all parts together with the CRC-32 from `read_slot_header`, whose start value is the number.
         """
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride + _SLOT.size
         return self._map[offset + start:offset + end]
 
-    def newest(self) -> tuple[int, bytes] | None:
+    def read_newest_content(self) -> tuple[int, bytes] | None:
         """Return number and content of the newest slot; None before the first.
 
         Raises:
@@ -226,7 +226,7 @@ class SlotReader:
                 return number, content
         raise InputError("holds no complete record", file=self.path)
 
-    def after(self, number: int) -> tuple[list[bytes], int, int]:
+    def read_contents_after(self, number: int) -> tuple[list[bytes], int, int]:
         """Read all slots after a number.
 
         Args:
@@ -275,7 +275,7 @@ def _compute_checksum(content, number: int) -> int:
     return zlib.crc32(content, number & 0xFFFFFFFF)
 
 
-def _create_atomically(path: Path, content: bytes) -> None:
+def _create_file_atomically(path: Path, content: bytes) -> None:
     """Create a file with access for this user only, which appears with its complete content.
 
     The content fills the file, so that a full disk causes an error here and not in a tick.

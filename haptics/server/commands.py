@@ -166,13 +166,13 @@ class Commands:
                 hint = nearest(name[:64], self._parameters) if self._parameters else \
                     "; this tissue has no parameters to set"
                 raise InputError(f"unknown parameter{hint}", field=f"parameters.{name[:64]}")
-        self._require_method("set_parameters")(**request.parameters)
+        self._get_tissue_method("set_parameters")(**request.parameters)
         self._parameters |= request.parameters
         return {"parameters": self._parameters}
 
     def _encode_surface(self, request: _Surface) -> Iterator[bytes]:
         """Yield the deformed surface as an outline and, on request, as triangles."""
-        surface = self._require_method("surface")()
+        surface = self._get_tissue_method("surface")()
         arrays = {} if surface.outline is None else {"outline": surface.outline}
         if request.segments is not None:
             arrays["vertices"], arrays["triangles"] = surface.triangles(request.segments)
@@ -183,7 +183,7 @@ class Commands:
         if request.name not in self._states and len(self._states) == LIMITS.max_states:
             raise InputError(f"at most {LIMITS.max_states} states can be saved; save under an existing name: "
                              f"{', '.join(self._states)}", field="name")
-        self._states[request.name] = (self._require_method("save")(), dict(self._parameters))
+        self._states[request.name] = (self._get_tissue_method("save")(), dict(self._parameters))
         return {"states": list(self._states)}
 
     def _restore_state(self, request: _State) -> dict[str, Any]:
@@ -193,13 +193,13 @@ class Commands:
             raise InputError(f"unknown state {request.name!r}{hint}", field="name")
         state, parameters = self._states[request.name]
         if parameters != self._parameters:
-            self._require_method("set_parameters")(**parameters)
+            self._get_tissue_method("set_parameters")(**parameters)
             self._parameters = dict(parameters)
-        self._require_method("restore")(state)
+        self._get_tissue_method("restore")(state)
         self._service.discard_last_step()
         return {"parameters": self._parameters}
 
-    def _require_method(self, name: str) -> Callable[..., Any]:
+    def _get_tissue_method(self, name: str) -> Callable[..., Any]:
         """Return a method of the tissue.
 
         Args:

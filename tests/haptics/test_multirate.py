@@ -18,7 +18,7 @@ from haptics.loop.loop import Loop, LoopSettings
 from haptics.loop.model_transition import TRANSITION
 from haptics.loop.multirate import MultiRateTissue
 from haptics.loop.process import LoopProcess
-from haptics.loop.tissue_factory import real_time_tissue
+from haptics.loop.tissue_factory import make_real_time_tissue_factory
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -211,11 +211,11 @@ def test_the_loop_takes_it():
 
 
 def test_solvers_with_a_bulk_take_two_rates():
-    made = real_time_tissue(model(), solver="solid", resolution="realtime", budget=8e-4)
+    made = make_real_time_tissue_factory(model(), solver="solid", resolution="realtime", budget=8e-4)
     assert made.func is MultiRateTissue
-    assert real_time_tissue(model(), solver="axisymmetric", resolution="fast", budget=None).func is ts.Simulator
+    assert make_real_time_tissue_factory(model(), solver="axisymmetric", resolution="fast", budget=None).func is ts.Simulator
     with pytest.raises(ts.InputError, match="has no mass"):
-        real_time_tissue(model(), solver="solid", resolution="realtime", budget=None, inertia="on")
+        make_real_time_tissue_factory(model(), solver="solid", resolution="realtime", budget=None, inertia="on")
 
 
 @pytest.mark.slow

@@ -157,7 +157,7 @@ def run(arguments) -> int:
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
-    from haptics.loop.tissue_factory import real_time_tissue
+    from haptics.loop.tissue_factory import make_real_time_tissue_factory
     from tissue_sim import Model
 
     material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
@@ -173,7 +173,7 @@ def run(arguments) -> int:
     # With a coupling, inertia is stable in time; but if inertia makes most steps late, the force is up to six times too
     # large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
-    make_tissue = real_time_tissue(model, resolution=arguments.resolution, inertia=inertia,
+    make_tissue = make_real_time_tissue_factory(model, resolution=arguments.resolution, inertia=inertia,
                                    looks_ahead=rendering.coupling is not None,
                                    budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver, mesh=reduced)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)

@@ -49,7 +49,7 @@ class TestContract(HapticDeviceContract):
         for _ in range(count):
             poses.append(device.pose(start))
             device.render(wrench)
-            ticker.wait()
+            ticker.wait_for_deadline()
         return [pose for pose in poses if pose is not None] if wrench != NO_WRENCH else poses
 
     @pytest.fixture
@@ -236,7 +236,7 @@ def test_a_slow_service_does_not_delay_the_loop():
         for _ in range(100):
             none += device.pose(0.0) is None
             device.render(NO_WRENCH)
-            ticker.wait()
+            ticker.wait_for_deadline()
         passed = time.monotonic() - began
         device.stop()
     # Waiting for an answer in each tick would take 20 s.
