@@ -13,7 +13,7 @@ import tissue_sim as ts
 from benchmarks.inputs import sample_files
 from calibration.campaign.campaign import load_campaign
 from haptics.devices.contracts import DeviceError
-from haptics.devices.settings import read_choices, read_settings, split_target
+from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
 from haptics.loop.ring import RingReader, RingWriter
 from haptics.protocols import ati_serial, grbl, haply, rdt
 from haptics.protocols.ati_calibration import read_calibration
@@ -195,8 +195,8 @@ def _of_settings(folder: Path) -> dict[str, tuple[bytes, Reader]]:
 
 def _of_devices() -> dict[str, tuple[bytes, Reader]]:
     def settings(text: str) -> Any:
-        _, rest = split_target(text, "the port", "/dev/ttyUSB0,baud=9600")
-        words, rest = read_choices(rest, volts=("",), mode=("ascii", "binary"))
+        _, rest = split_address_and_settings(text, "the port", "/dev/ttyUSB0,baud=9600")
+        words, rest = read_word_settings(rest, volts=("",), mode=("ascii", "binary"))
         return words, read_settings(rest, rate_hz=1000.0, count=3)
 
     def haply_state(text: str) -> Any:

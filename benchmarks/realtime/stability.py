@@ -122,7 +122,8 @@ def run(trial: Trial, tissue, rest: float) -> float:
     hand = VirtualHand(Stays(rest), trial.mass, trial.damping, trial.grip, push)
     jitter, loss = LINES[trial.line]
     line = DelayedHand(hand, trial.delay, jitter, loss, seed=1)
-    return measure_oscillation_amplitude(simulate_device_depths(tissue, line, rendering_of(trial.control), SECONDS, TICK), TICK)
+    depths = simulate_device_depths(tissue, line, rendering_of(trial.control), SECONDS, TICK)
+    return measure_oscillation_amplitude(depths, TICK)
 
 
 def boundary(stable: list[bool], delays: tuple[float, ...]) -> float | None:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_choices, read_settings, split_target
+from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
 from haptics.protocols.ati_calibration import MAX_SIZE, AtiCalibration, read_calibration
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
@@ -214,8 +214,8 @@ def open_ati_daq(text: str) -> AtiDaqSensor:
 
     ``range_V`` is the largest voltage of the board, in both directions; 0: from the calibration file.
     """
-    file, rest = split_target(text, "the calibration file", _EXAMPLE)
-    words, rest = read_choices(rest, volts=("",))
+    file, rest = split_address_and_settings(text, "the calibration file", _EXAMPLE)
+    words, rest = read_word_settings(rest, volts=("",))
     given = read_settings(rest, rate_hz=1000.0, range_V=0.0)
     calibration = read_calibration(read_bytes(file, "the .cal file of an ATI sensor", MAX_SIZE), file)
     reach = given["range_V"]

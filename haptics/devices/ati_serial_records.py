@@ -17,7 +17,7 @@ from haptics.protocols.ati_serial import (
 )
 
 
-class AsciiStream:
+class AsciiRecordStream:
     """Source of records as lines that the controller streams.
 
     Args:
@@ -35,7 +35,7 @@ class AsciiStream:
         self._padded: bool | None = None
         self.length, self.wrong = FORMAT.padded_length, b""
 
-    def begin(self) -> None:
+    def start_stream(self) -> None:
         """Start the stream."""
         self._line.write(b"QS" + CARRIAGE_RETURN)
 
@@ -57,12 +57,12 @@ class AsciiStream:
                     self.length = len(text) + 2
         return records
 
-    def require_present_form(self) -> None:
+    def fix_record_format(self) -> None:
         """Accept only the form, padded or not, that all records so far had."""
         self._padded = self._forms == {True}
 
 
-class BinaryRequests:
+class BinaryRecordRequester:
     """Source of binary records that are requested one at a time.
 
     Args:
@@ -85,7 +85,7 @@ class BinaryRequests:
         self._timeout = max(timeout, self._pause)
         self.wrong = b""
 
-    def begin(self) -> None:
+    def start_stream(self) -> None:
         """Do nothing; each record is requested."""
         return
 
@@ -106,7 +106,7 @@ class BinaryRequests:
                 read_until_quiet(self._line, self._pause)
         return [record]
 
-    def require_present_form(self) -> None:
+    def fix_record_format(self) -> None:
         """Do nothing; binary records have one form."""
         return
 
@@ -129,11 +129,11 @@ def read_until_quiet(line: SerialLine, quiet: float, first: float = 0.0, longest
     return received
 
 
-def is_text(data: bytes) -> bool:
+def is_printable_text(data: bytes) -> bool:
     """Return True if all bytes are printable ASCII, line ends, tabs, ACK or NUL."""
     return all(byte in b"\r\n\t\x06\0" or 32 <= byte < 127 for byte in data)
 
 
-def quote_bytes(data: bytes) -> str:
+def quote_last_bytes(data: bytes) -> str:
     """Return the last 40 bytes for a message."""
     return repr(data.strip()[-40:].decode("ascii", "backslashreplace")) if data.strip() else "nothing arrived"

@@ -18,6 +18,7 @@ from typing import Any
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw
+from tissue_sim.public_names import OldName
 
 #: Signature of `HapticDevice.set_approach`.
 _SetApproach = Callable[[Any, Approach | None], None]
@@ -133,9 +134,11 @@ class StageSample:
     requested: float | None = None
 
     @property
-    def earliest(self) -> float:
+    def earliest_reading_time(self) -> float:
         """The earliest time at which the position can have been read, s."""
         return self.received if self.requested is None else min(self.requested, self.received)
+
+    earliest = OldName("earliest_reading_time")
 
 
 @dataclass(frozen=True)
@@ -151,7 +154,7 @@ class StageLimits:
         """Return limits from the settings ``lowest_mm``, ``highest_mm`` and ``top_speed_mm_s``."""
         return cls(settings["lowest_mm"] * 1e-3, settings["highest_mm"] * 1e-3, settings["top_speed_mm_s"] * 1e-3)
 
-    def require(self, position: float, speed: float, slowest: float = 0.0) -> None:
+    def require_within_limits(self, position: float, speed: float, slowest: float = 0.0) -> None:
         """Raise an error for a target or a speed outside the limits.
 
         Args:
@@ -167,6 +170,8 @@ class StageLimits:
         if not (0 < speed <= self.speed and speed >= slowest):
             least = f"{slowest:.3g} m/s or more" if slowest else "above zero"
             raise InputError(f"must be {least} and at most {self.speed:g} m/s; got {speed:g} m/s", field="speed")
+
+    require = OldName("require_within_limits")
 
 
 class Stage(ABC):

@@ -90,7 +90,7 @@ class SineMotion(AxialMotion):
     """
 
     def __init__(self, deepest: float, highest: float = 0.0, frequency: float = 1.0):
-        _require_range(highest, deepest)
+        _require_depth_range(highest, deepest)
         if not 0 < frequency < math.inf:
             raise InputError(f"must be above 0 Hz; got {frequency:g} Hz", field="frequency")
         self._middle, self._amplitude = 0.5 * (highest + deepest), 0.5 * (deepest - highest)
@@ -123,9 +123,9 @@ class HandMotion(Motion):
         self._starts_at_tool = start is None
         self._time = 0.0
         self._velocity = [0.0, 0.0, 0.0]
-        self._set_start(approach, start or 0.0, start or 0.0)
+        self._set_start_and_target(approach, start or 0.0, start or 0.0)
 
-    def _set_start(self, approach: Approach | None, start: float, target: float) -> None:
+    def _set_start_and_target(self, approach: Approach | None, start: float, target: float) -> None:
         """Set approach, depth, m, and target depth, m, at the start of the motion."""
         self.approach = approach
         # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
@@ -138,7 +138,7 @@ class HandMotion(Motion):
     def set_approach(self, approach: Approach | None) -> None:
         """Begin at the start of an approach, unless the motion has one or begins at the present pose of the tool."""
         if self.approach is None and approach is not None and not self._starts_at_tool:
-            self._set_start(approach, self._position[2], self._target[2])
+            self._set_start_and_target(approach, self._position[2], self._target[2])
 
     def _set_orientation(self, pose: Pose) -> None:
         """Store a pose's orientation and the tool's axis, scaled: x, y and height per unit of depth along the axis."""
@@ -224,7 +224,7 @@ class RandomWalk(AxialMotion):
 
     def __init__(self, seed: int | str = 0, deepest: float = 8e-3, highest: float = -2e-3, speed: float = 0.2,
                  start: float | None = None):
-        _require_range(highest, deepest)
+        _require_depth_range(highest, deepest)
         require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here
         start = highest if start is None else start
         if not highest <= start <= deepest:
@@ -317,7 +317,7 @@ class SpatialWalk(Motion):
         return turned(moved, (about_x, about_y, about_z))
 
 
-def _require_range(highest: float, deepest: float) -> None:
+def _require_depth_range(highest: float, deepest: float) -> None:
     """Raise an error unless `deepest` is below `highest`, both finite, m."""
     if not -math.inf < highest < deepest < math.inf:
         raise InputError(f"must be deeper than the upper depth, {highest:g} m; got {deepest:g} m", field="deepest")
@@ -346,10 +346,10 @@ def open_sine(text: str) -> SineMotion:
 
 def open_protocol(text: str) -> ProtocolMotion:
     """Make a protocol's motion from ``protocol:ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
-    return follow_protocol(Protocol.parse(text))
+    return make_protocol_motion(Protocol.parse(text))
 
 
-def follow_protocol(protocol: Protocol) -> ProtocolMotion:
+def make_protocol_motion(protocol: Protocol) -> ProtocolMotion:
     """Return a protocol's motion, repeated if the last displacement equals the first."""
     closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
     return ProtocolMotion(protocol, repeat=bool(closes))

@@ -36,7 +36,7 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
     return settings
 
 
-def split_target(text: str, quantity: str, example: str) -> tuple[str, str]:
+def split_address_and_settings(text: str, quantity: str, example: str) -> tuple[str, str]:
     """Split text into the port, file or number at its beginning and the settings after the first comma.
 
     Args:
@@ -53,7 +53,7 @@ def split_target(text: str, quantity: str, example: str) -> tuple[str, str]:
     return target.strip(), rest
 
 
-def read_choices(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
+def read_word_settings(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
     """Return the settings whose values are words, and the remaining text for `read_settings`.
 
     Args:

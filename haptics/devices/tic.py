@@ -178,7 +178,7 @@ class TicStage(Stage):
         self._send_unless_halted(Command.GO_HOME, 0, halts)
         end, status = time.monotonic() + TIMING.wake, self._read_status()
         while status.flags & Flags.POSITION_UNCERTAIN and not status.flags & Flags.HOMING and halts == self._halts:
-            self._require_movable(status.errors)
+            self._require_motion_allowed(status.errors)
             if time.monotonic() > end:
                 raise DeviceError(f"the Tic at {self._port} does not begin to home; assign a reverse limit switch in "
                                   "the Tic Control Center")
@@ -187,10 +187,10 @@ class TicStage(Stage):
     def move(self, position: float, speed: float) -> None:
         """Set maximum speed, m/s, and target, m, and return when the Tic has accepted them."""
         halts = self._halts
-        self._require_start()
-        self.limits.require(position, speed)
+        self._require_started()
+        self.limits.require_within_limits(position, speed)
         status = self._read_status()
-        self._require_movable(status.errors)
+        self._require_motion_allowed(status.errors)
         if status.flags & (Flags.POSITION_UNCERTAIN | Flags.HOMING):
             raise DeviceError(f"the Tic at {self._port} does not know its zero; home it first, and wait until it is "
                               "homed")
@@ -205,14 +205,14 @@ class TicStage(Stage):
 
     def position(self) -> StageSample:
         """Return the commanded position, m, and restart the command timeout."""
-        self._require_start()
+        self._require_started()
         status = self._read_status()
         requested = time.monotonic()
         motion = tic.parse_motion_state(self._read_block(Command.GET_VARIABLE, Variable.CURRENT_POSITION,
                                                          tic.BlockLength.MOTION_STATE))
         now = time.monotonic()
         if motion is None:
-            raise self._make_answer_error()
+            raise self._make_invalid_answer_error()
         uncertain = bool(status.flags & Flags.POSITION_UNCERTAIN)
         self._is_homing = self._is_homing and (uncertain or bool(status.flags & Flags.HOMING))
         if status.errors & Errors.COMMAND_TIMEOUT:
@@ -276,9 +276,9 @@ class TicStage(Stage):
 
     def _enter_normal_operation(self) -> None:
         """Bring the Tic to normal operation without a target; raises the error that prevents it."""
-        self._require_start()
+        self._require_started()
         status = self._read_status()
-        self._require_movable(status.errors)
+        self._require_motion_allowed(status.errors)
         self._timed_out = False
         if status.state == State.NORMAL:
             self._send_command(Command.RESET_COMMAND_TIMEOUT)
@@ -287,13 +287,13 @@ class TicStage(Stage):
         end = time.monotonic() + TIMING.wake
         while status.state != State.NORMAL:
             if time.monotonic() > end:
-                self._require_movable(status.errors)
+                self._require_motion_allowed(status.errors)
                 raise DeviceError(f"the Tic at {self._port} stays in the state {status.state.name} (error status "
                                   f"{status.errors.value:#x}); check it in the Tic Control Center")
             self._send_command(Command.EXIT_SAFE_START)
             status = self._read_status()
 
-    def _require_movable(self, errors: Errors) -> None:
+    def _require_motion_allowed(self, errors: Errors) -> None:
         """Raise the most serious error that keeps the motor from moving."""
         for error, remedy in _REMEDIES.items():
             if errors & error:
@@ -303,10 +303,10 @@ class TicStage(Stage):
         """Read the status of the Tic."""
         status = tic.parse_status(self._read_block(Command.GET_VARIABLE, Variable.STATUS, tic.BlockLength.STATUS))
         if status is None:
-            raise self._make_answer_error()
+            raise self._make_invalid_answer_error()
         return status
 
-    def _make_answer_error(self) -> DeviceError:
+    def _make_invalid_answer_error(self) -> DeviceError:
         return DeviceError(f"the device at {self._port} is no Tic, or its baud rate is not {self._baud}; check the "
                            "baud rate and the device")
 
@@ -322,7 +322,7 @@ class TicStage(Stage):
 
     def _read_block(self, command: Command, offset: int, size: int) -> bytes:
         """Read a block of variables or settings, and verify its checksum."""
-        line = self._require_start()
+        line = self._require_started()
         line.read()  # discards an answer that arrived after its timeout
         self._send_command(command, offset, size)
         message = line.read_exactly(size + self._response_crc, TIMING.answer)
@@ -335,21 +335,21 @@ class TicStage(Stage):
         return tic.encode(command, value, length, self._device, self._crc)
 
     def _send_command(self, command: Command, value: int = 0, length: int = 0) -> None:
-        line, writing = self._require_start(), self._writing
+        line, writing = self._require_started(), self._writing
         assert writing is not None
         with writing:
             line.write(self._encode_command(command, value, length))
 
     def _send_unless_halted(self, command: Command, value: int, halts: int) -> None:
         """Send a motion command, unless `halt` was called after its count was `halts`."""
-        line, writing = self._require_start(), self._writing
+        line, writing = self._require_started(), self._writing
         assert writing is not None
         with writing:
             if halts == self._halts:
                 self._goal, self._is_homing = (None, True) if command == Command.GO_HOME else (value, False)
                 line.write(self._encode_command(command, value))
 
-    def _require_start(self) -> SerialLine:
+    def _require_started(self) -> SerialLine:
         line = self._line
         if line is None:
             raise DeviceError("the Tic is not started; start it first")

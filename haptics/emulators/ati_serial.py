@@ -13,7 +13,7 @@ from typing import Any
 
 from haptics.devices.ati_serial import MODES
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
-from haptics.devices.settings import read_choices, read_settings
+from haptics.devices.settings import read_settings, read_word_settings
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols.ati_serial import (
@@ -209,7 +209,7 @@ class AtiSerialEmulator(TerminalEmulator):
 
 def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
     """Make an emulator from ``ati-serial:counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
-    words, rest = read_choices(text, mode=MODES)
+    words, rest = read_word_settings(text, mode=MODES)
     given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),
                              words["mode"], bool(given["padded"]), faults)

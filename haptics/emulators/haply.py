@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from haptics.devices.contracts import Bench, DeviceError, Motion
 from haptics.devices.motions import HandMotion, SineMotion
 from haptics.devices.settings import read_settings
-from haptics.devices.virtual.faults import Faults, FaultyLine
+from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
 from haptics.protocols.haply import HapticState, encode_state, read_force
@@ -141,7 +141,7 @@ class HaplyEmulator(Emulator):
             first = self._hand.pose(0.0)
             self._zero = first.position if first is not None else (0.0, 0.0, 0.0)
             self._set_force((0.0, 0.0, 0.0))
-        line = FaultyLine(self._faults, self._began)
+        line = FaultyMessageQueue(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
             connection.send(encode_state(self._simulate_hand(config=_CONFIG), self.force, session=1))
             while not self._ending.is_set():
@@ -149,11 +149,11 @@ class HaplyEmulator(Emulator):
                 with contextlib.suppress(TimeoutError):
                     message = connection.recv(timeout=0.1 * TIMES.wait if self._faults.delay else TIMES.wait)
                 now = time.monotonic()
-                if message is not None and not line.is_silent(now):
-                    line.put(self._answer_message(message).encode(), now)
+                if message is not None and not line.is_disconnected(now):
+                    line.put_message(self._answer_message(message).encode(), now)
                 else:
                     self._simulate_hand()
-                for each in line.take_due(now):
+                for each in line.take_due_messages(now):
                     connection.send(each.decode(errors="replace"))
         with self._lock:
             self._set_force((0.0, 0.0, 0.0))

@@ -14,7 +14,7 @@ from typing import Any
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
 from haptics.devices.settings import read_settings
-from haptics.devices.virtual.faults import Faults, FaultyLine
+from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.emulators.emulator import Emulator
 from haptics.protocols import rdt
 from haptics.protocols.rdt import Record, Settings
@@ -99,7 +99,7 @@ class RdtEmulator(Emulator):
     def _run_thread(self) -> None:
         """Answer requests and send records until the end; the body of the thread."""
         began = time.monotonic()
-        line = FaultyLine(self._faults, began)
+        line = FaultyMessageQueue(self._faults, began)
         client, size, remaining, number = None, 1, 0, 0
         bias = [0] * 6
         pending: list[Record] = []
@@ -125,15 +125,15 @@ class RdtEmulator(Emulator):
                 pending.append(Record(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF, _encode_status(sample.status),
                                       _clip_counts(count - zero for count, zero in zip(each, bias, strict=True))))
                 if len(pending) == size or remaining == 0:
-                    line.put(rdt.pack_records(pending), now)
+                    line.put_message(rdt.pack_records(pending), now)
                     pending = []
-            for datagram in line.take_due(now):
+            for datagram in line.take_due_messages(now):
                 # Like a box, the emulator ignores a client that has closed its port, and a full send buffer.
                 with contextlib.suppress(OSError):
                     self._socket.sendto(datagram, client)
                     self.sent += 1
 
-    def _receive_requests(self, line: FaultyLine) -> list[tuple[rdt.Request, Any]]:
+    def _receive_requests(self, line: FaultyMessageQueue) -> list[tuple[rdt.Request, Any]]:
         """Return the waiting requests, each with the address of its sender."""
         requests: list[tuple[rdt.Request, Any]] = []
         while True:
@@ -142,7 +142,7 @@ class RdtEmulator(Emulator):
             except OSError:
                 return requests
             request = rdt.unpack_request(data)
-            if request is not None and not line.is_silent(time.monotonic()):
+            if request is not None and not line.is_disconnected(time.monotonic()):
                 self.requests += 1
                 requests.append((request, sender))
 

@@ -11,7 +11,7 @@ import time
 from abc import abstractmethod
 
 from haptics.devices.contracts import DeviceError
-from haptics.devices.virtual.faults import Faults, FaultyLine
+from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.emulators.emulator import Emulator
 
 #: Longest wait for received bytes before `TerminalEmulator.take_due_messages` is called again, s.
@@ -75,7 +75,7 @@ class TerminalEmulator(Emulator):
 
     def _run(self) -> None:
         """Answer received bytes and send due messages until the end; the body of the thread."""
-        line = FaultyLine(self._faults, time.monotonic())
+        line = FaultyMessageQueue(self._faults, time.monotonic())
         while not self._ending.is_set():
             readable, _, _ = select.select([self._master], [], [], _POLL)
             now = time.monotonic()
@@ -83,11 +83,11 @@ class TerminalEmulator(Emulator):
             if readable:
                 with contextlib.suppress(BlockingIOError, OSError):
                     data = os.read(self._master, 65536)
-                    if not line.is_silent(now):
+                    if not line.is_disconnected(now):
                         messages = self.answer_bytes(data)
             for message in (*messages, *self.take_due_messages()):
-                line.put(message, now)
-            for message in line.take_due(now):
+                line.put_message(message, now)
+            for message in line.take_due_messages(now):
                 # If the client does not read, excess bytes are lost, as on a wire without flow control.
                 with contextlib.suppress(BlockingIOError):
                     os.write(self._master, message)

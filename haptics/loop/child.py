@@ -74,7 +74,8 @@ class LoopComponents(NamedTuple):
     settings: LoopSettings
 
 
-def run_loop_child_process(connection: Connection, parts: LoopComponents, files: SharedLoopFiles, things: list[tuple[str, str, Any]]) -> None:
+def run_loop_child_process(connection: Connection, parts: LoopComponents, files: SharedLoopFiles,
+                           things: list[tuple[str, str, Any]]) -> None:
     """Run a loop in this process and communicate with the parent process.
 
     Messages to the parent are pairs (kind, content): ``doing`` with a sentence; ``pattern`` of the snapshots, if there

@@ -83,7 +83,7 @@ class LinearisationError:
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
     def update_estimate(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0,
-              newer: float = 0.0) -> None:
+                        newer: float = 0.0) -> None:
         """Update the estimate with the difference of two successive models.
 
         Args:
@@ -114,7 +114,8 @@ class LinearisationError:
         """Return whether the error at this distance, m, from the pose of a model is known."""
         return math.isfinite(self.time) and distance <= max(self.short, ERROR_ESTIMATE.validity * self.reach)
 
-    def estimate_force_error(self, distance: float, age: float = 0.0, depth: float | None = None, tangent: float = 0.0) -> float:
+    def estimate_force_error(self, distance: float, age: float = 0.0, depth: float | None = None,
+                             tangent: float = 0.0) -> float:
         """Return the estimated error of the force, N; infinite if it is unknown.
 
         Args:
@@ -126,4 +127,5 @@ class LinearisationError:
         if not self.is_error_known(distance):
             return math.inf
         age_factor = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
-        return self.base * age_factor + self._compute_growth_coefficient(distance, depth) * distance * (distance + 2.0 * tangent)
+        growth = self._compute_growth_coefficient(distance, depth)
+        return self.base * age_factor + growth * distance * (distance + 2.0 * tangent)

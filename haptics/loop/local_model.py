@@ -205,7 +205,8 @@ class LocalModelBlend:
         if self.age > self.oldest:
             self._switch_to_model(_NONE)
         if any(self.offset):
-            self.offset = _shorten_vector(self.offset[:3], self.jump) + _shorten_vector(self.offset[3:], self.torque_jump)
+            self.offset = (_shorten_vector(self.offset[:3], self.jump)
+                           + _shorten_vector(self.offset[3:], self.torque_jump))
         self._pose = pose
         self._wrench = added(self._model.evaluate(pose), self.offset)
         return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)

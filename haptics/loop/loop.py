@@ -15,7 +15,7 @@ from haptics.devices.contracts import HapticDevice
 from haptics.loop.real_time import RealTimeFeature, request_real_time_features
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard
-from haptics.loop.ticker import TimeQuantiles, Ticker, TimeHistogram
+from haptics.loop.ticker import Ticker, TimeHistogram, TimeQuantiles
 from haptics.safety.force_release import RELEASE, ForceRelease
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
@@ -204,7 +204,8 @@ class Loop:
             ticker.missed, ticker.lateness.quantiles, self._compute_time.quantiles,
             {status.name.lower(): self._statuses[status] for status in ForceStatus},
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
-            self._largest_force, features, read_peak_memory(), self._device.describe(), *get_resolution_and_force_error(self._tissue))
+            self._largest_force, features, read_peak_memory(), self._device.describe(),
+            *get_resolution_and_force_error(self._tissue))
 
     def _run_ticks(self) -> tuple[RealTimeFeature, ...]:
         """Run all ticks and return the real-time features of the system."""

@@ -61,7 +61,7 @@ class ModelTransition:
         self._correction.reset()
         self.estimate.discard_estimate()
 
-    def distance(self, model: CondensedContact, pose: Pose) -> float:
+    def compute_distance_from_model(self, model: CondensedContact, pose: Pose) -> float:
         """Return the distance of a pose from the pose of a model, m.
 
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
@@ -80,7 +80,8 @@ class ModelTransition:
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
-    def switch_to_new_model(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose, after: ContactStep) -> None:
+    def switch_to_new_model(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose,
+                            after: ContactStep) -> None:
         """Continue the wrench of the old model; the difference to the new model becomes an offset.
 
         Args:
@@ -96,7 +97,8 @@ class ModelTransition:
             return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
-        missed, expected = added(after.wrench, scaled(-1.0, extrapolated)), correction.compute_omitted_wrench(old.pose, pose)
+        missed = added(after.wrench, scaled(-1.0, extrapolated))
+        expected = correction.compute_omitted_wrench(old.pose, pose)
         if any(after.wrench):
             correction.apply_secant_update(missed, old.pose, new.pose)
             self.update_error_estimate(added(expected, scaled(-1.0, missed)), old, last)
@@ -117,8 +119,10 @@ class ModelTransition:
         """
         new = self._newest_model
         if new.has_contact and new.material == old.material:
-            self.estimate.update_estimate(self._convert_to_equivalent_force(missed), self.distance(old, pose), self.distance(old, new.pose), new.time,
-                                new.time - old.time, self.distance(new, pose))
+            self.estimate.update_estimate(
+                self._convert_to_equivalent_force(missed), self.compute_distance_from_model(old, pose),
+                self.compute_distance_from_model(old, new.pose), new.time, new.time - old.time,
+                self.compute_distance_from_model(new, pose))
 
     def _convert_to_equivalent_force(self, wrench: Screw) -> float:
         """Return the force of a wrench, or its torque divided by the contact radius if larger, N."""
@@ -133,7 +137,8 @@ class ModelTransition:
         """Reduce the offset by at most one step of `TransitionSettings`."""
         if any(self.offset):
             force, torque = self.offset[:3], self.offset[3:]
-            self.offset = _shorten_vector(force, TRANSITION.force_step) + _shorten_vector(torque, TRANSITION.torque_step)
+            self.offset = (_shorten_vector(force, TRANSITION.force_step)
+                           + _shorten_vector(torque, TRANSITION.torque_step))
 
     def compute_wrench_and_stiffness(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
         """Return wrench and stiffness of a step on the newest model with offset and Broyden correction."""
@@ -159,7 +164,7 @@ class ModelTransition:
         is_loaded = any(step.wrench)
         if not (is_loaded or self.is_near_surface(pose)):
             return math.inf, math.inf
-        distance = self.distance(self._newest_model, pose) if is_loaded else 0.0
+        distance = self.compute_distance_from_model(self._newest_model, pose) if is_loaded else 0.0
         offset = self._convert_to_equivalent_force(self.offset)
         depth = self._stepper.surface.start.position[2] - pose.position[2]
         error = self.estimate.estimate_force_error(distance, age, depth, self._tangent_distance) + offset

@@ -267,7 +267,7 @@ class MultiRateTissue(KernelOwner):
         model, transition = self._stepper.model, self._transition
         return (not (step.converged and self._settled) or model.material != self._material
                 or self._time - self._made > MULTIRATE.recent
-                or transition.distance(model, pose) > MULTIRATE.near * transition.estimate.short)
+                or transition.compute_distance_from_model(model, pose) > MULTIRATE.near * transition.estimate.short)
 
     def _exchange_models(self, step: ContactStep, pose: Pose) -> ContactStep:
         """Exchange states and models with the bulk until the force at a pose converges; return the last step."""

@@ -48,10 +48,10 @@ class BulkProcessSettings:
             the tick.
         end_timeout: time that the process has to end before it is killed, s.
         longest_exchange: longest wall time that `BulkLink.exchange_state_for_model` blocks, s.
-        polling_interval: polling interval of `BulkLink.exchange_state_for_model`, s. A longer interval uses less CPU time and delays
-            the model.
-        resend_interval: time after which `BulkLink.exchange_state_for_model` sends the state again, s, so that a bulk without a
-            linearisation tries again.
+        polling_interval: polling interval of `BulkLink.exchange_state_for_model`, s. A longer interval uses less CPU
+            time and delays the model.
+        resend_interval: time after which `BulkLink.exchange_state_for_model` sends the state again, s, so that a bulk
+            without a linearisation tries again.
         idle_sleep: sleep of the process when no new state is available, s. A longer sleep uses less CPU time and
             delays the model.
         surface_interval: time between two publications of the surface, s. A longer interval uses less CPU time.

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.child import PROCESS_TIMES, SharedLoopFiles, LoopComponents, run_loop_child_process
+from haptics.loop.child import PROCESS_TIMES, LoopComponents, SharedLoopFiles, run_loop_child_process
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
@@ -23,6 +23,7 @@ from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import start_with_one_thread, start_without_ctrl_c
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.public_names import OldName
 from tissue_sim.registry import registered
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
@@ -180,7 +181,9 @@ class LoopProcess:
         self.execute_command("advance", seconds=seconds)
 
     def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
-        """Replace the device or motion by another one, which starts from its beginning; raises the errors of `execute_command`.
+        """Replace the device or motion by another one, which starts from its beginning.
+
+        Raises the errors of `execute_command`.
 
         Args:
             device: new device or motion, not started.
@@ -236,6 +239,8 @@ class LoopProcess:
                                     "command again, or stop the loop and start it again")
             if self._answers and self._answers[0]:
                 raise InputError(self._answers[0])
+
+    ask = OldName("execute_command")
 
     def wait(self, timeout: float | None = None) -> LoopReport | None:
         """Wait for the end of the loop.

@@ -120,8 +120,8 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
 
 
 def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinearisation, states: SlotReader,
-                       writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
-                       materials: deque[tuple[int, Material]]) -> None:
+                            writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
+                            materials: deque[tuple[int, Material]]) -> None:
     """Linearise the bulk at each new state and publish the models; never returns."""
     models, corrections = writers
     seen, lead, shown, changed, serves = 0, 0.0, 0.0, time.monotonic(), 0.0

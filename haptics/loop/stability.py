@@ -35,7 +35,7 @@ OSCILLATION = OscillationCriteria()
 
 
 def simulate_device_depths(tissue: Tissue, device: HapticDevice, rendering: ForceRendering, seconds: float,
-                    tick: float = 1e-3) -> np.ndarray:
+                           tick: float = 1e-3) -> np.ndarray:
     """Simulate a loop without delays and return the depth of the device at each tick.
 
     The simulation ends early if the device is more than 50 mm from its start. An unknown pose is replaced by the

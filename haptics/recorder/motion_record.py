@@ -70,7 +70,7 @@ class MotionRecord:
         Returns:
             Position of the stage at the arrival of each force sample, m, interpolated between the last two polls.
         """
-        self.polls.append(StagePoll(stage.earliest, stage.received, stage.position))
+        self.polls.append(StagePoll(stage.earliest_reading_time, stage.received, stage.position))
         before, now = self.polls[-2:] if len(self.polls) > 1 else (self.polls[-1], self.polls[-1])
         for sample in samples:
             self.numbers.append(sample.sequence)

@@ -240,7 +240,7 @@ class MotionGuard:
             samples.popleft()
         first, last = samples[0], samples[-1]
         if last.received - first.received > 0.5 * window:
-            longest = last.received - first.earliest
+            longest = last.received - first.earliest_reading_time
             speed = abs(last.position - first.position) / longest
             allowed = (1 + _SETTINGS.speed_tolerance) * self.limits.speed + _SETTINGS.stall_distance / longest
             if speed > allowed:
@@ -256,8 +256,9 @@ class MotionGuard:
             return StopReason("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, off the commanded path "
                                               f"from {command.start * 1e3:.4g} to {command.goal * 1e3:.4g} mm; home it "
                                               "again")
-        behind = command.expected_travel(stage.earliest) - abs(stage.position - command.start)
-        if self._measures_position and command.speed and stage.earliest - command.started > _SETTINGS.stall_time and \
+        behind = command.expected_travel(stage.earliest_reading_time) - abs(stage.position - command.start)
+        is_stall_testable = stage.earliest_reading_time - command.started > _SETTINGS.stall_time
+        if self._measures_position and command.speed and is_stall_testable and \
                 behind > max(_SETTINGS.stall_distance, _SETTINGS.stall_time * command.speed):
             return StopReason("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind its commanded position; "
                                                "remove what blocks it, and home it again")

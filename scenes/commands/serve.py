@@ -140,8 +140,8 @@ def run(arguments) -> int:
     progress = progress_console(quiet=arguments.json)
 
     build = make_real_time_tissue_factory(ts.Model(experiment, material), resolution=arguments.resolution,
-                             budget=choose_step_budget(arguments), inertia=arguments.inertia, solver=arguments.solver,
-                             mesh=reduced)
+                                          budget=choose_step_budget(arguments), inertia=arguments.inertia,
+                                          solver=arguments.solver, mesh=reduced)
 
     def rebuild() -> ServedTissue:
         simulator = build()

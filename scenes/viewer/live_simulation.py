@@ -83,7 +83,7 @@ class LiveSimulation:
                  reduced: ts.ReducedModel | None = None):
         self._loop = LoopProcess(
             make_real_time_tissue_factory(model, solver=solver, resolution=resolution, budget=BUDGET, mesh=reduced,
-                             simulator=ViewedSimulator), device,
+                                          simulator=ViewedSimulator), device,
             ForceRendering(_NO_LIMITS), settings)
         if settings.patience > PATIENCE:
             # The loop answers a command after the present tick, which may take as long as `settings.patience`.

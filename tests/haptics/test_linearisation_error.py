@@ -34,7 +34,8 @@ def test_the_newest_model_errs_at_its_own_pose_and_with_its_age():
     estimate = learned()
     growth = 0.02 / 2e-3**2
     assert estimate.estimate_force_error(0.0) == pytest.approx(0.02)
-    assert estimate.estimate_force_error(0.0, 0.1) == estimate.estimate_force_error(0.0) and estimate.estimate_force_error(0.0, 0.3) == pytest.approx(3 * estimate.estimate_force_error(0.0))
+    assert estimate.estimate_force_error(0.0, 0.1) == estimate.estimate_force_error(0.0)
+    assert estimate.estimate_force_error(0.0, 0.3) == pytest.approx(3 * estimate.estimate_force_error(0.0))
     assert estimate.estimate_force_error(1e-3) == pytest.approx(estimate.estimate_force_error(0.0) + growth * 1e-3**2)
     assert math.isinf(estimate.estimate_force_error(3.1e-3)), "far beyond the two models"
 

@@ -46,7 +46,7 @@ STAGE_LIMITS = StageLimits(-0.05, 0.03, 0.02)
 
 
 @dataclass(frozen=True)
-class CurveTable:
+class CurveTableSettings:
     """Resolution of an `ElasticSpecimen`'s force-depth curve."""
 
     #: Number of simulated depths; a monotone cubic interpolates between them.
@@ -58,7 +58,7 @@ class CurveTable:
 
 
 #: Resolution of all `ElasticSpecimen`s.
-_TABLE = CurveTable()
+_TABLE = CurveTableSettings()
 
 
 class Specimen(Protocol):
@@ -77,7 +77,7 @@ class ElasticSpecimen:
     """Force-depth curve of an elastic specimen, from one converged simulation of its loading; unloading is the same.
 
     The curve includes the rig's compliance. A monotone cubic interpolates between simulated depths and its tangent
-    continues beyond them; calls read a table, see `CurveTable`.
+    continues beyond them; calls read a table, see `CurveTableSettings`.
 
     Args:
         model: Experiment, material and compliance of the rig; protocol and other rig parameters are ignored.
@@ -215,7 +215,7 @@ class VirtualRig:
 
     def _find_stage_path(self, at: float) -> Sequence[float]:
         """Return the reversal positions until a time, s, and the position then, m; backlash depends on these alone."""
-        return (*self.stage.reversal_positions(at), self.stage.tool_position(at))
+        return (*self.stage.list_reversal_positions(at), self.stage.tool_position_at(at))
 
     def _compute_disturbance(self, at: float) -> float:
         """Return noise (a first-order Gauss-Markov process) plus drift at a time on the clock, s; N."""

@@ -195,13 +195,13 @@ def test_garbled_records_are_counted_and_undetected_ones_differ_by_a_digit():
 
 
 def first_garbled(seed):
-    """Return the number of the first message that `FaultyLine` garbles with this seed."""
-    from haptics.devices.virtual.faults import FaultyLine
+    """Return the number of the first message that `FaultyMessageQueue` garbles with this seed."""
+    from haptics.devices.virtual.faults import FaultyMessageQueue
 
-    line = FaultyLine(Faults(garble=0.3, seed=seed), 0.0)
+    line = FaultyMessageQueue(Faults(garble=0.3, seed=seed), 0.0)
     for number in range(100):
-        line.put(b"x" * 45, 0.0)
-        if line.take_due(0.0) != [b"x" * 45]:
+        line.put_message(b"x" * 45, 0.0)
+        if line.take_due_messages(0.0) != [b"x" * 45]:
             return number
     return 100
 

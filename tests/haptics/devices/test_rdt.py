@@ -228,25 +228,26 @@ def numbered(*pairs, status=0):
 def test_a_restart_of_the_box_is_detected():
     """The sequence restarts at 1; the sample number continues, or restarts after a loss of power."""
     counter = RecordCounter()
-    counter.accept(numbered((1, 70), (2, 80), (3, 90)), 0.0)
-    (_, number, status), *rest = counter.accept(numbered((1, 170), (2, 180)), 0.01)
+    counter.select_new_records(numbered((1, 70), (2, 80), (3, 90)), 0.0)
+    (_, number, status), *rest = counter.select_new_records(numbered((1, 170), (2, 180)), 0.01)
     assert (number, status, counter.restarts) == (3, SampleStatus.GAP, 1)
     assert [number for _, number, _ in rest] == [4]
-    (_, number, status), = counter.accept(numbered((1, 5)), 10.0)
+    (_, number, status), = counter.select_new_records(numbered((1, 5)), 10.0)
     assert (number, status, counter.restarts) == (5, SampleStatus.GAP, 2)
 
 
 def test_a_delayed_record_is_late_and_no_restart():
     counter = RecordCounter()
-    counter.accept(numbered((1, 1), (2, 2), (4, 4)), 0.0)
-    assert counter.accept(numbered((3, 3)), 0.001) == [] and (counter.late, counter.lost) == (1, 0)
-    assert counter.accept(numbered((3, 3), (4, 4)), 0.001) == [] and counter.twice == 2 and not counter.restarts
+    counter.select_new_records(numbered((1, 1), (2, 2), (4, 4)), 0.0)
+    assert counter.select_new_records(numbered((3, 3)), 0.001) == [] and (counter.late, counter.lost) == (1, 0)
+    assert counter.select_new_records(numbered((3, 3), (4, 4)), 0.001) == []
+    assert counter.twice == 2 and not counter.restarts
 
 
 def test_sequence_numbers_continue_beyond_32_bits():
     counter = RecordCounter()
-    counter.accept(numbered((2**32 - 1, 7)), 0.0)
-    (_, number, status), = counter.accept(numbered((0, 8)), 0.001)
+    counter.select_new_records(numbered((2**32 - 1, 7)), 0.0)
+    (_, number, status), = counter.select_new_records(numbered((0, 8)), 0.001)
     assert (number, status, counter.lost, counter.restarts) == (1, SampleStatus.GOOD, 0, 0)
 
 
@@ -254,7 +255,7 @@ def test_sequence_numbers_continue_beyond_32_bits():
 def test_sequence_numbers_are_unique_and_in_order(order):
     counter, given_out = RecordCounter(), []
     for sequence in order:
-        given_out += counter.accept(numbered((sequence + 1, sequence + 1)), 0.0)
+        given_out += counter.select_new_records(numbered((sequence + 1, sequence + 1)), 0.0)
     numbers = [number for _, number, _ in given_out]
     assert numbers == sorted(set(numbers)) and counter.accepted == len(given_out)
     assert counter.accepted + counter.late + counter.twice == len(order)
