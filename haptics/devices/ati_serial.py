@@ -26,9 +26,9 @@ from haptics.protocols.ati_serial import (
     CHANNELS,
     FORMAT,
     PROMPT,
-    Record,
+    AtiSerialRecord,
     compute_transmission_time,
-    is_at_end_of_range,
+    has_count_at_end_of_range,
 )
 from tissue_sim.errors import InputError
 
@@ -68,7 +68,7 @@ class AtiSerialSensor(ForceSensor):
 
     In ASCII mode the controller streams (command ``QS``). A record with a missing, additional or wrong character is
     left out, and its sequence number with it. Without a checksum some errors are undetectable, see
-    `haptics.protocols.ati_serial.decode_ascii`.
+    `haptics.protocols.ati_serial.decode_ascii_record`.
 
     In binary mode this program requests each record (``^T``), so that a lost byte damages one record only: the 13 bytes
     have no marker of their beginning. Wrong bytes are undetectable. The checksum of ``CD E`` is not used, because its
@@ -142,7 +142,7 @@ class AtiSerialSensor(ForceSensor):
         if received.record.flag:
             # The controller has one flag for a saturated and for a disconnected sensor.
             status |= SampleStatus.SATURATED | SampleStatus.FAULT
-        if is_at_end_of_range(received.record):
+        if has_count_at_end_of_range(received.record):
             status |= SampleStatus.SATURATED
         counts = received.record.counts
         values = tuple((count - zero) / scale
@@ -216,7 +216,7 @@ class AtiSerialSensor(ForceSensor):
 class _ReceivedRecord(NamedTuple):
     """A record with its number and its time of receipt, s."""
 
-    record: Record
+    record: AtiSerialRecord
     sequence: int
     time: float
 

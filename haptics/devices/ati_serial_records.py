@@ -9,11 +9,11 @@ from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     FORMAT,
     ONE_RECORD,
-    Record,
+    AtiSerialRecord,
     compute_transmission_time,
-    decode_ascii,
-    decode_binary,
-    is_padded,
+    decode_ascii_record,
+    decode_binary_record,
+    has_padded_fields,
 )
 
 
@@ -39,7 +39,7 @@ class AsciiRecordStream:
         """Start the stream."""
         self._line.write(b"QS" + CARRIAGE_RETURN)
 
-    def read_records(self, timeout: float) -> list[Record | None]:
+    def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
         """Return the records that arrive within `timeout` seconds, with None for each garbled one."""
         *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
         if len(self._rest) > 4 * FORMAT.padded_length:
@@ -48,12 +48,12 @@ class AsciiRecordStream:
         records = []
         for text in (line.removeprefix(b"\n") for line in lines):
             if text:
-                record = decode_ascii(text, self._padded)
+                record = decode_ascii_record(text, self._padded)
                 records.append(record)
                 if record is None:
                     self.wrong = text
                 elif self._padded is None:
-                    self._forms.add(is_padded(text))
+                    self._forms.add(has_padded_fields(text))
                     self.length = len(text) + 2
         return records
 
@@ -89,7 +89,7 @@ class BinaryRecordRequester:
         """Do nothing; each record is requested."""
         return
 
-    def read_records(self, timeout: float) -> list[Record | None]:
+    def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
         """Request a record; return [record], [None] if its length is wrong, or [] if there is no answer."""
         self._line.read()  # discards late bytes of an earlier answer
         self._line.write(ONE_RECORD)
@@ -99,7 +99,7 @@ class BinaryRecordRequester:
         answer += self._line.read()
         if not answer:
             return []
-        record = decode_binary(answer)
+        record = decode_binary_record(answer)
         if record is None:
             self.wrong = answer
             if len(answer) > FORMAT.binary_length:

@@ -23,7 +23,7 @@ def identify_controller(line: SerialLine) -> str:
             return f"; a Grbl answers there: name it grbl:{line.port}"
         if text.rstrip().endswith(b">"):
             return f"; an ATI controller answers there: name it ati-serial:{line.port}"
-        query = tic.encode(tic.Command.GET_VARIABLE, tic.Variable.STATUS, tic.BlockLength.STATUS)
+        query = tic.encode_command(tic.TicCommand.GET_VARIABLE, tic.VariableOffset.STATUS, tic.BlockLength.STATUS)
         block = _query_controller(line, query)
         if tic.parse_status(block) is not None:
             return f"; a Tic answers there: name it tic:{line.port}"

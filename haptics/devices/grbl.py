@@ -19,7 +19,7 @@ from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLim
 from haptics.devices.grbl_connection import AxisStatusReport, GrblConnection
 from haptics.devices.settings import read_settings
 from haptics.protocols import grbl
-from haptics.protocols.grbl import Setting
+from haptics.protocols.grbl import GrblSetting
 from tissue_sim.errors import InputError
 
 
@@ -136,32 +136,33 @@ class GrblStage(Stage):
                 raise DeviceError(f"{self._name} does not report its setting ${setting}; install Grbl 1.1")
             return settings[setting]
 
-        top, acceleration = read_setting(Setting.MAX_RATE + number) / 60.0, read_setting(Setting.ACCELERATION + number)
-        travel = read_setting(Setting.TRAVEL + number) - read_setting(Setting.PULL_OFF)
-        self._steps_per_mm = read_setting(Setting.STEPS_PER_MM + number)
+        top = read_setting(GrblSetting.MAX_RATE + number) / 60.0
+        acceleration = read_setting(GrblSetting.ACCELERATION + number)
+        travel = read_setting(GrblSetting.TRAVEL + number) - read_setting(GrblSetting.PULL_OFF)
+        self._steps_per_mm = read_setting(GrblSetting.STEPS_PER_MM + number)
         speed, highest = self.limits.speed * 1e3, self.limits.highest * 1e3
-        if read_setting(Setting.REPORT_INCHES):
+        if read_setting(GrblSetting.REPORT_INCHES):
             raise DeviceError(f"{self._name} reports inches; set $13=0")
-        if not read_setting(Setting.HOMING):
+        if not read_setting(GrblSetting.HOMING):
             raise DeviceError(f"{self._name} cannot home, so its zero is undefined; fit limit switches and set $22=1")
         if highest > travel:
             raise DeviceError(f"the travel of axis {self._axis} of {self._name} is {travel:g} mm, less than "
-                              f"{highest:g} mm; lower highest_mm, or correct ${Setting.TRAVEL + number}")
+                              f"{highest:g} mm; lower highest_mm, or correct ${GrblSetting.TRAVEL + number}")
         if speed > top:
             raise DeviceError(f"the top speed of axis {self._axis} of {self._name} is {top:g} mm/s, less than "
-                              f"{speed:g} mm/s; lower top_speed_mm_s, or raise ${Setting.MAX_RATE + number}")
+                              f"{speed:g} mm/s; lower top_speed_mm_s, or raise ${GrblSetting.MAX_RATE + number}")
         most = 2.0 * acceleration * JOGS.stopping_fraction * JOGS.queue
         if speed > most:
             raise DeviceError(f"with {JOGS.queue * 1e3:g} ms of queued motion and {acceleration:g} mm/s^2 the top "
                               f"speed of axis {self._axis} of {self._name} is {most:g} mm/s, less than {speed:g} "
-                              f"mm/s; lower top_speed_mm_s, or raise ${Setting.ACCELERATION + number}")
-        homes_to_positive_end = not int(read_setting(Setting.HOMING_DIRECTION)) >> number & 1
+                              f"mm/s; lower top_speed_mm_s, or raise ${GrblSetting.ACCELERATION + number}")
+        homes_to_positive_end = not int(read_setting(GrblSetting.HOMING_DIRECTION)) >> number & 1
         self._sign = -1.0 if homes_to_positive_end else 1.0
-        seek_distance = 1.5 * read_setting(Setting.TRAVEL + number)
+        seek_distance = 1.5 * read_setting(GrblSetting.TRAVEL + number)
         #: Longest duration of a homing cycle, s.
         self._longest_homing = 20.0 + 120.0 * (
-            seek_distance / max(read_setting(Setting.HOMING_SEEK), 1.0)
-            + 10.0 * read_setting(Setting.PULL_OFF) / max(read_setting(Setting.HOMING_FEED), 1.0))
+            seek_distance / max(read_setting(GrblSetting.HOMING_SEEK), 1.0)
+            + 10.0 * read_setting(GrblSetting.PULL_OFF) / max(read_setting(GrblSetting.HOMING_FEED), 1.0))
 
     def home(self) -> None:
         """Request Grbl's homing cycle and return at once."""
@@ -340,8 +341,8 @@ class GrblStage(Stage):
         """Send the homing command once the axis is at rest, and detect the end or the failure of homing."""
         report = connection.latest
         if connection.error is not None or connection.alarm is not None:
-            cause = (grbl.error_text(connection.error) if connection.error is not None else
-                     grbl.alarm_text(connection.alarm))
+            cause = (grbl.describe_error(connection.error) if connection.error is not None else
+                     grbl.describe_alarm(connection.alarm))
             self._trouble = f"{self._name} did not home: {cause}"
             connection.error, self._homing_until = None, None
         elif self._homing_until is not None and time.monotonic() > self._homing_until:

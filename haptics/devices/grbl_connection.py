@@ -49,7 +49,7 @@ class AxisStatusReport:
     Attributes:
         state: State of Grbl, one of `grbl.STATES`.
         position: Position of the axis in machine coordinates, mm.
-        pins: Letters of the active inputs, see `grbl.Report`.
+        pins: Letters of the active inputs, see `grbl.StatusReport`.
         received: Time of receipt, s on the clock of `time.monotonic`.
         number: Number of the report since the start.
         requested: Time of the request, s.
@@ -170,7 +170,7 @@ class GrblConnection:
             if answer == ("ok", 0):
                 return lines
             if answer:
-                cause = grbl.error_text(answer[1]) if answer[0] == "error" else grbl.alarm_text(answer[1])
+                cause = grbl.describe_error(answer[1]) if answer[0] == "error" else grbl.describe_alarm(answer[1])
                 raise DeviceError(f"{self._name} answers {command.decode().strip()} with {line}: {cause}")
             lines.append(line)
         raise DeviceError(f"{self._name} does not end its answer to {command.decode().strip()}; check the cable")
@@ -232,7 +232,7 @@ class GrblConnection:
             self._banners += 1
             self._exchanges += 1
 
-    def _handle_report(self, report: grbl.Report) -> None:
+    def _handle_report(self, report: grbl.StatusReport) -> None:
         """Store a report as `latest`, in machine coordinates; ignores a report that was not requested."""
         if report.offset is not None and self._axis < len(report.offset):
             self._offset = report.offset[self._axis]

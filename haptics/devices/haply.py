@@ -16,7 +16,7 @@ from typing import Any
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.devices.settings import read_settings
 from haptics.devices.web_socket import WebSocketClosedError, WebSocketConnection, parse_address
-from haptics.protocols.haply import ADDRESS, HapticState, encode_force, read_state
+from haptics.protocols.haply import ADDRESS, HapticState, decode_device_state, encode_force_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Quaternion, Screw, Vector
 
@@ -138,18 +138,18 @@ class HaplyDevice(HapticDevice):
             messages = line.receive(TIMING.connect)
             if not messages:
                 raise DeviceError(f"{service} sent nothing within {TIMING.connect:g} s; restart it")
-            first = read_state(messages[0])
+            first = decode_device_state(messages[0])
             if first is None:
                 raise DeviceError(f"{service} has no Inverse3; connect the device, switch it on, and check in the "
                                   "Haply Hub that it is listed")
             if first.status.get("power_supply") is False:
                 raise DeviceError(f"the Inverse3 {first.device_id} has no power for its motors; plug its power supply "
                                   "in, then start again")
-            line.send(encode_force(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
+            line.send(encode_force_message(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
             answers = line.receive(TIMING.connect)
             if not answers:
                 raise DeviceError(f"{service} does not answer; restart it")
-            read_state(answers[-1], first.device_id)
+            decode_device_state(answers[-1], first.device_id)
         except ValueError as error:
             raise DeviceError(f"{service} sent an unknown message ({error}); install version 3.1 or later of the "
                               "service") from None
@@ -286,7 +286,7 @@ class _ExchangeThread:
     def _exchange_messages(self, force: Vector, within: float = TIMING.answer) -> None:
         """Send a force, N, unless too many messages are in flight, and receive answers for up to `within` seconds."""
         if self._unanswered < TIMING.max_unanswered:
-            self._line.send(encode_force(self._device_id, force), within + 1.0)
+            self._line.send(encode_force_message(self._device_id, force), within + 1.0)
             self._unanswered += 1
         messages = self._line.receive(within)
         if messages:
@@ -296,7 +296,7 @@ class _ExchangeThread:
         for message in messages:
             # An invalid message counts as not received.
             with contextlib.suppress(ValueError):
-                state = read_state(message, self._device_id)
+                state = decode_device_state(message, self._device_id)
                 if state is not None:
                     self._newest = (time.monotonic(), state)
 

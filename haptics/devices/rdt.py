@@ -15,7 +15,7 @@ from typing import Any
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.protocols import rdt
-from haptics.protocols.rdt import Record, Request, Settings
+from haptics.protocols.rdt import BoxSettings, RdtRecord, RdtRequest
 from tissue_sim.errors import InputError
 
 
@@ -68,7 +68,7 @@ class RdtSensor(ForceSensor):
                 raise InputError(f"must be 1 to 65535; got {number}", field=field)
         self._host, self._port, self._http_port = host, port, http_port
         self.rate = 7000.0
-        self._settings: Settings | None = None
+        self._settings: BoxSettings | None = None
         self._stream: _RecordStreamThread | None = None
         self._zero = (0.0,) * 6
 
@@ -78,7 +78,7 @@ class RdtSensor(ForceSensor):
             return
         settings = self._download_settings()
         try:
-            force, torque = settings.newtons, settings.newton_metres
+            force, torque = settings.newtons_per_count, settings.newton_metres_per_count
         except InputError as error:
             raise DeviceError(f"the box at {self._host}: {error}") from None
         if settings.rate is not None:
@@ -93,7 +93,7 @@ class RdtSensor(ForceSensor):
             raise
         self._stream = stream
 
-    def _download_settings(self) -> Settings:
+    def _download_settings(self) -> BoxSettings:
         """Download the settings page of the box."""
         address = f"http://{self._url_host}:{self._http_port}{rdt.SETTINGS_PATH}"
         # Proxies of the environment are bypassed, because the box is on a local network.
@@ -105,8 +105,8 @@ class RdtSensor(ForceSensor):
             raise DeviceError(f"{address} answers with HTTP status {error.code}, so it is no ATI box; check the address"
                               ) from None
         except (OSError, ValueError) as error:
-            raise DeviceError(f"no ATI box answers at {address} ({_describe_connection_error(error)}); check its power, "
-                              "the cable, and that this computer has an address in its network (a new box is at "
+            raise DeviceError(f"no ATI box answers at {address} ({_describe_connection_error(error)}); check its "
+                              "power, the cable, and that this computer has an address in its network (a new box is at "
                               "192.168.1.1)") from None
         try:
             return rdt.read_settings_page(page)
@@ -147,7 +147,7 @@ class RdtSensor(ForceSensor):
         if (settings := self._settings) is not None:
             about |= {"product": settings.product, "calibration": settings.calibration,
                       "unit_of_force": settings.force_unit, "unit_of_torque": settings.torque_unit,
-                      "resolution_N": settings.newtons, "resolution_Nm": settings.newton_metres}
+                      "resolution_N": settings.newtons_per_count, "resolution_Nm": settings.newton_metres_per_count}
         if self._stream is not None:
             about |= self._stream.get_statistics()
         return about
@@ -201,7 +201,7 @@ class _RecordStreamThread:
             # Connecting the socket discards datagrams from other senders.
             self._socket.connect(self._address)
             self._socket.settimeout(0.1)
-            self._socket.send(rdt.pack_request(Request(rdt.Command.REAL_TIME)))
+            self._socket.send(rdt.pack_request(RdtRequest(rdt.RdtCommand.REAL_TIME)))
         except OSError as error:
             raise DeviceError(f"{self._host} cannot be reached ({_describe_connection_error(error)}); check the "
                               "network") from None
@@ -283,7 +283,7 @@ class _RecordStreamThread:
         if self._thread.is_alive():
             self._thread.join()
         with contextlib.suppress(OSError):
-            self._socket.send(rdt.pack_request(Request(rdt.Command.STOP)))
+            self._socket.send(rdt.pack_request(RdtRequest(rdt.RdtCommand.STOP)))
         self._socket.close()
 
 
@@ -302,14 +302,14 @@ class RecordCounter:
 
     def __init__(self) -> None:
         self.accepted = self.lost = self.twice = self.late = self.garbled = self.restarts = self.status = 0
-        self._last: Record | None = None
+        self._last: RdtRecord | None = None
         #: Number of the last accepted record since the start, and its time of receipt, s.
         self._number, self._received = -1, -math.inf
         #: Recent sequence numbers of the box that were skipped.
         self._missing: deque[int] = deque(maxlen=STREAM.max_reordering)
         self._has_restarted = False
 
-    def select_new_records(self, records: list[Record] | None, now: float) -> list[tuple[Record, int, int]]:
+    def select_new_records(self, records: list[RdtRecord] | None, now: float) -> list[tuple[RdtRecord, int, int]]:
         """Return the new records of a datagram, each with its number since the start and its status.
 
         Args:
@@ -330,14 +330,14 @@ class RecordCounter:
                 self.status = record.status
                 if rdt.is_out_of_range(record.status):
                     status |= SampleStatus.SATURATED
-                if rdt.is_fault(record.status):
+                if rdt.has_fault(record.status):
                     status |= SampleStatus.FAULT
             self._number, self._last, self._received, self._has_restarted = number, record, now, False
             self.accepted += 1
             new.append((record, number, int(status)))
         return new
 
-    def _count_since_start(self, record: Record, now: float) -> int | None:
+    def _count_since_start(self, record: RdtRecord, now: float) -> int | None:
         """Return the number of a record since the start; None: the record is late or a duplicate."""
         last = self._last
         if last is None:

@@ -23,10 +23,10 @@ from haptics.protocols.ati_serial import (
     ONE_RECORD,
     PROMPT,
     RESET,
-    Record,
+    AtiSerialRecord,
     compute_transmission_time,
-    encode_ascii,
-    encode_binary,
+    encode_ascii_record,
+    encode_binary_record,
 )
 from tissue_sim.errors import InputError
 
@@ -69,7 +69,7 @@ class AtiSerialEmulator(TerminalEmulator):
         self._sensor, self._baud, self._mode_at_start, self._padded = sensor, baud, mode, padded
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
         self.records = 0
-        self._power_on()
+        self._set_power_on_state()
 
     @property
     def address(self) -> str:
@@ -86,13 +86,13 @@ class AtiSerialEmulator(TerminalEmulator):
     def begin(self) -> None:
         """Start the sensor and set the state of the controller after power-on."""
         self._sensor.start()
-        self._power_on()
+        self._set_power_on_state()
 
     def end(self) -> None:
         """Stop the sensor."""
         self._sensor.stop()
 
-    def _power_on(self) -> None:
+    def _set_power_on_state(self) -> None:
         """Set the state at power-on."""
         self._mode, self._streams, self._command = self._mode_at_start, False, b""
         self._biases: deque[tuple[int, ...]] = deque(maxlen=_BIAS_LEVELS)
@@ -112,7 +112,7 @@ class AtiSerialEmulator(TerminalEmulator):
         for value in data:
             byte = bytes([value])
             if byte == RESET:
-                self._power_on()
+                self._set_power_on_state()
                 self._queue_message(b"ATI stand-alone controller (emulated)" + _END + PROMPT)
             elif byte == ONE_RECORD:
                 self._queue_message(self._encode_next_record())
@@ -189,8 +189,10 @@ class AtiSerialEmulator(TerminalEmulator):
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
         clipped = tuple(min(max(count, FORMAT.lowest_count), FORMAT.highest_count) for count in biased)
-        record = Record(int(self._faulty or list(clipped) != biased), clipped)
-        return encode_binary(record) if self._mode == "binary" else encode_ascii(record, self._padded) + _END
+        record = AtiSerialRecord(int(self._faulty or list(clipped) != biased), clipped)
+        if self._mode == "binary":
+            return encode_binary_record(record)
+        return encode_ascii_record(record, self._padded) + _END
 
     def _measure_counts(self) -> tuple[int, ...]:
         """Return the averaged counts without bias, and update the error flag."""

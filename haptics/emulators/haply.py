@@ -14,7 +14,7 @@ from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
-from haptics.protocols.haply import HapticState, encode_state, read_force
+from haptics.protocols.haply import HapticState, decode_force_message, encode_state_message
 from tissue_sim.pose import Vector
 
 if TYPE_CHECKING:
@@ -143,7 +143,7 @@ class HaplyEmulator(Emulator):
             self._set_force((0.0, 0.0, 0.0))
         line = FaultyMessageQueue(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
-            connection.send(encode_state(self._simulate_hand(config=_CONFIG), self.force, session=1))
+            connection.send(encode_state_message(self._simulate_hand(config=_CONFIG), self.force, session=1))
             while not self._ending.is_set():
                 message = None
                 with contextlib.suppress(TimeoutError):
@@ -165,13 +165,13 @@ class HaplyEmulator(Emulator):
         with self._lock:
             self._last_message = time.monotonic()
             try:
-                force = read_force(message, state.device_id)
+                force = decode_force_message(message, state.device_id)
             except ValueError:
                 self.refused += 1
                 force = None
             if force is not None:
                 self._set_force(force)
-        return encode_state(state, self.force)
+        return encode_state_message(state, self.force)
 
     def _simulate_hand(self, config: dict[str, Any] | None = None) -> HapticState:
         """Simulate the hand until now and return its state."""

@@ -36,11 +36,11 @@ class TerminalEmulator(Emulator):
         self.path = ""
 
     @abstractmethod
-    def begin(self) -> None:
+    def start_backing_device(self) -> None:
         """Start the device that backs the emulator; called before the terminal opens."""
 
     @abstractmethod
-    def end(self) -> None:
+    def stop_backing_device(self) -> None:
         """Stop the device that backs the emulator."""
 
     @abstractmethod
@@ -63,17 +63,17 @@ class TerminalEmulator(Emulator):
             raise DeviceError("Windows has no pseudo-terminals; start the emulator on Linux or macOS")
         import tty
 
-        self.begin()
+        self.start_backing_device()
         self._master, self._slave = os.openpty()
         # The open slave keeps the terminal alive while no client is connected.
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         os.set_blocking(self._master, False)
         self._ending.clear()
-        self._thread = threading.Thread(target=self._run, name=f"{self.name} emulator", daemon=True)
+        self._thread = threading.Thread(target=self._run_terminal, name=f"{self.name} emulator", daemon=True)
         self._thread.start()
 
-    def _run(self) -> None:
+    def _run_terminal(self) -> None:
         """Answer received bytes and send due messages until the end; the body of the thread."""
         line = FaultyMessageQueue(self._faults, time.monotonic())
         while not self._ending.is_set():
@@ -101,4 +101,4 @@ class TerminalEmulator(Emulator):
         self._thread = None
         os.close(self._master)
         os.close(self._slave)
-        self.end()
+        self.stop_backing_device()

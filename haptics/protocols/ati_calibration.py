@@ -172,12 +172,13 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
     lever = FORCE_UNITS[force] * LENGTH_UNITS[lengths.strip()] / TORQUE_UNITS[torque.replace("N m", "N-m")]
     fx, fy, fz, tx, ty, tz = matrix
 
-    def subtract(torques: Row, offset_1: float, force_1: Row, offset_2: float, force_2: Row) -> Row:
+    def subtract_lever_torque(torques: Row, offset_1: float, force_1: Row, offset_2: float, force_2: Row) -> Row:
         """Return torques - lever (offset_1 force_1 - offset_2 force_2)."""
         return tuple(value - lever * (offset_1 * a - offset_2 * b)
                      for value, a, b in zip(torques, force_1, force_2, strict=True))
 
-    return fx, fy, fz, subtract(tx, y, fz, z, fy), subtract(ty, z, fx, x, fz), subtract(tz, x, fy, y, fx)
+    return (fx, fy, fz, subtract_lever_torque(tx, y, fz, z, fy), subtract_lever_torque(ty, z, fx, x, fz),
+            subtract_lever_torque(tz, x, fy, y, fx))
 
 
 def _read_output_span(calibration: ElementTree.Element, name: str) -> tuple[float, float]:

@@ -111,7 +111,7 @@ class GuardedMotion:
         """Halt the stage from a second thread if the polls of this thread are late (dead-man's switch)."""
         ending = threading.Event()
 
-        def watch() -> None:
+        def halt_when_polls_are_late() -> None:
             while not ending.wait(0.2 * POLLING.timeout):
                 delay = self.now() - self._polled
                 if self._is_moving and delay > max(POLLING.timeout, self.limits.sensor_silence):
@@ -119,7 +119,7 @@ class GuardedMotion:
                         self.stage.halt()
                     self._late_by = delay
 
-        thread = threading.Thread(target=watch, name="dead man", daemon=True)
+        thread = threading.Thread(target=halt_when_polls_are_late, name="dead man", daemon=True)
         thread.start()
         try:
             yield
@@ -143,7 +143,7 @@ class GuardedMotion:
         if (self.limits.retracts and reason.allows_retraction and self.stage_sample is not None
                 and self.stage_sample.homed):
             try:
-                trouble = self._retract(*retraction())
+                trouble = self._retract_tool(*retraction())
             except BaseException as error:
                 trouble = str(error) or type(error).__name__
             if trouble is not None:
@@ -170,7 +170,7 @@ class GuardedMotion:
         except BaseException as error:
             return str(error) or type(error).__name__
 
-    def _retract(self, goal: float, speed: float) -> str | None:
+    def _retract_tool(self, goal: float, speed: float) -> str | None:
         """Move the tool out after a stop, as long as the force does not grow.
 
         A silent or saturated sensor does not prevent the retraction.
@@ -185,7 +185,7 @@ class GuardedMotion:
         assert self.stage_sample is not None
         goal = max(min(goal, self.stage_sample.position), self.limits.lowest)
         until = self.now() + 2 * abs(goal - self.stage_sample.position) / speed + _SETTINGS.start_delay
-        allowed = (max(abs(self.force) if self._recent else 0.0, self.limits.force)
+        allowed = (max(abs(self.last_force) if self._recent else 0.0, self.limits.force)
                    + _SETTINGS.force_growth * self.limits.force)
         self.stage.move(goal, speed)
         while self.now() < until:
@@ -222,7 +222,7 @@ class GuardedMotion:
         # Store the samples before the check, so that the recording contains the samples that end the motion.
         self._on_poll(samples, forces, stage)
         assert self._guard is not None
-        if (reason := self._guard.check(now, samples, forces, stage, self._command)) is not None:
+        if (reason := self._guard.check_poll(now, samples, forces, stage, self._command)) is not None:
             # Halt here, before the slower handling of the error.
             with contextlib.suppress(Exception):
                 self.stage.halt()
@@ -235,7 +235,7 @@ class GuardedMotion:
                 "program late", f"the program did not poll its devices for {self._late_by:.2g} s while the stage could "
                                 "move, and the stage was halted; close other programs on this computer"))
 
-    def mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
+    def compute_mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
         """Return the mean of the last forces, N; NaN if there are none.
 
         Args:
@@ -247,7 +247,7 @@ class GuardedMotion:
         return float(np.mean([force for at, force in self._recent if at >= since]))
 
     @property
-    def force(self) -> float:
+    def last_force(self) -> float:
         """The last force, N; NaN if there is none."""
         return self._recent[-1][1] if self._recent else np.nan
 
@@ -350,7 +350,7 @@ class GuardedMotion:
         self.zero = 0.0
         self.clear_forces()
         self.poll_for(_SETTINGS.force_window)
-        before, allowed = self.mean_force(), change if self.tares else first
+        before, allowed = self.compute_mean_force(), change if self.tares else first
         if not abs(before) <= allowed:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {before:.3g} N before it is zeroed, more than the allowed {allowed:.3g} N; "
@@ -362,7 +362,7 @@ class GuardedMotion:
         self._guard.is_sensor_zeroed = True
         self.clear_forces()
         self.poll_for(_SETTINGS.force_window)
-        self.zero = self.mean_force()
+        self.zero = self.compute_mean_force()
         if not abs(self.zero) <= change:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {self.zero:.3g} N after its tare; let the sensor warm up"))
@@ -380,7 +380,7 @@ class GuardedMotion:
         """
         self.clear_forces()
         self.poll_for(_SETTINGS.force_window)
-        offset = self.mean_force()
+        offset = self.compute_mean_force()
         if not abs(offset) <= allowed:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {offset:.3g} N above the specimen, where it was zeroed; its zero has moved, "

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from haptics.devices.contracts import Stage
-from haptics.safety.motion_guard import MotionLimits, require_stoppable
+from haptics.safety.motion_guard import MotionLimits, require_stoppable_motion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.segments import Leg
 
@@ -32,7 +32,7 @@ POLLING = PollSettings()
 
 
 @dataclass(frozen=True)
-class Plan:
+class IndentationPlan:
     """One test on the bench: how contact is found, preconditioning, and the recorded motion.
 
     Attributes:
@@ -89,12 +89,12 @@ class Plan:
             raise InputError(f"must be zero or more and finite; got {self.rest:g} s", field="record.rest")
 
     @property
-    def depth(self) -> float:
+    def largest_depth(self) -> float:
         """Largest depth of the motion below the contact point, m."""
         return max(max(leg.start, leg.end) for leg in self.legs)
 
     @property
-    def highest(self) -> float:
+    def largest_height(self) -> float:
         """Largest height of the tool above the contact point during the test, m."""
         above = -min(min(leg.start, leg.end) for leg in self.legs)
         return max(above, 2 * self.retract if self.contact == "force" else 0.0)
@@ -110,13 +110,14 @@ class Plan:
         return sum(leg.duration for leg in self.legs)
 
     @property
-    def title(self) -> str:
+    def motion_summary(self) -> str:
         """The motion in one line, such as ``"ramp to 10 mm at 0.248 mm/s, hold 60 s"``."""
         return ", ".join(f"hold {leg.duration:g} s" if not leg.speed else
                          f"{leg.segment.kind} to {leg.end * 1e3:g} mm at {leg.speed * 1e3:g} mm/s" for leg in self.legs)
 
 
-def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, period: float) -> float:
+def check_plans_against_limits(plans: Sequence[IndentationPlan], limits: MotionLimits, stage: Stage,
+                               period: float) -> float:
     """Check the plans of a run against its limits before anything moves.
 
     Args:
@@ -139,7 +140,7 @@ def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, perio
                          f"{stage.limits.highest * 1e3:g} mm; got {limits.lowest * 1e3:g} to "
                          f"{limits.highest * 1e3:g} mm. Reduce lowest_mm or highest_mm", field="limits")
     for plan in plans:
-        travel, allowed_travel = plan.depth + plan.highest, limits.highest - limits.lowest
+        travel, allowed_travel = plan.largest_depth + plan.largest_height, limits.highest - limits.lowest
         if travel > allowed_travel:
             raise InputError(f"must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of [limits]; got "
                              f"{travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
@@ -147,7 +148,7 @@ def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, perio
             fastest = min(limits.speed, stage.limits.speed)
             if speed > fastest:
                 raise InputError(f"speed must be at most {fastest * 1e3:g} mm/s; got {speed * 1e3:g} mm/s", field=name)
-            require_stoppable(limits, speed, reaction)
+            require_stoppable_motion(limits, speed, reaction)
         motions = plan.replicates + plan.preconditioning
         total += motions * (plan.duration + plan.rest + 2 * plan.retract / plan.approach_speed)
     if total > limits.duration:

@@ -80,7 +80,7 @@ class ForceRelease:
         """
         watchdog, last, self._last_step = self._watchdog, self._last_step, now
         if last is None and math.hypot(*answer.wrench[:3]) > RELEASE.largest_first_force:
-            watchdog.withdraw()
+            watchdog.withdraw_force()
         converged = answer.status is ForceStatus.CONVERGED
         has_equilibrium = converged or (answer.status is ForceStatus.LATE and answer.inertial and answer.age == 0.0)
         gain = watchdog.step(has_equilibrium, 0.0 if last is None else max(0.0, now - last))

@@ -156,8 +156,8 @@ class MotionGuard:
         self._stage_samples: deque[StageSample] = deque()
         self.is_stage_homed = self.is_sensor_zeroed = False
 
-    def check(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
-              command: CommandedMotion | None) -> StopReason | None:
+    def check_poll(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
+                   command: CommandedMotion | None) -> StopReason | None:
         """Check the samples of one poll.
 
         Args:
@@ -265,7 +265,7 @@ class MotionGuard:
         return None
 
 
-def require_stoppable(limits: MotionLimits, speed: float, seconds: float) -> None:
+def require_stoppable_motion(limits: MotionLimits, speed: float, seconds: float) -> None:
     """Refuse a motion whose force can increase by more than the margin before the stage stands.
 
     The force increase is speed * seconds * stiffness of the specimen.

@@ -185,7 +185,7 @@ class ForceRendering:
         if 0 < dt < math.inf:
             wrench = self._wrench
             if self.controller is not None and pose is not None:
-                x, y, z = self.controller.force(pose, dt)
+                x, y, z = self.controller.compute_damping_force(pose, dt)
                 wrench = (wrench[0] + x, wrench[1] + y, wrench[2] + z, *wrench[3:])
             gain = self.watchdog.step(pose is not None and is_valid, dt)
             if gain != 1.0:

@@ -8,16 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from haptics.safety.coupling import is_stale
+from haptics.safety.coupling import has_stale_stiffness
 from haptics.safety.force_release import ForceRelease
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.wire import (
-    Kind,
     OtherVersionError,
     Reply,
     ReplyFlags,
     Request,
     RequestFlags,
+    RequestKind,
     Status,
     WireError,
     decode_request,
@@ -54,7 +54,7 @@ class ServedTissue(Tissue, Protocol):
 
 
 @dataclass(slots=True)
-class Counters:
+class StepCounters:
     """Numbers of packets and steps since the server started; the names are keys of the command ``statistics``.
 
     Attributes:
@@ -95,7 +95,7 @@ class Counters:
     flooded: int = 0
     clients: int = 0
 
-    def count(self, status: ForceStatus) -> None:
+    def count_step_status(self, status: ForceStatus) -> None:
         """Count an answered step under its status."""
         self.steps += 1
         name = _NAMES[status]
@@ -105,7 +105,7 @@ class Counters:
 _NAMES = {status: status.name.lower() for status in ForceStatus}
 
 
-class _Owner:
+class _TissueOwner:
     """The client that owns the tissue.
 
     Attributes:
@@ -163,15 +163,15 @@ class StepService:
         self.tissue, self.silence = tissue, silence
         self.limits, self._release, self._session = limits or SceneLimits(), release, session
         self._rebuild, self.log = rebuild, log or _print_to_standard_error
-        self.counters = Counters()
-        self._owner: _Owner | None = None
+        self.counters = StepCounters()
+        self._owner: _TissueOwner | None = None
         self._newest: Request | None = None
         self._last = _NO_FORCE
         #: Whether the tissue has failed and is not rebuilt yet.
         self._is_broken = False
 
     @property
-    def owner(self) -> Address | None:
+    def owner_address(self) -> Address | None:
         """Address of the client that owns the tissue; None: no client owns it."""
         return None if self._owner is None else self._owner.address
 
@@ -191,29 +191,29 @@ class StepService:
             request = decode_request(packet)
         except OtherVersionError as error:
             counters.other_version += 1
-            return self._encode_status(Status.OTHER_VERSION, Request(error.sequence, error.time))
+            return self._encode_status_reply(Status.OTHER_VERSION, Request(error.sequence, error.time))
         except WireError:
             counters.malformed += 1
             return None
         owner = self._owner
         if self._session not in (None, request.session):
             counters.turned_away += 1
-            return self._encode_status(Status.BUSY, request)
+            return self._encode_status_reply(Status.BUSY, request)
         if owner is not None and now - owner.last_contact <= self.silence:
             if not owner.has_sent(request, address):
                 counters.turned_away += 1
-                return self._encode_status(Status.BUSY, request)
+                return self._encode_status_reply(Status.BUSY, request)
             if request.sequence <= owner.sequence:
                 counters.stale += 1
                 return None
-        if request.kind == Kind.GOODBYE:
+        if request.kind == RequestKind.GOODBYE:
             self._release_owner()
-            return self._encode_status(Status.RELEASED, request)
+            return self._encode_status_reply(Status.RELEASED, request)
         # After a silence the owner keeps its state, unless its sequence numbers restart.
         if owner is None or not owner.has_sent(request, address) or request.sequence <= owner.sequence:
             self._release_owner()
-            owner = self._owner = _Owner(address, request.session)
-            self._restart_release()
+            owner = self._owner = _TissueOwner(address, request.session)
+            self._restart_force_release()
             counters.clients += 1
         owner.sequence, owner.last_contact, owner.address = request.sequence, now, address
         if self._newest is not None:
@@ -242,9 +242,9 @@ class StepService:
             answer = self._release.step(answer, now)
         answer, limited = self.limits.limit_force(answer)
         counters = self.counters
-        counters.count(answer.status)
+        counters.count_step_status(answer.status)
         counters.limited += limited
-        flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * is_stale(answer)
+        flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * has_stale_stiffness(answer)
                  | _OFF_AXIS * (request.version > 2 and not answer.is_on_axis))
         reply = Reply(answer.status, request.sequence, request.time, request.session, answer.force_vector,
                       answer.torque_vector, answer.stiffness_matrix, answer.within_step, answer.age,
@@ -253,7 +253,7 @@ class StepService:
                       answer.force_error, answer.error_age, answer.least_tool_mass)
         return encode_reply(reply), owner.address
 
-    def restart_silence(self, now: float) -> None:
+    def restart_owner_silence(self, now: float) -> None:
         """Restart the silence of the owner after its reply, because the step may have taken long.
 
         Args:
@@ -265,11 +265,11 @@ class StepService:
     def discard_last_step(self) -> None:
         """Discard the last step after the state of the tissue was replaced: the next step has the time step zero."""
         self._last = _NO_FORCE
-        self._restart_release()
+        self._restart_force_release()
         if self._owner is not None:
             self._owner.time = self._owner.pose = None
 
-    def _check_and_step(self, request: Request, owner: _Owner) -> tuple[ToolForce, float]:
+    def _check_and_step(self, request: Request, owner: _TissueOwner) -> tuple[ToolForce, float]:
         """Check a request, and step the tissue to its pose.
 
         Args:
@@ -336,12 +336,12 @@ class StepService:
             self.counters.skipped += 1
         self._owner = self._newest = None
 
-    def _restart_release(self) -> None:
+    def _restart_force_release(self) -> None:
         """Treat the next force as the first force of a client."""
         if self._release is not None:
             self._release.reset()
 
-    def _encode_status(self, status: Status, request: Request) -> bytes:
+    def _encode_status_reply(self, status: Status, request: Request) -> bytes:
         """Return the reply to a request that makes no step."""
         counters = self.counters
         return encode_reply(Reply(status, request.sequence, request.time, request.session,

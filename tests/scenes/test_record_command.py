@@ -142,7 +142,7 @@ def test_files_of_equal_names_are_kept_apart(tmp_path):
     assert copied["defaults"]["tool"] == "files/tip.csv" and copied["test"][1:] == [{"tool": "flat"}, {}]
     assert (folder.folder / copied["defaults"]["tool"]).read_text() == "a"
     assert (folder.folder / copied["test"][0]["tool"]).read_text() == "b"
-    assert not RunFolder(tmp_path / "run", "digest").is_begun
+    assert not RunFolder(tmp_path / "run", "digest").has_started_run
 
 
 @pytest.mark.slow

@@ -65,7 +65,7 @@ def make_virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
                          field=test.place, file=protocol.path)
     model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
     specimen: Specimen = (HistoryDependentSpecimen(model) if table.remembers else
-                          ElasticSpecimen(model, 1.05 * plan.depth))
+                          ElasticSpecimen(model, 1.05 * plan.largest_depth))
     surface = 0.0 if plan.contact == "here" else table.surface_mm * 1e-3
     return VirtualRig(specimen, rig, surface=surface,
                       limits=StageLimits(min(limits.lowest, -0.01), max(limits.highest, 0.01), limits.speed),

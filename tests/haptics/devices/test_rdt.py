@@ -22,7 +22,7 @@ from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
-from haptics.protocols.rdt import Record, Settings
+from haptics.protocols.rdt import BoxSettings, RdtRecord
 from tissue_sim.errors import InputError
 
 #: Longest wait of a test, s; reached only if the test hangs.
@@ -77,7 +77,7 @@ class TestRdt(ForceSensorContract):
 
     @pytest.fixture
     def sensor(self, emulated):
-        self.client = open_sensor(emulated(settings=Settings(1e4, 1e6, rate=500.0)).address)
+        self.client = open_sensor(emulated(settings=BoxSettings(1e4, 1e6, rate=500.0)).address)
         yield self.client
         self.client.stop()
 
@@ -90,7 +90,7 @@ class TestRdt(ForceSensorContract):
 
 
 def test_the_settings_page_gives_the_scale(opened):
-    client = opened(settings=Settings(1000.0, 50.0, "lbf", "lbf-in", 500.0, "Net F/T", "FT123"))
+    client = opened(settings=BoxSettings(1000.0, 50.0, "lbf", "lbf-in", 500.0, "Net F/T", "FT123"))
     sample = received(client, 1)[0]
     assert sample.counts[2] == round(1000.0 * LOAD[2] / 4.4482216152605)
     assert sample.values[2] == pytest.approx(LOAD[2], abs=0.6 * 4.45e-3)
@@ -181,7 +181,7 @@ class Page:
     (200, b"<html>printer", "must be the XML page of an ATI box"),
     (200, b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu></n>",
      "must be a known unit of force; got 'stone' from the box"),
-    (200, rdt.write_settings_page(Settings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
+    (200, rdt.write_settings_page(BoxSettings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
 ])
 def test_another_device_at_the_address_raises(code, body, said, monkeypatch):
     monkeypatch.setattr(rdt_device, "STREAM", replace(rdt_device.STREAM, first_record=0.1))
@@ -222,7 +222,7 @@ def test_addresses_are_read(text, address):
 
 
 def numbered(*pairs, status=0):
-    return [Record(sequence, sample, status, (0,) * 6) for sequence, sample in pairs]
+    return [RdtRecord(sequence, sample, status, (0,) * 6) for sequence, sample in pairs]
 
 
 def test_a_restart_of_the_box_is_detected():

@@ -36,7 +36,8 @@ def test_the_matrix_consists_of_the_rows():
     assert calibration.matrix == MATRIX and calibration.reach == MAXIMA and calibration.volts == (-10.0, 10.0)
     assert (calibration.serial, calibration.part, calibration.date) == ("FT00001", "SI-40-2", "1/2/2003")
     assert calibration.rows == "UserAxis"
-    assert calibration.wrench((0.0, 0.0, 2.0, 0.0, 0.0, 1.0)) == pytest.approx((9.1, -4.9, 32.5, -1.5, -1.0, -0.4))
+    wrench = calibration.compute_wrench((0.0, 0.0, 2.0, 0.0, 0.0, 1.0))
+    assert wrench == pytest.approx((9.1, -4.9, 32.5, -1.5, -1.0, -0.4))
     assert read_calibration(file_of().encode()) == calibration
 
 

@@ -59,7 +59,7 @@ def test_the_bound_contains_a_reversal_between_two_polls():
 
 def test_the_position_is_known_in_a_hold_at_any_interval_of_the_polls():
     polls = [StagePoll(0.0, 0.0, 1e-3), StagePoll(5.0, 5.0, 1e-3)]
-    assert StagePath(polls, [0.0], [2e-3, 0.0]).is_known(np.linspace(0.0, 5.0, 20), 1e-3).all()
+    assert StagePath(polls, [0.0], [2e-3, 0.0]).is_position_known(np.linspace(0.0, 5.0, 20), 1e-3).all()
 
 
 def delay_answers(bench, rig, delay, is_late):
