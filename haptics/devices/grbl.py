@@ -286,7 +286,7 @@ class GrblStage(Stage):
         report = connection.latest
         if connection.error is not None:
             self._trouble = (f"{self._name} has refused a motion with error {connection.error}: "
-                             f"{grbl.error_text(connection.error)}")
+                             f"{grbl.describe_error(connection.error)}")
             self._goal, connection.error = None, None
         if report.number == connection.handled:
             return  # one action per report
@@ -372,7 +372,7 @@ class GrblStage(Stage):
     def _require_motion_allowed(self, report: AxisStatusReport, connection: GrblConnection) -> None:
         """Raise an error with the remedy if the state forbids a motion."""
         if report.state == "Alarm" and connection.alarm is not None:
-            raise DeviceError(f"{self._name} is in alarm {connection.alarm}: {grbl.alarm_text(connection.alarm)}")
+            raise DeviceError(f"{self._name} is in alarm {connection.alarm}: {grbl.describe_alarm(connection.alarm)}")
         if report.state in _BLOCKED:
             raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
 

@@ -83,12 +83,12 @@ class AtiSerialEmulator(TerminalEmulator):
                 "padded_fields": self._padded, "counts_per_N": self._scale[0], "counts_per_Nm": self._scale[-1],
                 "records": self.records}
 
-    def begin(self) -> None:
+    def start_backing_device(self) -> None:
         """Start the sensor and set the state of the controller after power-on."""
         self._sensor.start()
         self._set_power_on_state()
 
-    def end(self) -> None:
+    def stop_backing_device(self) -> None:
         """Stop the sensor."""
         self._sensor.stop()
 

@@ -87,13 +87,13 @@ class GrblEmulator(TerminalEmulator):
         """Cause an alarm, such as 1 for a limit switch; callable from any thread."""
         self._pending_alarm = number
 
-    def begin(self) -> None:
+    def start_backing_device(self) -> None:
         """Set the state after power-on, start the stage and home it."""
         self._set_power_on_state()
         self._stage.start()
         self._stage.home()
 
-    def end(self) -> None:
+    def stop_backing_device(self) -> None:
         """Stop the stage."""
         self._stage.stop()
 

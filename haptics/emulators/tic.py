@@ -110,13 +110,13 @@ class TicEmulator(TerminalEmulator):
         return (f"tic:{self.path},steps_per_mm={self._steps * 1e-3:g},lowest_mm={limits.lowest * 1e3:g},"
                 f"highest_mm={limits.highest * 1e3:g},top_speed_mm_s={limits.speed * 1e3:g}{extra}")
 
-    def begin(self) -> None:
+    def start_backing_device(self) -> None:
         """Set the state after power-on, start the stage and home it."""
         self._set_power_on_state()
         self._stage.start()
         self._stage.home()
 
-    def end(self) -> None:
+    def stop_backing_device(self) -> None:
         """Stop the stage."""
         self._stage.stop()
 

@@ -70,7 +70,7 @@ def run(arguments) -> int:
                       for test in tests)
         if arguments.json:
             print_json({"state": "planned", "seconds": seconds, "tests": [
-                {"name": test.name, "motion": protocol.plans[test.name].title,
+                {"name": test.name, "motion": protocol.plans[test.name].motion_summary,
                  "replicates": protocol.plans[test.name].replicates} for test in tests]})
         else:
             used = protocol.devices

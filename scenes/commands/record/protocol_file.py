@@ -307,10 +307,11 @@ def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, numbe
     # A plate that is bonded to the specimen is in contact from the start.
     bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
     contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
-    return IndentationPlan(test.name, tuple(expand_legs(parse_protocol(test.protocol), STUDY_SPEED)), record.replicates,
+    legs = tuple(expand_legs(parse_protocol(test.protocol), STUDY_SPEED))
+    return IndentationPlan(test.name, legs, record.replicates,
                            contact, record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3,
-                           record.retract_mm * 1e-3, record.preconditioning, record.rest_s, record.sign, record.axis, lag,
-                           {key: value for key, value in about.items() if value is not None})
+                           record.retract_mm * 1e-3, record.preconditioning, record.rest_s, record.sign, record.axis,
+                           lag, {key: value for key, value in about.items() if value is not None})
 
 
 def _make_specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:

@@ -298,10 +298,10 @@ class Talker(TerminalEmulator):
     def address(self):
         return self.path
 
-    def begin(self):
+    def start_backing_device(self):
         return
 
-    def end(self):
+    def stop_backing_device(self):
         return
 
     def answer_bytes(self, data):
