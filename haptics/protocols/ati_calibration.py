@@ -46,7 +46,7 @@ class AtiCalibration:
     volts: tuple[float, float]
     rows: str
 
-    def wrench(self, volts: Row) -> Row:
+    def compute_wrench(self, volts: Row) -> Row:
         """Return forces, N, and torques, N m, for six differences of voltage, V."""
         return tuple(sum(factor * volt for factor, volt in zip(row, volts, strict=True)) for row in self.matrix)
 
