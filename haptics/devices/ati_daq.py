@@ -104,7 +104,7 @@ class AtiDaqSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples received since the last call, forces in N and torques in N m."""
-        self._read_board()
+        self._read_new_voltages()
         found = []
         while self._waiting:
             received = self._waiting.popleft()
@@ -112,7 +112,7 @@ class AtiDaqSensor(ForceSensor):
             self._next = received.sequence + 1
         return tuple(found)
 
-    def _read_board(self) -> None:
+    def _read_new_voltages(self) -> None:
         """Call the user's function and store the new samples."""
         if self._read_volts is None:
             raise DeviceError(f"the ATI sensor {self.calibration.serial} is not started; start it first")
@@ -158,10 +158,10 @@ class AtiDaqSensor(ForceSensor):
 
     def tare(self) -> None:
         """Set the mean of the last 0.1 s, or the last sample if that time has none, as zero."""
-        self._read_board()
+        self._read_new_voltages()
         while not self._recent:
             time.sleep(1e-3)
-            self._read_board()
+            self._read_new_voltages()
         count = min(max(round(TIMING.tare * self.rate), 1), len(self._recent))
         self._zero = np.mean([each.volts for each in list(self._recent)[-count:]], axis=0)
 

@@ -18,7 +18,7 @@ from typing import Any
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, adopt_old_names
 
 #: Signature of `HapticDevice.set_approach`.
 _SetApproach = Callable[[Any, Approach | None], None]
@@ -283,9 +283,11 @@ class HapticDevice(ABC):
         """Apply zero force and disconnect; has no effect on a stopped device. A stopped device can be started again."""
         return
 
-    def take_over(self, pose: Pose) -> None:
+    def continue_from_pose(self, pose: Pose) -> None:
         """Continue from the pose that the previous device left. Devices without a movable start ignore the call."""
         return
+
+    take_over = OldName("continue_from_pose")
 
     def set_approach(self, approach: Approach | None) -> None:
         """Use a tool's approach to convert depths to poses. Devices that own an approach ignore the call."""
@@ -296,8 +298,9 @@ class HapticDevice(ABC):
         warnings.warn("HapticDevice.go_along is deprecated; use set_approach", DeprecationWarning, stacklevel=2)
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Keep the old method name ``go_along`` of `set_approach` for one release, with a warning."""
+        """Keep the old names ``go_along`` of `set_approach` and ``take_over`` for one release, with a warning."""
         super().__init_subclass__(**keywords)
+        adopt_old_names(cls, {"take_over": "continue_from_pose"})
         own = vars(cls)
         if "go_along" in own and "set_approach" not in own:
             warnings.warn(f"{cls.__name__}.go_along is deprecated; name the method set_approach", DeprecationWarning,

@@ -16,7 +16,7 @@ from typing import Any
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.devices.settings import read_settings
 from haptics.devices.web_socket import WebSocketClosedError, WebSocketConnection, parse_address
-from haptics.protocols.haply import ADDRESS, HapticState, decode_device_state, encode_force_message
+from haptics.protocols.haply import ADDRESS, HaplyDeviceState, decode_device_state, encode_force_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Quaternion, Screw, Vector
 
@@ -91,7 +91,7 @@ class HaplyDevice(HapticDevice):
         self._line: WebSocketConnection | None = None
         self._thread: _ExchangeThread | None = None
         self._trouble = ""
-        self._first: HapticState | None = None
+        self._first: HaplyDeviceState | None = None
 
     @property
     def exchange_error(self) -> str:
@@ -131,7 +131,7 @@ class HaplyDevice(HapticDevice):
                               "the service (Linux: systemctl start haply-inverse-service), or give its address as "
                               "haply:ws://HOST:PORT") from None
 
-    def _register_program(self, line: WebSocketConnection) -> HapticState:
+    def _register_program(self, line: WebSocketConnection) -> HaplyDeviceState:
         """Receive the first state and register this program with zero force; return the state."""
         service = f"the Haply Inverse service at {self.address}"
         try:
@@ -234,7 +234,7 @@ class _ExchangeThread:
         exchange_error: Reason why the exchange ended; empty while it works.
     """
 
-    def __init__(self, line: WebSocketConnection, first: HapticState, address: str):
+    def __init__(self, line: WebSocketConnection, first: HaplyDeviceState, address: str):
         self._line, self._device_id, self._address = line, first.device_id, address
         #: Time of receipt, s, and newest state.
         self._newest = (time.monotonic(), first)
@@ -249,7 +249,7 @@ class _ExchangeThread:
     def start(self) -> None:
         self._thread.start()
 
-    def get_newest_state(self) -> HapticState | None:
+    def get_newest_state(self) -> HaplyDeviceState | None:
         """Return the newest state, or None if it has expired or the exchange has ended."""
         received, state = self._newest
         return None if self.exchange_error or time.monotonic() - received > TIMING.stale else state

@@ -146,7 +146,7 @@ class HandMotion(Motion):
         (_, _, a), (_, _, b), (_, _, c) = pose.rotation
         self._axis = -a, -b, max(c, _DEFAULTS.least_cosine)
 
-    def take_over(self, pose: Pose) -> None:
+    def continue_from_pose(self, pose: Pose) -> None:
         """Begin at the present pose of the tool if the motion was made without a start."""
         if not self._starts_at_tool:
             return

@@ -328,7 +328,7 @@ class RecordCounter:
                 status |= SampleStatus.GAP
             if record.status:
                 self.status = record.status
-                if rdt.is_out_of_range(record.status):
+                if rdt.has_exceeded_range(record.status):
                     status |= SampleStatus.SATURATED
                 if rdt.has_fault(record.status):
                     status |= SampleStatus.FAULT

@@ -14,7 +14,7 @@ from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
-from haptics.protocols.haply import HapticState, decode_force_message, encode_state_message
+from haptics.protocols.haply import HaplyDeviceState, decode_force_message, encode_state_message
 from tissue_sim.pose import Vector
 
 if TYPE_CHECKING:
@@ -140,7 +140,7 @@ class HaplyEmulator(Emulator):
             self._simulated = 0.0
             first = self._hand.pose(0.0)
             self._zero = first.position if first is not None else (0.0, 0.0, 0.0)
-            self._set_force((0.0, 0.0, 0.0))
+            self._apply_force_to_hand((0.0, 0.0, 0.0))
         line = FaultyMessageQueue(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
             connection.send(encode_state_message(self._simulate_hand(config=_CONFIG), self.force, session=1))
@@ -156,7 +156,7 @@ class HaplyEmulator(Emulator):
                 for each in line.take_due_messages(now):
                     connection.send(each.decode(errors="replace"))
         with self._lock:
-            self._set_force((0.0, 0.0, 0.0))
+            self._apply_force_to_hand((0.0, 0.0, 0.0))
 
     def _answer_message(self, message: str | bytes) -> str:
         """Apply the force of a message and return the answer."""
@@ -170,10 +170,10 @@ class HaplyEmulator(Emulator):
                 self.refused += 1
                 force = None
             if force is not None:
-                self._set_force(force)
+                self._apply_force_to_hand(force)
         return encode_state_message(state, self.force)
 
-    def _simulate_hand(self, config: dict[str, Any] | None = None) -> HapticState:
+    def _simulate_hand(self, config: dict[str, Any] | None = None) -> HaplyDeviceState:
         """Simulate the hand until now and return its state."""
         with self._lock:
             now = time.monotonic()
@@ -183,13 +183,13 @@ class HaplyEmulator(Emulator):
                 self._simulated = min(self._simulated + TIMES.step, goal)
                 pose = self._hand.pose(self._simulated)
                 if self._simulated >= release and any(self.force):
-                    self._set_force((0.0, 0.0, 0.0))
+                    self._apply_force_to_hand((0.0, 0.0, 0.0))
             pose = pose or self._hand.pose(self._simulated)
             position = pose.position if pose is not None else self._zero
             x, y, z = (a + b - c for a, b, c in zip(START, position, self._zero, strict=True))
-            return HapticState("049D", (x, y, z), self._hand.velocity, (1.0, 0.0, 0.0, 0.0), config or {}, _STATUS)
+            return HaplyDeviceState("049D", (x, y, z), self._hand.velocity, (1.0, 0.0, 0.0, 0.0), config or {}, _STATUS)
 
-    def _set_force(self, force: Vector) -> None:
+    def _apply_force_to_hand(self, force: Vector) -> None:
         """Apply a force to the hand, N."""
         self.force = force
         self.largest_force = max(self.largest_force, sum(part * part for part in force) ** 0.5)

@@ -46,11 +46,11 @@ class BulkLink(Protocol):
     """Source of linearised models of the bulk. Call `close` at the end."""
 
     @property
-    def surface(self) -> ContactSurface:
+    def contact_surface(self) -> ContactSurface:
         """Contact nodes and tool of the bulk; available after `start`."""
 
     @property
-    def alive(self) -> bool:
+    def is_alive(self) -> bool:
         """Whether the bulk can still send models."""
 
     def start(self) -> CondensedContact:
@@ -97,10 +97,10 @@ class DelayedBulk:
         linearising: CPU time spent on models, s.
     """
 
-    alive = True
+    is_alive = True
 
     def __init__(self, linearisation: BulkLinearisation, delay: float, tangent: float | None = None):
-        self._bulk, self.surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
+        self._bulk, self.contact_surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
         self._predictive, self._now = PredictiveLinearisation(linearisation), 0.0
         self._tangent = tangent
         if tangent is not None:
@@ -124,7 +124,7 @@ class DelayedBulk:
         Raises:
             RuntimeError: the undeformed tissue has no linearisation.
         """
-        model = self._predictive.linearise(make_untouched_state(self.surface), 0.0, 0.0)
+        model = self._predictive.linearise(make_untouched_state(self.contact_surface), 0.0, 0.0)
         if model is None:
             raise RuntimeError("the untouched tissue has no linearisation")
         return model
@@ -198,7 +198,7 @@ class BulkProcess:
         if isinstance(started, Exception):
             raise started
         self._surface = started.surface
-        size = 8 * packed_state_size(self.surface)
+        size = 8 * packed_state_size(self.contact_surface)
         self._states = SlotWriter(self._paths[0], KIND_STATE, SLOTS.count, size)
         self._models = SlotReader(self._paths[1], KIND_MODEL)
         self._corrections, self._corrected = SlotReader(self._paths[2], KIND_CORRECTION), 0
@@ -213,13 +213,13 @@ class BulkProcess:
         return started.model
 
     @property
-    def surface(self) -> ContactSurface:
+    def contact_surface(self) -> ContactSurface:
         """Contact nodes and tool of the bulk; available after `start`."""
         assert self._surface is not None
         return self._surface
 
     @property
-    def alive(self) -> bool:
+    def is_alive(self) -> bool:
         """Whether the process runs."""
         return self._process is not None and self._process.poll() is None
 
@@ -238,7 +238,7 @@ class BulkProcess:
         """Send a state, and poll for the next model for at most `BulkProcessSettings.longest_exchange`."""
         now = time.monotonic()
         deadline, sends = now + BULK_PROCESS.longest_exchange, now
-        while now < deadline and self.alive:
+        while now < deadline and self.is_alive:
             if now >= sends:
                 self.send_state(state)
                 sends = now + BULK_PROCESS.resend_interval

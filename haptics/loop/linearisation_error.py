@@ -77,7 +77,7 @@ class LinearisationError:
         self.growth, self.reach, self.time = 0.0, 0.0, -math.inf
         self.base, self.interval = 0.0, 0.0
 
-    def change_modulus(self, shear_modulus: float) -> None:
+    def rescale_for_shear_modulus(self, shear_modulus: float) -> None:
         """Adapt the estimate to another shear modulus, Pa; the estimate is scaled up, but never down."""
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from haptics.loop.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, Vector, added, motion, scaled
+from tissue_sim.public_names import OldName
 from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, extrapolate_wrench, pose_of
 
 _NO_WRENCH: Screw = (0.0,) * 6
@@ -35,8 +36,8 @@ class LocalModel:
     stiffness_time: float | None = None
 
     @classmethod
-    def axial(cls, force: float, stiffness: float, depth: float, time: float,
-              error: float | None = 0.0) -> LocalModel:
+    def from_axial_force(cls, force: float, stiffness: float, depth: float, time: float,
+                         error: float | None = 0.0) -> LocalModel:
         """Create a model for motion along z only.
 
         Args:
@@ -49,9 +50,13 @@ class LocalModel:
         answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED)
         return cls(answer.wrench, answer.stiffness_matrix, Pose.at_depth(depth), time, error)
 
-    def evaluate(self, pose: Pose) -> Screw:
+    axial = OldName("from_axial_force")
+
+    def evaluate_wrench(self, pose: Pose) -> Screw:
         """Return the wrench at a pose, N and N m."""
         return extrapolate_wrench(self.wrench, self.stiffness_matrix, motion(self.pose, pose))
+
+    evaluate = OldName("evaluate_wrench")
 
 
 #: Model with zero wrench, used before the first model and after a model that is too old.
@@ -109,7 +114,7 @@ class SlowSolver:
         known = last.error
         if any(answer.wrench) or any(last.wrench):
             models = (last, self._before or last)
-            error = max(math.dist(model.evaluate(pose)[:3], answer.wrench[:3]) for model in models)
+            error = max(math.dist(model.evaluate_wrench(pose)[:3], answer.wrench[:3]) for model in models)
             known = error if known is None or self._last is None else max(error, memory * known)
         if known is None or answer.force_error is None:
             return known
@@ -174,7 +179,7 @@ class LocalModelBlend:
             Whether the new model is used. A model is refused, and the old one kept, if it contains a number that is not
             finite, if it is older than the present model, or if its time is in the future (it was made before a reset).
         """
-        wrench = model.evaluate(model.pose if self._pose is None else self._pose)
+        wrench = model.evaluate_wrench(model.pose if self._pose is None else self._pose)
         finite = math.isfinite(sum(wrench)) and math.isfinite(model.time) and math.isfinite(model.error or 0.0)
         if not (finite and self._published <= model.time <= self.time):
             self.refused += 1
@@ -208,13 +213,13 @@ class LocalModelBlend:
             self.offset = (_shorten_vector(self.offset[:3], self.jump)
                            + _shorten_vector(self.offset[3:], self.torque_jump))
         self._pose = pose
-        self._wrench = added(self._model.evaluate(pose), self.offset)
+        self._wrench = added(self._model.evaluate_wrench(pose), self.offset)
         return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
     def _switch_to_model(self, model: LocalModel):
         self._model = model
         if self._pose is not None:
-            self.offset = added(self._wrench, scaled(-1.0, model.evaluate(self._pose)))
+            self.offset = added(self._wrench, scaled(-1.0, model.evaluate_wrench(self._pose)))
 
     def _make_tool_force(self, status: ForceStatus) -> ToolForce:
         model, age, error = self._model, self.age, self.error

@@ -257,8 +257,8 @@ class Loop:
         force = math.hypot(wrench[0], wrench[1], wrench[2])
         if force > self._largest_force:
             self._largest_force = force
-        ring.append(ticker.number, now * 1e-9, pose, tool, wrench, answer, spent * 1e-9, lateness, ticker.late,
-                    ticker.missed, flags)
+        ring.append_tick(ticker.number, now * 1e-9, pose, tool, wrench, answer, spent * 1e-9, lateness, ticker.late,
+                         ticker.missed, flags)
 
     def pause(self) -> None:
         """Stop the motion; the rendering receives no pose, so that the force fades to zero."""
@@ -279,7 +279,7 @@ class Loop:
         self._release.reset()
         self._motion = 0
 
-    def advance(self, seconds: float) -> None:
+    def advance_paused_motion(self, seconds: float) -> None:
         """Continue the motion of a paused loop for this time, s."""
         self._advance += round(seconds * 1e9)
 
@@ -299,7 +299,7 @@ class Loop:
         device.start()
         self._device.stop()
         if self._tool is not None and not restart:
-            device.take_over(self._tool)
+            device.continue_from_pose(self._tool)
         self._device, self._motion = device, 0
         self._apply_device_force_limit(device)
         if reset is not None:

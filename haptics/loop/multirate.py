@@ -134,7 +134,7 @@ class MultiRateTissue(KernelOwner):
         if self._stepper is not None:
             return
         self._first = self._link.start()
-        surface = self._link.surface
+        surface = self._link.contact_surface
         self._stepper = CondensedStepper(surface)
         self._stepper.set_model(self._first)
         self._transition = ModelTransition(self._stepper, self.model.material.mu0)
@@ -148,7 +148,7 @@ class MultiRateTissue(KernelOwner):
         """Place the tool in the air above the undeformed tissue."""
         assert self._stepper is not None
         self._stepper.place_in_air()
-        start = self._link.surface.start
+        start = self._link.contact_surface.start
         self._frame = TouchFrame(start, start)
         self._transition.reset(start)
 
@@ -196,7 +196,7 @@ class MultiRateTissue(KernelOwner):
     def _register_pose(self, pose: Pose, dt: float) -> float | None:
         """Register the pose of a step, and begin the contact if it is the first touch; see `TouchState.advance`."""
         assert self._stepper is not None
-        start, touched = self._link.surface.start, self._touch.has_touched
+        start, touched = self._link.contact_surface.start, self._touch.has_touched
         height = start.position[2]
         inside = self._touch.advance(pose.position[2] - height, dt)
         if inside is not None and not touched:
@@ -213,10 +213,10 @@ class MultiRateTissue(KernelOwner):
     def _step_in_air(self, pose: Pose, began: float) -> ToolForce:
         """Return the zero force of a bonded tool before its first touch; the bulk stays at rest."""
         assert self._stepper is not None
-        self._known, start = None, self._link.surface.start
+        self._known, start = None, self._link.contact_surface.start
         if self._ticks % MULTIRATE.ticks_between_states == 0:
             self._link.send_state(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
-        status = ForceStatus.CONVERGED if self._link.alive else ForceStatus.LATE
+        status = ForceStatus.CONVERGED if self._link.is_alive else ForceStatus.LATE
         return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
                          compute_time=clock.perf_counter() - began)
 
@@ -312,7 +312,7 @@ class MultiRateTissue(KernelOwner):
         self.error, judged = transition.estimate_wrench_error(step, here, age)
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
-        good = (step.converged and self._settled and self._link.alive and age <= self.oldest
+        good = (step.converged and self._settled and self._link.is_alive and age <= self.oldest
                 and not stepper.may_leave_model(here) and is_known_well(wrench, judged))
         self._left = self._reduced.commit(pose.depth, dt)
         if self._left != 1.0:
@@ -334,7 +334,7 @@ class MultiRateTissue(KernelOwner):
         if self._stepper is not None:
             self._place_tool_above_tissue()
             self._stepper.set_model(self._first)
-            start = self._link.surface.start
+            start = self._link.contact_surface.start
             self._link.send_state(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
 
     @exclusive
@@ -361,7 +361,7 @@ class MultiRateTissue(KernelOwner):
             raise InputError(f"the process of the bulk has ended ({error}). Create another MultiRateTissue",
                              field="material") from None
         self._material += 1
-        self._transition.estimate.change_modulus(material.mu0)
+        self._transition.estimate.rescale_for_shear_modulus(material.mu0)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
         self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
@@ -370,4 +370,5 @@ class MultiRateTissue(KernelOwner):
     def snapshot(self) -> Snapshot:
         """Return the tissue at one of the last models, in the frame of the bulk."""
         self.warm_up()
-        return self._link.snapshot() or Snapshot(self._link.surface.start, self._link.surface.datum, None)
+        surface = self._link.contact_surface
+        return self._link.snapshot() or Snapshot(surface.start, surface.datum, None)

@@ -176,9 +176,11 @@ class LoopProcess:
         """Restart the motion with undeformed tissue and zero force; raises the errors of `execute_command`."""
         self.execute_command("reset")
 
-    def advance(self, seconds: float) -> None:
+    def advance_paused_motion(self, seconds: float) -> None:
         """Continue the motion of a paused loop for this time, s; raises the errors of `execute_command`."""
         self.execute_command("advance", seconds=seconds)
+
+    advance = OldName("advance_paused_motion")
 
     def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
         """Replace the device or motion by another one, which starts from its beginning.

@@ -96,8 +96,8 @@ class RingWriter(SlotWriter):
         super().__init__(path, _KIND, capacity, TICK.itemsize)
         self._record = bytearray(TICK.itemsize)
 
-    def append(self, tick: int, time: float, device: Pose | None, tool: Pose, wrench: Screw, answer: ToolForce,
-               compute_time: float, lateness: float, late: int, missed: int, flags: int) -> int:
+    def append_tick(self, tick: int, time: float, device: Pose | None, tool: Pose, wrench: Screw, answer: ToolForce,
+                    compute_time: float, lateness: float, late: int, missed: int, flags: int) -> int:
         """Add a tick and return the number of ticks added so far.
 
         Args:

@@ -85,7 +85,7 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
     force = _read_unit(calibration, "ForceUnits", FORCE_UNITS, name)
     torque = _read_unit(calibration, "TorqueUnits", TORQUE_UNITS, name)
     rows = "UserAxis" if calibration.find("UserAxis") is not None else "Axis"
-    matrix, reach = _read_rows(calibration, rows, name)
+    matrix, reach = _read_matrix_rows(calibration, rows, name)
     if rows == "Axis":
         matrix = _move_torques(calibration, matrix, name)
     units = (force,) * 3 + (torque,) * 3
@@ -121,7 +121,7 @@ def _parse_numbers(text: str | None, count: int, quantity: str, name: str) -> Ro
     return numbers
 
 
-def _read_rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
+def _read_matrix_rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
     """Return the six rows and the largest value of each component, in the units of the file."""
     elements: dict[str, ElementTree.Element] = {}
     for element in calibration.findall(tag):

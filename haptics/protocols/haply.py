@@ -49,7 +49,7 @@ _AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
-class HapticState:
+class HaplyDeviceState:
     """State of one device in a message of the service.
 
     Attributes:
@@ -69,7 +69,7 @@ class HapticState:
     status: Mapping[str, Any] = field(default_factory=dict)
 
 
-def decode_device_state(message: str | bytes, device_id: str | None = None) -> HapticState | None:
+def decode_device_state(message: str | bytes, device_id: str | None = None) -> HaplyDeviceState | None:
     """Return the state of a device in a message of the service.
 
     Args:
@@ -96,9 +96,9 @@ def decode_device_state(message: str | bytes, device_id: str | None = None) -> H
     velocity = None
     if "cursor_velocity" in state:
         velocity = _read_vector(state["cursor_velocity"], "cursor_velocity", _LIMITS.speed)
-    return HapticState(name, _read_vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance), velocity,
-                       _read_orientation(content), _get_nested_object(device, "config", {}),
-                       _get_nested_object(device, "status", {}))
+    return HaplyDeviceState(name, _read_vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance),
+                            velocity, _read_orientation(content), _get_nested_object(device, "config", {}),
+                            _get_nested_object(device, "status", {}))
 
 
 def _parse_json_object(message: str | bytes) -> dict[str, Any]:
@@ -198,7 +198,7 @@ def decode_force_message(message: str | bytes, device_id: str) -> Vector | None:
     return None
 
 
-def encode_state_message(state: HapticState, force: Vector, session: int | None = None) -> str:
+def encode_state_message(state: HaplyDeviceState, force: Vector, session: int | None = None) -> str:
     """Return the service's message about a device, and about a grip if the orientation is known.
 
     Args:

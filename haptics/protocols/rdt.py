@@ -62,7 +62,7 @@ _RECORD = struct.Struct(">III6i")
 RECORD_SIZE = _RECORD.size
 
 
-class StatusBit(IntFlag):
+class StatusWordBit(IntFlag):
     """Bits of the status word of a record; the other bits are in `describe_status`."""
 
     #: A threshold was passed; the sample is valid.
@@ -76,9 +76,9 @@ class StatusBit(IntFlag):
 
 
 #: Status bits for gages or wrench out of range.
-_OUT_OF_RANGE = int(StatusBit.SATURATED | StatusBit.GAGE_RANGE | StatusBit.WRENCH_RANGE)
+_OUT_OF_RANGE = int(StatusWordBit.SATURATED | StatusWordBit.GAGE_RANGE | StatusWordBit.WRENCH_RANGE)
 #: Mask of the status bits that mark an unreliable sample.
-_FAULTS = ~int(StatusBit.THRESHOLD)
+_FAULTS = ~int(StatusWordBit.THRESHOLD)
 #: Units that the configurations page of a box offers.
 _OFFERED = {"force": ("N", "kN", "lbf", "klbf", "kg"),
             "torque": ("N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kg-cm")}
@@ -160,7 +160,7 @@ def unpack_records(data: bytes) -> list[RdtRecord] | None:
             for sequence, sample, status, x, y, z, u, v, w in _RECORD.iter_unpack(data)]
 
 
-def is_out_of_range(status: int) -> bool:
+def has_exceeded_range(status: int) -> bool:
     """Return True if the status word reports a range that was exceeded: the true wrench may be larger."""
     return bool(status & _OUT_OF_RANGE)
 

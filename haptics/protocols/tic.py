@@ -314,14 +314,14 @@ class CommandParser:
                 self._partial.append(byte)
             else:
                 self.bad_bytes += 1
-            if self._partial and self._is_complete():
+            if self._partial and self._is_message_complete():
                 message, self._partial = bytes(self._partial), bytearray()
                 command = self._decode_command(message)
                 if command is not None:
                     commands.append(command)
         return commands
 
-    def _parse_head(self) -> tuple[TicCommand | None, int]:
+    def _parse_command_head(self) -> tuple[TicCommand | None, int]:
         """Return the command of the incomplete message and the length of its head; None: unknown (yet)."""
         if self._partial[0] != POLOLU_PREFIX:
             code, head = self._partial[0], 1
@@ -334,9 +334,9 @@ class CommandParser:
         except ValueError:
             return None, head
 
-    def _is_complete(self) -> bool:
+    def _is_message_complete(self) -> bool:
         """Return True if the message has all bytes of its command, or is no known command."""
-        command, head = self._parse_head()
+        command, head = self._parse_command_head()
         if command is None:
             return len(self._partial) >= head
         return len(self._partial) == head + _count_argument_bytes(command) + self._crc
@@ -344,7 +344,7 @@ class CommandParser:
     def _decode_command(self, message: bytes) -> ReceivedCommand | None:
         """Return the command of a complete message; None: invalid, or for another device."""
         self._partial = bytearray(message)
-        command, head = self._parse_head()
+        command, head = self._parse_command_head()
         self._partial = bytearray()
         if command is None or (self._crc and compute_crc7(message[:-1]) != message[-1]):
             self.bad_bytes += len(message)

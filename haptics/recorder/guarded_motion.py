@@ -207,7 +207,7 @@ class GuardedMotion:
             StoppedError: the guard or the user ended the motion; the stage was halted.
         """
         self._sleep(max(0.0, self._polled + POLLING.period - self.now()))
-        self._require_on_time()
+        self._require_polls_on_time()
         if (message := self._stop_request()) is not None:
             with contextlib.suppress(Exception):
                 self.stage.halt()
@@ -228,7 +228,7 @@ class GuardedMotion:
                 self.stage.halt()
             raise StoppedError(reason)
 
-    def _require_on_time(self) -> None:
+    def _require_polls_on_time(self) -> None:
         """Raise StoppedError if the watching thread halted the stage because a poll was late."""
         if self._late_by is not None:
             raise StoppedError(StopReason(
@@ -270,7 +270,7 @@ class GuardedMotion:
             raise StoppedError(StopReason(
                 "travel", f"the motion would go to {position * 1e3:.4g} mm, outside of its limits of "
                           f"{self.limits.lowest * 1e3:g} to {self.limits.highest * 1e3:g} mm; put the specimen nearer"))
-        self._require_on_time()
+        self._require_polls_on_time()
         start = self.stage_sample.position if self.stage_sample is not None else position
         tolerance = max(_SETTINGS.position_tolerance, 1e-3 * abs(position - start))
         # The stage is at rest: time since the last poll, such as a computation, does not count as a late poll.
@@ -308,7 +308,7 @@ class GuardedMotion:
                 self.poll()
             return future.result()
 
-    def poll_for(self, seconds: float) -> None:
+    def poll_for_duration(self, seconds: float) -> None:
         """Poll the devices without a new command for a time, s."""
         until = self.now() + seconds
         while self.now() < until:
@@ -349,7 +349,7 @@ class GuardedMotion:
         """
         self.zero = 0.0
         self.clear_forces()
-        self.poll_for(_SETTINGS.force_window)
+        self.poll_for_duration(_SETTINGS.force_window)
         before, allowed = self.compute_mean_force(), change if self.tares else first
         if not abs(before) <= allowed:
             raise StoppedError(StopReason(
@@ -361,7 +361,7 @@ class GuardedMotion:
         assert self._guard is not None
         self._guard.is_sensor_zeroed = True
         self.clear_forces()
-        self.poll_for(_SETTINGS.force_window)
+        self.poll_for_duration(_SETTINGS.force_window)
         self.zero = self.compute_mean_force()
         if not abs(self.zero) <= change:
             raise StoppedError(StopReason(
@@ -379,7 +379,7 @@ class GuardedMotion:
             StoppedError: the force is larger.
         """
         self.clear_forces()
-        self.poll_for(_SETTINGS.force_window)
+        self.poll_for_duration(_SETTINGS.force_window)
         offset = self.compute_mean_force()
         if not abs(offset) <= allowed:
             raise StoppedError(StopReason(

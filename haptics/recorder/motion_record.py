@@ -86,7 +86,7 @@ class MotionRecord:
         """Number of interruptions in which force samples were lost."""
         return sum(bool(status & SampleStatus.GAP) for status in self.statuses)
 
-    def fit_clock(self, period: float) -> SampleClock:
+    def fit_sample_clock(self, period: float) -> SampleClock:
         """Return the clock of the force samples.
 
         Args:
@@ -115,7 +115,7 @@ def build_recording(record: MotionRecord, plan: IndentationPlan, contact_point: 
     Raises:
         StoppedError: the stage position is uncertain in most samples.
     """
-    clock = record.fit_clock(period)
+    clock = record.fit_sample_clock(period)
     sampled_at = clock.compute_times(record.numbers)
     path = StagePath(record.polls, [leg[0] for leg in record.legs],
                      [plan.approach_speed, *(leg.speed for leg in plan.legs[:len(record.legs)])])
@@ -125,7 +125,7 @@ def build_recording(record: MotionRecord, plan: IndentationPlan, contact_point: 
     left_out = _describe_left_out(int(recorded.sum()), int(inside.sum()), plan.largest_depth)
     time, wrench = sampled_at[inside], np.array(record.wrenches)[inside]
     leg = np.clip(np.searchsorted([leg[0] for leg in record.legs], time, side="right") - 1, 0, None)
-    values = {"time": time - time[0], "displacement": path.interpolate(time) - contact_point,
+    values = {"time": time - time[0], "displacement": path.interpolate_position(time) - contact_point,
               "force": plan.sign * wrench[:, list(channels).index(plan.axis)] - zero}
     if len(channels) > 1:
         values |= {name: wrench[:, number] for number, name in enumerate(channels)
@@ -178,14 +178,14 @@ def estimate_contact_point(record: MotionRecord, plan: IndentationPlan, halted: 
         Position of the stage at the contact point, m, and metadata that names the method and its interval.
     """
     metadata: dict[str, Any] = {"contact_force_N": plan.contact_force, "touch_by": "force"}
-    sampled_at = record.fit_clock(period).compute_times(record.numbers)
+    sampled_at = record.fit_sample_clock(period).compute_times(record.numbers)
     path = StagePath(record.polls, [], [speed])
     inside = np.flatnonzero(path.is_position_known(sampled_at, plan.largest_depth))
     thinned = inside[:: max(1, inside.size // _SETTINGS.most_samples)]
     if thinned.size < _SETTINGS.fewest_samples:
         return halted, metadata
     force = plan.sign * np.array(record.wrenches)[thinned, list(channels).index(plan.axis)]
-    position = path.interpolate(sampled_at[thinned])
+    position = path.interpolate_position(sampled_at[thinned])
     found = find_contact(position, force, sampled_at[thinned])
     if found.status not in ("found", "unclear") or not position[0] < found.displacement < halted:
         # Without noise the change point has no likelihood to compare; a straight line needs none.

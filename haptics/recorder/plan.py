@@ -100,7 +100,7 @@ class IndentationPlan:
         return max(above, 2 * self.retract if self.contact == "force" else 0.0)
 
     @property
-    def speed(self) -> float:
+    def largest_speed(self) -> float:
         """Largest speed of the recorded motion, m/s."""
         return max((leg.speed for leg in self.legs), default=0.0)
 
@@ -144,7 +144,8 @@ def check_plans_against_limits(plans: Sequence[IndentationPlan], limits: MotionL
         if travel > allowed_travel:
             raise InputError(f"must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of [limits]; got "
                              f"{travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
-        for speed, name in ((plan.speed, f"{plan.name}.protocol"), (plan.approach_speed, "record.approach_speed")):
+        for speed, name in ((plan.largest_speed, f"{plan.name}.protocol"),
+                            (plan.approach_speed, "record.approach_speed")):
             fastest = min(limits.speed, stage.limits.speed)
             if speed > fastest:
                 raise InputError(f"speed must be at most {fastest * 1e3:g} mm/s; got {speed * 1e3:g} mm/s", field=name)

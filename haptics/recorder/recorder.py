@@ -274,7 +274,7 @@ class Recorder:
                 if leg.speed:
                     motion.move_to(contact_point + leg.end, leg.speed)
                 else:
-                    motion.poll_for(leg.duration)
+                    motion.poll_for_duration(leg.duration)
         finally:
             with contextlib.suppress(OSError, InputError):
                 self._folder.record_loading(plan.name, description, self._deepest, entry)
@@ -288,7 +288,7 @@ class Recorder:
         plan, motion, folder = self._plan, self._motion, self._folder
         self._phase = "rest"
         self._move_above_contact()
-        motion.poll_for(plan.rest)
+        motion.poll_for_duration(plan.rest)
         self._check_zero()
         if plan.contact == "force" and plan.touch == "each":
             self._refine_contact_point()
@@ -299,7 +299,7 @@ class Recorder:
         record = self._record = MotionRecord()
         try:
             self._execute_recorded_motion(f"recording {number} of {plan.replicates}")
-            motion.poll_for(2 * POLLING.period)
+            motion.poll_for_duration(2 * POLLING.period)
         finally:
             self._record = None
         # Lost steps of the motor and a sensor without signal show here; the samples are then not saved as a recording.

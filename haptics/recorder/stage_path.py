@@ -90,7 +90,7 @@ class StagePath:
         start = np.maximum(index - 1, 0)
         return knots[start] + self._speeds[index] * (times - self._changes[start])
 
-    def interpolate(self, times: np.ndarray) -> np.ndarray:
+    def interpolate_position(self, times: np.ndarray) -> np.ndarray:
         """Return the position of the stage, m, shape (n,).
 
         Args:
@@ -98,13 +98,13 @@ class StagePath:
         """
         return np.interp(times, self._times, self._positions)
 
-    def bound_error(self, times: np.ndarray) -> np.ndarray:
-        """Return a bound on the error of `interpolate`, m, shape (n,); infinite before and after all polls.
+    def bound_position_error(self, times: np.ndarray) -> np.ndarray:
+        """Return a bound on the error of `interpolate_position`, m, shape (n,); infinite before and after all polls.
 
         Args:
             times: s, shape (n,).
         """
-        travel, position = self._compute_largest_travel(times), self.interpolate(times)
+        travel, position = self._compute_largest_travel(times), self.interpolate_position(times)
         before = np.searchsorted(self._latest, times, side="right")
         after = np.searchsorted(self._earliest, times, side="left")
         upper = np.minimum(self._upper_before[before] + travel, self._upper_after[after] - travel)
@@ -119,7 +119,7 @@ class StagePath:
             times: s, shape (n,).
             depth: largest depth of the motion, m.
         """
-        return self.bound_error(times) <= compute_position_tolerance(depth)
+        return self.bound_position_error(times) <= compute_position_tolerance(depth)
 
 
 def compute_position_tolerance(depth: float) -> float:

@@ -124,7 +124,7 @@ class _TissueOwner:
         self.time: float | None = None
         self.pose: Pose | None = None
 
-    def has_sent(self, request: Request, address: Address) -> bool:
+    def is_sender_of_request(self, request: Request, address: Address) -> bool:
         """Return whether a request is from this client: same session number, or same address if the number is 0."""
         return request.session == self.session and (self.session != 0 or address == self.address)
 
@@ -200,7 +200,7 @@ class StepService:
             counters.turned_away += 1
             return self._encode_status_reply(Status.BUSY, request)
         if owner is not None and now - owner.last_contact <= self.silence:
-            if not owner.has_sent(request, address):
+            if not owner.is_sender_of_request(request, address):
                 counters.turned_away += 1
                 return self._encode_status_reply(Status.BUSY, request)
             if request.sequence <= owner.sequence:
@@ -210,7 +210,7 @@ class StepService:
             self._release_owner()
             return self._encode_status_reply(Status.RELEASED, request)
         # After a silence the owner keeps its state, unless its sequence numbers restart.
-        if owner is None or not owner.has_sent(request, address) or request.sequence <= owner.sequence:
+        if owner is None or not owner.is_sender_of_request(request, address) or request.sequence <= owner.sequence:
             self._release_owner()
             owner = self._owner = _TissueOwner(address, request.session)
             self._restart_force_release()
@@ -287,7 +287,7 @@ class StepService:
             pose = Pose(request.position, request.orientation)
             self.limits.require(pose, None if reset else owner.pose, dt)
         except InputError:
-            return self._repeat_as_refused(), 0.0
+            return self._repeat_last_answer_as_refused(), 0.0
         try:
             if self._is_broken:
                 self._rebuild_tissue()
@@ -299,18 +299,18 @@ class StepService:
                 raise ArithmeticError("the force is not finite")
         except Exception as error:
             if isinstance(error, InputError) and not self._is_broken:
-                return self._repeat_as_refused(), 0.0
-            return self._rebuild_after(error), 0.0
+                return self._repeat_last_answer_as_refused(), 0.0
+            return self._rebuild_after_error(error), 0.0
         if answer.status == ForceStatus.REFUSED:
             return answer, 0.0
         owner.time, owner.pose, self._last = request.time, pose, answer
         return answer, dt
 
-    def _repeat_as_refused(self) -> ToolForce:
+    def _repeat_last_answer_as_refused(self) -> ToolForce:
         """Return the last answer with the status REFUSED."""
         return replace(self._last, status=ForceStatus.REFUSED, iterations=0, compute_time=0.0)
 
-    def _rebuild_after(self, error: Exception) -> ToolForce:
+    def _rebuild_after_error(self, error: Exception) -> ToolForce:
         """Rebuild the tissue after an error, and return a zero force with the status FAILED."""
         self.log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue is rebuilt, undeformed")
         self._is_broken = True

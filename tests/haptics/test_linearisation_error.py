@@ -69,9 +69,9 @@ def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distan
 
 def test_a_stiffer_material_raises_what_was_learned():
     estimate, before = learned(), learned().at(1e-3)
-    estimate.change_modulus(2 * MODULUS)
+    estimate.rescale_for_shear_modulus(2 * MODULUS)
     assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before)
-    estimate.change_modulus(MODULUS)
+    estimate.rescale_for_shear_modulus(MODULUS)
     assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before), "a softer one does not lower it"
 
 

@@ -223,8 +223,8 @@ def test_a_paused_motion_can_go_on_for_a_while(run, tissues):
         if step == 100:
             loop.pause()
         elif step == 200:
-            loop.advance(0.03)
-            loop.advance(0.02)
+            loop.advance_paused_motion(0.03)
+            loop.advance_paused_motion(0.02)
 
     tissue = tissues.Spring()
     report, ticks = run(tissue, 0.4, listen=listen)
@@ -461,7 +461,7 @@ def test_snapshots_are_published_and_follow_the_material(tissues):
             wait_until(lambda: abs(ring.latest()["tool_depth"] - 3e-3) < 1e-6)
             wait_until(lambda: abs(snapshots.latest().snapshot.depth - 3e-3) < 1e-6)
             loop.pause()
-            loop.advance(0.01)
+            loop.advance_paused_motion(0.01)
         path = loop.snapshot_path
     assert not path.exists()
 

@@ -187,7 +187,7 @@ def test_a_bonded_tool_feels_the_whole_solid_with_its_bulk_in_another_process():
         assert seen.node_positions[:, 2].min() < -0.0699 and seen.fields.at_nodes("von_mises").max() > 0.0
     finally:
         tissue.close()
-    assert not tissue._link.alive
+    assert not tissue._link.is_alive
 
 
 @pytest.mark.slow
@@ -284,7 +284,7 @@ def test_a_step_that_waits_is_right_at_any_speed(deep):
 
 def test_waiting_for_a_process_that_has_ended_comes_to_an_end():
     class Ended(DelayedBulk):
-        alive = False
+        is_alive = False
 
         def exchange_state_for_model(self, state):
             return None

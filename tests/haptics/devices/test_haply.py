@@ -19,7 +19,7 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.haply import START, TIMES, HaplyEmulator, emulate_haply
 from haptics.loop.ticker import Ticker
-from haptics.protocols.haply import HapticState, decode_force_message, encode_state_message
+from haptics.protocols.haply import HaplyDeviceState, decode_force_message, encode_state_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 
@@ -173,7 +173,7 @@ def said_first(message):
     ('{"session_id": 1, "inverse3": []}', "has no Inverse3; connect the device"),
     ("garbage", r"unknown message \(not valid JSON\); install version 3.1"),
     ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"unknown message \(cursor_position is missing\)"),
-    (encode_state_message(HapticState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
+    (encode_state_message(HaplyDeviceState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
      "04BA has no power for its motors; plug")])
 def test_a_service_without_a_usable_device_raises(first, sentence):
     with Says(said_first(first)) as server, pytest.raises(DeviceError, match=sentence):
@@ -210,11 +210,11 @@ def test_invalid_answers_are_ignored_and_only_invalid_answers_give_no_pose():
     place, answers = [0.1], iter(range(10**9))
 
     def talk(connection):
-        state = HapticState("1", (0.0, 0.0, 0.1))
+        state = HaplyDeviceState("1", (0.0, 0.0, 0.1))
         connection.send(encode_state_message(state, (0.0, 0.0, 0.0)))
         for _ in connection:
             good = place[0] is not None and next(answers) % 2 == 0
-            state = HapticState("1", (0.0, 0.0, place[0]))
+            state = HaplyDeviceState("1", (0.0, 0.0, place[0]))
             connection.send(encode_state_message(state, (0.0, 0.0, 0.0)) if good else "{]")
 
     with Says(talk) as server:
@@ -249,7 +249,7 @@ def test_forces_do_not_accumulate_at_a_slow_service():
     seen = []
 
     def talk(connection):
-        state = encode_state_message(HapticState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
+        state = encode_state_message(HaplyDeviceState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
         connection.send(state)
         for message in connection:
             seen.append(decode_force_message(message, "1"))

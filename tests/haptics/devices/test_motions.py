@@ -230,7 +230,7 @@ def test_a_hand_moves_along_the_axis_of_its_approach_and_sideways():
 def test_a_hand_that_takes_over_keeps_position_and_orientation():
     pose = Pose((3e-3, -2e-3, -4e-3), (math.cos(0.1), 0.0, -math.sin(0.1), 0.0))
     hand = HandMotion(None)
-    hand.take_over(pose)
+    hand.continue_from_pose(pose)
     np.testing.assert_allclose(hand.pose(1.0).position, pose.position, atol=1e-15)
     assert hand.pose(2.0).orientation == pose.orientation
 

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.protocols.haply import (
-    HapticState,
+    HaplyDeviceState,
     decode_device_state,
     decode_force_message,
     encode_force_message,
@@ -52,8 +52,8 @@ LATER = """{"inverse3":[{"device_id":"04EA","state":{"angular_position":{"a0":-3
 "z":-0.22833252}}}]}"""
 #: What the maker's Python sample and Isaac Lab's client send in each turn, with their zero force replaced.
 ASKED = {"inverse3": [{"device_id": "04BA", "commands": {"set_cursor_force": {"values": {"x": 0.5, "y": 0, "z": -2}}}}]}
-STATE = HapticState("049D", (0.01, -0.15, 0.12), (0.1, 0.0, -0.2), (0.6, 0.0, 0.8, 0.0), {"handedness": "left"},
-                    {"power_supply": True})
+STATE = HaplyDeviceState("049D", (0.01, -0.15, 0.12), (0.1, 0.0, -0.2), (0.6, 0.0, 0.8, 0.0), {"handedness": "left"},
+                         {"power_supply": True})
 
 
 def test_the_first_message_of_the_documentation():
@@ -171,5 +171,5 @@ def test_any_json_is_a_state_or_is_refused(content):
 @given(st.tuples(*[st.floats(-1.1, 1.1, allow_subnormal=False)] * 3),
        st.tuples(*[st.floats(-1e3, 1e3, allow_subnormal=False)] * 3))
 def test_positions_and_forces_survive_encoding_and_decoding(position, force):
-    assert decode_device_state(encode_state_message(HapticState("1", position), force)).position == position
+    assert decode_device_state(encode_state_message(HaplyDeviceState("1", position), force)).position == position
     assert decode_force_message(encode_force_message("1", force), "1") == force

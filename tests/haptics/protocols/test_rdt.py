@@ -64,7 +64,7 @@ def test_other_bytes_are_no_request(data):
 ])
 def test_status_words_equal_the_manual(status, fault, out_of_range, said):
     """Ethernet Axia manual 9610-05-Ethernet Axia-09, tables 4.7 and 4.9, with the example 80000005."""
-    assert (rdt.has_fault(status), rdt.is_out_of_range(status)) == (fault, out_of_range)
+    assert (rdt.has_fault(status), rdt.has_exceeded_range(status)) == (fault, out_of_range)
     assert said in rdt.describe_status(status) and f"0x{status:08x}" in rdt.describe_status(status)
 
 
@@ -73,11 +73,11 @@ def test_status_words_equal_the_manual(status, fault, out_of_range, said):
     ("klbf", "lbf-ft", 4448.2216152605, 1.3558179483314004), ("kg", "kg-cm", 9.80665, 0.0980665),
     ("N", "N-mm", 1.0, 1e-3),
 ])
-def test_units_are_read_from_the_box(force, torque, newtons_per_count, newton_metres_per_count):
+def test_units_are_read_from_the_box(force, torque, newtons, newton_metres):
     """Factors according to NIST SP 811, appendix B."""
     box = BoxSettings(1000.0, 10.0, force, torque)
-    assert box.newtons_per_count == pytest.approx(newtons_per_count / 1000.0, rel=1e-12)
-    assert box.newton_metres_per_count == pytest.approx(newton_metres_per_count / 10.0, rel=1e-12)
+    assert box.newtons_per_count == pytest.approx(newtons / 1000.0, rel=1e-12)
+    assert box.newton_metres_per_count == pytest.approx(newton_metres / 10.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["stone", "", "Nm"])

@@ -7,7 +7,7 @@ import pytest
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
-from haptics.recorder.live import LIVE_FILE, LiveProgressFile, as_json
+from haptics.recorder.live import LIVE_FILE, LiveProgressFile, convert_progress_to_json
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
 from scenes.viewer.bench.page import bench_html
@@ -25,7 +25,7 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
         folder.update_state(state="running")
         assert "may have been killed" in source.read().message
         moment = RunProgress("needle", "ramp", 2, 5e-3, 3e-3, 0.4, 0.25)
-        (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(as_json(moment)), encoding="utf-8")
+        (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(convert_progress_to_json(moment)), encoding="utf-8")
         partial = folder.open_partial("needle_2", HEADER)
         partial.queue_rows([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(5)])
         partial.close()

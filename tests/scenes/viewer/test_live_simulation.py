@@ -215,7 +215,7 @@ class Written:
         """Append ticks at intervals of 1 ms."""
         for _ in range(count):
             self.number += 1
-            self.writer.append(*tick(self.number, **values))
+            self.writer.append_tick(*tick(self.number, **values))
 
 
 @pytest.fixture
