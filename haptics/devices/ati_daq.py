@@ -68,13 +68,15 @@ class AtiDaqSensor(ForceSensor):
     def __init__(self, calibration: AtiCalibration, read_volts: Callable[[], Any] | str | None = None,
                  rate: float = 1000.0, volts: tuple[float, float] | None = None):
         if not 0 < rate < math.inf:
-            raise InputError(f"must be above 0; got {rate:g} Hz. Give the sampling rate of the board", field="rate_hz")
+            raise InputError(f"the sampling rate must be above 0; got {rate:g} Hz. Give the sampling rate of the board",
+                             field="rate_hz")
         lowest, highest = calibration.volts if volts is None else volts
         if not -math.inf < lowest < highest < math.inf:
-            raise InputError(f"must give a range of voltages; got {lowest:g} to {highest:g} V. Give volts as in "
-                             "range_V=10", field="range_V")
+            raise InputError(f"the lowest voltage must be below the highest; got {lowest:g} to {highest:g} V. Give "
+                             "volts as in range_V=10", field="range_V")
         if isinstance(read_volts, str) and not all(part.strip() for part in read_volts.partition(":")):
-            raise InputError(f"must be package.module:function, as in {_EXAMPLE}; got {read_volts!r}", field="volts")
+            raise InputError(f"the function that reads the voltages must be package.module:function, as in {_EXAMPLE}; "
+                             f"got {read_volts!r}", field="volts")
         self.calibration, self.rate = calibration, rate
         self._given, self._lowest, self._highest = read_volts, lowest, highest
         self._matrix = np.array(calibration.matrix)

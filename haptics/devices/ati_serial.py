@@ -96,17 +96,20 @@ class AtiSerialSensor(ForceSensor):
                  rate: float | None = None, average: int = 0):
         for field, value in (("counts_per_N", counts_per_N), ("counts_per_Nm", counts_per_Nm)):
             if not value > 0:
-                raise InputError(f"must be above 0; got {value:g}. Give the counts per unit of the sensor's "
-                                 "calibration sheet", field=field)
+                raise InputError(f"the counts per unit must be above 0; got {value:g}. Give the counts per unit of "
+                                 "the sensor's calibration sheet", field=field)
         if baud <= 0:
-            raise InputError(f"must be above 0; got {baud}. Give the baud rate of the controller, such as 9600",
+            raise InputError(f"the baud rate must be above 0; got {baud}. Give the baud rate of the controller, such "
+                             "as 9600",
                              field="baud")
         if mode not in MODES:
-            raise InputError(f"must be {' or '.join(MODES)}; got {mode!r}", field="mode")
+            raise InputError(f"the mode of the records must be {' or '.join(MODES)}; got {mode!r}", field="mode")
         if rate is not None and not rate > 0:
-            raise InputError(f"must be above 0; got {rate:g} Hz. Leave it out to measure the rate", field="rate_hz")
+            raise InputError(f"the sampling rate must be above 0; got {rate:g} Hz. Leave it out to measure the rate",
+                             field="rate_hz")
         if not 0 <= average <= 255:
-            raise InputError(f"must be 0 to 255 samples; got {average}", field="average")
+            raise InputError(f"the number of averaged samples must be 0 to 255; got {average}. Give 0 for no averaging",
+                             field="average")
         self._port, self._baud, self._mode, self._average = port, baud, mode, average
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
         self._given_rate = rate

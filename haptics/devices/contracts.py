@@ -166,10 +166,12 @@ class StageLimits:
             InputError: The position or the speed is outside the limits; its field is ``position`` or ``speed``.
         """
         if not self.lowest <= position <= self.highest:
-            raise InputError(f"must be {self.lowest:g} to {self.highest:g} m; got {position:g} m", field="position")
+            raise InputError(f"the target position must be {self.lowest:g} to {self.highest:g} m; got {position:g} m",
+                             field="position")
         if not (0 < speed <= self.speed and speed >= slowest):
             least = f"{slowest:.3g} m/s or more" if slowest else "above zero"
-            raise InputError(f"must be {least} and at most {self.speed:g} m/s; got {speed:g} m/s", field="speed")
+            raise InputError(f"the speed of the stage must be {least} and at most {self.speed:g} m/s; got {speed:g} "
+                             "m/s", field="speed")
 
     require = OldName("require_within_limits")
 
@@ -319,7 +321,8 @@ class HapticDevice(ABC):
         Raises:
             InputError: The device cannot be steered, or the depth is not a finite number.
         """
-        raise InputError(f"requires a steerable motion; got a {type(self).__name__}. Follow a HandMotion first",
+        raise InputError(f"a target requires a steerable motion; got a {type(self).__name__}. Switch to a HandMotion "
+                         "first",
                          field="aim")
 
     def describe(self) -> dict[str, Any]:

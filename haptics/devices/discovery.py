@@ -87,7 +87,7 @@ def _probe_named_device(name: str) -> Iterator[ProbeResult]:
     tables = [(kind, table) for kind, table in _TABLES if back_end in table]
     if not tables:
         known = ", ".join(sorted({each for _, table in _TABLES for each in table}))
-        raise InputError(f"must begin with one of {known}; got {back_end!r}", field="names")
+        raise InputError(f"the name of a device must begin with one of {known}; got {back_end!r}", field="names")
     for kind, table in tables:
         yield _probe_back_end(name, kind, table)
 

@@ -69,17 +69,18 @@ class GrblStage(Stage):
 
     def __init__(self, port: str, limits: StageLimits, axis: str = "Z", baud: int = grbl.BAUD):
         if not port:
-            raise InputError("must be given, as in grbl:/dev/ttyUSB0,axis=Z; got none", field="port")
+            raise InputError("the serial port must be given, as in grbl:/dev/ttyUSB0,axis=Z; got none", field="port")
         if limits.lowest != 0.0 or not 0.0 < limits.highest < math.inf:
-            raise InputError(f"must begin at 0 m, where the limit switch is; got {limits.lowest:g} to "
+            raise InputError(f"the travel must begin at 0 m, where the limit switch is; got {limits.lowest:g} to "
                              f"{limits.highest:g} m", field="lowest_mm, highest_mm")
         if not grbl.LEAST_FEED / 60e3 <= limits.speed < math.inf:
-            raise InputError(f"must be at least {grbl.LEAST_FEED / 60:.4f} mm/s; got {limits.speed * 1e3:g} mm/s",
+            raise InputError(f"the top speed must be at least {grbl.LEAST_FEED / 60:.4f} mm/s; got "
+                             f"{limits.speed * 1e3:g} mm/s",
                              field="top_speed_mm_s")
         if len(axis) != 1 or axis not in grbl.AXES:
-            raise InputError(f"must be X, Y or Z; got {axis!r}", field="axis")
+            raise InputError(f"the axis must be X, Y or Z; got {axis!r}", field="axis")
         if baud <= 0:
-            raise InputError(f"must be above 0; got {baud}", field="baud")
+            raise InputError(f"the baud rate must be above 0; got {baud}", field="baud")
         self.limits, self._port, self._axis, self._baud = limits, port, axis, baud
         self._name = f"the Grbl at {port}"
         self._connection: GrblConnection | None = None

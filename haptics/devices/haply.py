@@ -80,7 +80,8 @@ class HaplyDevice(HapticDevice):
         for value, unit, field in ((scale, "", "scale"), (force_scale, "", "force_scale"),
                                    (largest_force, " N", "largest_force")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be a finite number above 0; got {value:g}{unit}", field=field)
+                raise InputError(f"scales and largest force must be finite numbers above 0; got {value:g}{unit}",
+                                 field=field)
         self.address, self._scale, self._force_scale, self._turn = address, scale, force_scale, turn
         self._axes, self._axis_order = axes, _parse_axes(axes)
         self._given_origin, self._above, self._largest_hand_force = origin, above, largest_force
@@ -318,11 +319,11 @@ def _parse_axes(axes: str) -> tuple[tuple[int, float], ...]:
             order.append((3, sign))
     indices = [axis for axis, _ in order]
     if sorted(indices) != [0, 1, 2]:
-        raise InputError(f"must be x, y and z in some order, with signs, such as xyz or yz-x; got {axes!r}",
+        raise InputError(f"the axes must be x, y and z in some order, with signs, such as xyz or yz-x; got {axes!r}",
                          field="axes")
     swaps = sum(indices[i] > indices[j] for i in range(3) for j in range(i + 1, 3))
     if math.prod(each for _, each in order) != (-1.0 if swaps % 2 else 1.0):
-        raise InputError(f"must be a right-handed frame; got {axes!r}. Change one sign", field="axes")
+        raise InputError(f"the axes must form a right-handed frame; got {axes!r}. Change one sign", field="axes")
     return tuple(order)
 
 

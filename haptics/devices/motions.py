@@ -54,7 +54,7 @@ class ProtocolMotion(AxialMotion):
         self._depths = protocol.displacement.tolist()
         self._repeat = repeat
         if repeat and (len(self._times) < 2 or not math.isclose(self._depths[0], self._depths[-1], abs_tol=1e-9)):
-            raise InputError("must end at its first displacement to be repeated; it ends "
+            raise InputError("a repeated protocol must end at its first displacement; it ends "
                              f"{1e3 * (self._depths[-1] - self._depths[0]):.4g} mm from it. Add 'unload' at the end or "
                              "use repeat=False", field="protocol")
 
@@ -92,7 +92,7 @@ class SineMotion(AxialMotion):
     def __init__(self, deepest: float, highest: float = 0.0, frequency: float = 1.0):
         _require_depth_range(highest, deepest)
         if not 0 < frequency < math.inf:
-            raise InputError(f"must be above 0 Hz; got {frequency:g} Hz", field="frequency")
+            raise InputError(f"the frequency must be above 0 Hz; got {frequency:g} Hz", field="frequency")
         self._middle, self._amplitude = 0.5 * (highest + deepest), 0.5 * (deepest - highest)
         self._rate = 2 * math.pi * frequency
 
@@ -164,9 +164,9 @@ class HandMotion(Motion):
         """
         x, y = self._target[:2] if across is None else across
         if not math.isfinite(depth):
-            raise InputError(f"must be a finite number; got {depth}", field="depth")
+            raise InputError(f"the target depth must be a finite number; got {depth}", field="depth")
         if not (math.isfinite(x) and math.isfinite(y)):
-            raise InputError(f"must be two finite numbers; got ({x}, {y})", field="across")
+            raise InputError(f"the target across the axis must be two finite numbers; got ({x}, {y})", field="across")
         self._target = [x, y, depth]
 
     def pose(self, time: float) -> Pose:
@@ -228,7 +228,7 @@ class RandomWalk(AxialMotion):
         require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here
         start = highest if start is None else start
         if not highest <= start <= deepest:
-            raise InputError(f"must be {highest:g} to {deepest:g} m; got {start:g} m", field="start")
+            raise InputError(f"the initial depth must be {highest:g} to {deepest:g} m; got {start:g} m", field="start")
         self._random = random.Random(seed)
         self._highest, self._deepest = highest, deepest
         self._longest_step = speed * self.SPACING
@@ -289,11 +289,12 @@ class SpatialWalk(Motion):
                  turn: float = 0.0, speed: float = 0.2, turn_speed: float = math.radians(60.0),
                  approach: Approach | None = None):
         if not 0.0 <= sideways < math.inf:
-            raise InputError(f"must be 0 m or more; got {sideways:g} m", field="sideways")
+            raise InputError(f"the sideways range must be 0 m or more; got {sideways:g} m", field="sideways")
         require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
         require_length(turn_speed, "turn_speed")
         if not 0.0 <= turn < math.pi:
-            raise InputError(f"must be 0 rad or more and less than half a turn; got {turn:g} rad", field="turn")
+            raise InputError(f"the rotation range must be 0 rad or more and less than half a turn; got {turn:g} rad",
+                             field="turn")
         self.approach = approach
         # Three perpendicular components of at most limit / sqrt(3) have a resultant of at most the limit.
         fraction = 1.0 / math.sqrt(3.0)
@@ -320,7 +321,8 @@ class SpatialWalk(Motion):
 def _require_depth_range(highest: float, deepest: float) -> None:
     """Raise an error unless `deepest` is below `highest`, both finite, m."""
     if not -math.inf < highest < deepest < math.inf:
-        raise InputError(f"must be deeper than the upper depth, {highest:g} m; got {deepest:g} m", field="deepest")
+        raise InputError(f"the deepest position must be deeper than the upper depth, {highest:g} m; got {deepest:g} m",
+                         field="deepest")
 
 
 def open_random(text: str) -> RandomWalk | SpatialWalk:

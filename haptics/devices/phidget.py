@@ -72,12 +72,14 @@ class PhidgetStage(Stage):
     def __init__(self, serial: int | None, steps_per_mm: float, limits: StageLimits, acceleration: float = 0.05,
                  microsteps: int = 16, current: float | None = None):
         if not limits.lowest <= 0.0 < limits.highest < float("inf") or limits.lowest == -float("inf"):
-            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m", field="limits")
+            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
+                             field="limits")
         for field, value in (("top_speed_mm_s", limits.speed), ("acceleration_mm_s2", acceleration),
                              ("steps_per_mm", abs(steps_per_mm)), ("microsteps", microsteps)):
             if not 0 < value < float("inf"):
                 condition = "finite and not 0" if field == "steps_per_mm" else "finite and above 0"
-                raise InputError(f"must be {condition}, as in {_EXAMPLE}; got {value:g}", field=field)
+                raise InputError(f"a setting of the motor must be {condition}, as in {_EXAMPLE}; got {value:g}",
+                                 field=field)
         self.limits, self._serial, self._steps_per_mm = limits, serial, steps_per_mm
         self._acceleration, self._microsteps, self._current = acceleration, microsteps, current
         #: Length of one microstep, m, with the sign of the direction.
@@ -193,7 +195,7 @@ class PhidgetStage(Stage):
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
         # The controller rounds down to whole counts per second, so a speed below 1 would become 0.
         if self._convert_to_counts(speed) < 1.0:
-            raise InputError(f"must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
+            raise InputError(f"the speed must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
                              field="speed")
         halts = self._halts
         try:
@@ -286,7 +288,8 @@ def open_phidget(text: str) -> PhidgetStage:
     """
     serial, rest = split_address_and_settings(text, "the serial number of the controller, or 'any',", _EXAMPLE)
     if serial != "any" and not (serial.isascii() and serial.isdigit()):
-        raise InputError(f"must be the serial number of the controller or 'any', as in {_EXAMPLE}; got {serial!r}",
+        raise InputError(f"the name must begin with the serial number of the controller or 'any', as in {_EXAMPLE}; "
+                         f"got {serial!r}",
                          field="serial")
     given = read_settings(rest, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0,
                           acceleration_mm_s2=50.0, microsteps=16, current_A=0.0)

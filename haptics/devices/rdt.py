@@ -62,10 +62,10 @@ class RdtSensor(ForceSensor):
 
     def __init__(self, host: str, port: int = rdt.PORTS.records, http_port: int = rdt.PORTS.settings):
         if not host:
-            raise InputError("must be given, as in rdt://192.168.1.1; got none", field="host")
+            raise InputError("the address of the box must be given, as in rdt://192.168.1.1; got none", field="host")
         for number, field in ((port, "port"), (http_port, "http_port")):
             if not 0 < number < 65536:
-                raise InputError(f"must be 1 to 65535; got {number}", field=field)
+                raise InputError(f"a port must be 1 to 65535; got {number}", field=field)
         self._host, self._port, self._http_port = host, port, http_port
         self.rate = 7000.0
         self._settings: BoxSettings | None = None
@@ -376,7 +376,7 @@ def open_rdt(text: str) -> RdtSensor:
     address, _, rest = text.removeprefix("//").partition(",")
     name, _, given = rest.partition("=")
     if name.strip() not in ("", "http_port"):
-        raise InputError(f"must be http_port; got {name.strip()!r}", field="settings")
+        raise InputError(f"the setting after the address must be http_port; got {name.strip()!r}", field="settings")
     host, port = address, str(rdt.PORTS.records)
     if address.startswith("["):
         host, _, rest = address[1:].partition("]")
@@ -386,6 +386,6 @@ def open_rdt(text: str) -> RdtSensor:
     try:
         numbers = int(port.rstrip("/")), int(given) if given else rdt.PORTS.settings
     except ValueError:
-        raise InputError(f"must be a whole number, as in rdt://ADDRESS:PORT,http_port=PORT; got {text!r}",
+        raise InputError(f"a port must be a whole number, as in rdt://ADDRESS:PORT,http_port=PORT; got {text!r}",
                          field="port") from None
     return RdtSensor(host.rstrip("/"), *numbers)

@@ -42,15 +42,16 @@ class ReplaySensor(ForceSensor):
                  clock: Callable[[], float] = time.monotonic):
         for value, field in ((speed, "speed"), (resolution, "resolution")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be a finite number above 0; got {value:g}", field=field)
+                raise InputError(f"replay speed and resolution must be finite numbers above 0; got {value:g}",
+                                 field=field)
         channels = tuple(name for name in CHANNELS if name in recording)
         columns = [recording.channel(name) for name in channels] if channels else [recording.force]
         if "time" not in recording:
-            raise InputError("must be recorded for a replay; the recording has no times. Give another recording",
+            raise InputError("the times must be recorded for a replay; the recording has none. Give another recording",
                              file=recording.metadata.get("source"), field="time")
         times = recording.time
         if len(recording) < 2 or times[-1] <= times[0]:
-            raise InputError("must have two different times for a replay; give a longer recording",
+            raise InputError("the recording must have two different times for a replay; give a longer recording",
                              file=recording.metadata.get("source"), field="time")
         self.channels = channels or ("Fz",)
         self._name, self._speed, self._resolution, self._clock = recording.name, speed, resolution, clock

@@ -83,25 +83,28 @@ class TicStage(Stage):
     def __init__(self, port: str, limits: StageLimits, steps_per_m: float, baud: int = 9600, device: int | None = None,
                  crc: bool = False, response_crc: bool = False, ramp: float = 0.1):
         if not port:
-            raise InputError("must be given, as in tic:/dev/ttyUSB0,steps_per_mm=800; got none", field="port")
+            raise InputError("the serial port must be given, as in tic:/dev/ttyUSB0,steps_per_mm=800; got none",
+                             field="port")
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
-            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
+            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
                              field="lowest_mm, highest_mm")
         for value, name in ((limits.speed, "top_speed_mm_s"), (steps_per_m, "steps_per_mm"), (baud, "baud")):
             if not 0 < value < math.inf:
                 remedy = (". Give the microsteps per turn of the motor divided by the lead of the screw"
                           if name == "steps_per_mm" else "")
-                raise InputError(f"must be above 0; got {value:g}{remedy}", field=name)
+                raise InputError(f"top speed, steps and baud rate must be above 0; got {value:g}{remedy}", field=name)
         if not 0.01 <= ramp <= 1.0:
-            raise InputError(f"must be 10 to 1000 ms; got {ramp * 1e3:g} ms", field="ramp_ms")
+            raise InputError(f"the time of the speed ramp must be 10 to 1000 ms; got {ramp * 1e3:g} ms",
+                             field="ramp_ms")
         if device is not None and not 0 <= device <= 127:
-            raise InputError(f"must be 0 to 127; got {device}", field="device")
+            raise InputError(f"the device number must be 0 to 127; got {device}", field="device")
         if limits.speed * steps_per_m > tic.MOTION.top_speed * tic.MOTION.speed_unit:
-            raise InputError("must be at most 50000 microsteps/s; got "
+            raise InputError("the top speed must be at most 50000 microsteps/s; got "
                              f"{limits.speed * 1e3:g} mm/s = {limits.speed * steps_per_m:.0f} microsteps/s. Lower the "
                              "speed, or use larger steps", field="top_speed_mm_s")
         if max(-limits.lowest, limits.highest) * steps_per_m > 0x7FFFFFFF:
-            raise InputError("must fit into 32 bits as a number of microsteps. Use a shorter travel, or larger steps",
+            raise InputError("the travel must fit into 32 bits as a number of microsteps. Use a shorter travel, or "
+                             "larger steps",
                              field="lowest_mm, highest_mm")
         self.limits, self._port, self._steps, self._baud = limits, port, steps_per_m, baud
         self._device, self._crc, self._response_crc, self._ramp = device, crc, response_crc, ramp

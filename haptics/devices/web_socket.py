@@ -47,7 +47,7 @@ class WebSocketConnection:
                     raise WebSocketClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
                 remaining = end - time.monotonic()
                 if remaining <= 0:
-                    raise TimeoutError("no answer to the handshake")
+                    raise TimeoutError("the server sent no answer to the WebSocket handshake in time")
                 self._receive_once(remaining)
         except BaseException:
             self._socket.close()
@@ -143,5 +143,6 @@ def parse_address(address: str) -> tuple[str, int]:
     except ValueError:
         port = None
     if parts.scheme != "ws" or not parts.hostname or port is None:
-            raise InputError(f"must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got {address!r}", field="address")
+            raise InputError(f"the address must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got {address!r}",
+                             field="address")
     return parts.hostname, port

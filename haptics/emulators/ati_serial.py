@@ -65,7 +65,7 @@ class AtiSerialEmulator(TerminalEmulator):
         super().__init__(faults or Faults())
         for field, value in (("counts_per_N", counts_per_N), ("counts_per_Nm", counts_per_Nm), ("baud", baud)):
             if not value > 0:
-                raise InputError(f"must be above 0; got {value:g}", field=field)
+                raise InputError(f"counts per unit and baud rate must be above 0; got {value:g}", field=field)
         self._sensor, self._baud, self._mode_at_start, self._padded = sensor, baud, mode, padded
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
         self.records = 0

@@ -303,7 +303,8 @@ def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
         if setting is None:
             own.append(part)
         elif setting[1] < 0:
-            raise InputError(f"must be 0 or more; got {value}. Grbl answers error:4 to negative values", field=name)
+            raise InputError(f"a setting of Grbl must be 0 or more; got {value}. Grbl answers error:4 to negative "
+                             "values", field=name)
 
         else:
             numbers[setting[0]] = setting[1]

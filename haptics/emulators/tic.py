@@ -312,10 +312,11 @@ def emulate_tic(bench: Bench, text: str, faults: Faults) -> TicEmulator:
     given = read_settings(text, steps_per_mm=800.0, timeout_ms=1000, device=14, crc=0, response_crc=0, control_mode=0,
                           soft_error_response=2, safe_start=1)
     if not given["steps_per_mm"] > 0:
-        raise InputError(f"must be above 0; got {given['steps_per_mm']:g}", field="steps_per_mm")
+        raise InputError(f"the number of steps per mm must be above 0; got {given['steps_per_mm']:g}",
+                         field="steps_per_mm")
     for name, most in (("timeout_ms", 60_000), ("device", 127), ("control_mode", 7), ("soft_error_response", 3)):
         if not 0 <= given[name] <= most:
-            raise InputError(f"must be 0 to {most}; got {given[name]}", field=name)
+            raise InputError(f"a setting of the Tic must be 0 to {most}; got {given[name]}", field=name)
 
     return TicEmulator(bench, faults, given["steps_per_mm"] * 1e3, given["timeout_ms"] * 1e-3, int(given["device"]),
                        bool(given["crc"]), bool(given["response_crc"]), int(given["control_mode"]),

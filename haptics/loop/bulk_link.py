@@ -126,7 +126,7 @@ class DelayedBulk:
         """
         model = self._predictive.linearise(make_untouched_state(self.contact_surface), 0.0, 0.0)
         if model is None:
-            raise RuntimeError("the untouched tissue has no linearisation")
+            raise RuntimeError("the bulk must have a linearisation of the undeformed tissue; the solver returned none")
         return model
 
     def send_state(self, state: ContactState) -> None:

@@ -339,8 +339,8 @@ class Loop:
     def _get_tissue_method(self, name: str) -> Callable[..., None]:
         method = getattr(self._tissue, name, None)
         if method is None:
-            raise InputError(f"this tissue ({type(self._tissue).__name__}) has no {name}; use a tissue with this "
-                             "method")
+            raise InputError(f"this tissue ({type(self._tissue).__name__}) has no method {name}; use a tissue with "
+                             "this method")
         return method
 
 

@@ -294,7 +294,7 @@ class LoopProcess:
         """
         process, connection = self._process, self._connection
         if process is None or connection is None:
-            raise LoopError("the loop was not started")
+            raise LoopError("the loop was not started; call start first")
         with self._lock:
             if self.report is not None:
                 return

@@ -224,7 +224,8 @@ class SlotReader:
             content = self.read(number)
             if content is not None:
                 return number, content
-        raise InputError("holds no complete record", file=self.path)
+        raise InputError("must hold a complete record; found none in repeated reads. Start the loop that writes the "
+                         "file again", file=self.path)
 
     def read_contents_after(self, number: int) -> tuple[list[bytes], int, int]:
         """Read all slots after a number.

@@ -100,7 +100,8 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         first = predictive.linearise(make_untouched_state(bulk.surface), 0.0, 0.0)
         bulk.executor = start_computation_in_thread
         if first is None:
-            raise InputError("the untouched tissue has no linearisation", field="specimen")
+            raise InputError("the bulk must have a linearisation of the undeformed tissue; the solver returned none",
+                             field="specimen")
     except (InputError, ConvergenceError, MissingBackendError) as error:
         pickle.dump(error, answers)
         answers.flush()

@@ -62,11 +62,11 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
         InputError: The file is damaged, is no calibration file, or lacks an element; the message names the cause.
     """
     if len(text) > MAX_SIZE:
-        raise InputError("must be smaller than 1 MB to be a calibration file; give the .cal file of the sensor",
+        raise InputError("a calibration file must be smaller than 1 MB; give the .cal file of the sensor",
                          file=name)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "replace")
     if b"<!ENTITY" in data:
-        raise InputError("must not define entities to be a calibration file; give the .cal file of the sensor",
+        raise InputError("a calibration file must not define XML entities; give the .cal file of the sensor",
                          file=name)
     try:
         root = ElementTree.fromstring(text)
@@ -80,8 +80,8 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
     if calibration is None:
         raise InputError("has no Calibration; copy the .cal file from the sensor's disc again", file=name)
     if sensor.get("NumGages", "6").strip() != "6":
-        raise InputError(f"must be of a sensor with six gages; got {sensor.get('NumGages')} gages. Give the file of "
-                         "another sensor", file=name)
+        raise InputError(f"the calibration must be of a sensor with six gages; got {sensor.get('NumGages')} gages. "
+                         "Give the file of another sensor", file=name)
     force = _read_unit(calibration, "ForceUnits", FORCE_UNITS, name)
     torque = _read_unit(calibration, "TorqueUnits", TORQUE_UNITS, name)
     rows = "UserAxis" if calibration.find("UserAxis") is not None else "Axis"

@@ -106,9 +106,9 @@ def _parse_json_object(message: str | bytes) -> dict[str, Any]:
     try:
         content = json.loads(message)
     except (ValueError, RecursionError):
-        raise ValueError("not valid JSON") from None
+        raise ValueError("the message must be valid JSON") from None
     if not isinstance(content, dict):
-        raise ValueError("not a JSON object")
+        raise ValueError("the message must be a JSON object")
     return content
 
 
@@ -139,7 +139,7 @@ def _require_finite(value: Any, name: str) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError(f"{name} must be finite")
+        raise ValueError(f"{name} must be finite; got {number}")
     return number
 
 

@@ -219,8 +219,8 @@ def _find_unit_value(name: str, quantity: str) -> float:
     try:
         return known[name.replace("·", "-")]
     except KeyError:
-        raise InputError(f"must be a known unit of {quantity}; got {name!r} from the box. Set the unit to one of "
-                         f"{', '.join(_OFFERED[quantity])} on the configurations page of the box",
+        raise InputError(f"the unit of {quantity} must be a known unit; got {name!r} from the box. Set the unit to "
+                         f"one of {', '.join(_OFFERED[quantity])} on the configurations page of the box",
                          field=f"{quantity}_unit") from None
 
 
@@ -236,7 +236,8 @@ def read_settings_page(page: bytes) -> BoxSettings:
             raise ElementTree.ParseError("declarations")
         root = ElementTree.fromstring(page)
     except (ElementTree.ParseError, ValueError, LookupError):
-        raise InputError("must be the XML page of an ATI box; the page is no valid XML. Check the address",
+        raise InputError("the settings page must be the XML page of an ATI box; the page is no valid XML. Check the "
+                         "address",
                          field="settings") from None
     texts = {element.tag.rpartition("}")[2].lower(): (element.text or "").strip() for element in root.iter()
              if isinstance(element.tag, str)}

@@ -57,7 +57,8 @@ class GuardedMotion:
                  sleep: Callable[[float], None] = time.sleep):
         self.sensor, self.stage, self.limits = bench.sensor, bench.stage, limits
         if axis not in bench.sensor.channels:
-            raise InputError(f"must be a channel of the sensor: {', '.join(bench.sensor.channels)}; got {axis!r}",
+            raise InputError(f"the axis must be a channel of the sensor: {', '.join(bench.sensor.channels)}; got "
+                             f"{axis!r}",
                              field="record.axis")
         self._axis, self._sign = bench.sensor.channels.index(axis), sign
         self._on_poll, self._stop_request, self.now, self._sleep = on_poll, stop_request, clock, sleep

@@ -78,15 +78,18 @@ class IndentationPlan:
                              "'ramp 10mm @0.248mm/s; hold 60s; unload'", field=f"{self.name}.protocol")
         for name in ("contact_force", "approach_speed", "retract"):
             if not 0 < getattr(self, name) < math.inf:
-                raise InputError(f"must be positive and finite; got {getattr(self, name):g}", field=f"record.{name}")
+                raise InputError("contact force, speed and retraction must be positive and finite; got "
+                                 f"{getattr(self, name):g}", field=f"record.{name}")
         for name, least in (("replicates", 1), ("preconditioning", 0)):
             if getattr(self, name) < least:
-                raise InputError(f"must be at least {least}; got {getattr(self, name)}", field=f"record.{name}")
+                raise InputError(f"the number of motions must be at least {least}; got {getattr(self, name)}",
+                                 field=f"record.{name}")
         if self.sign not in (1, -1):
-            raise InputError(f"must be 1 or -1; got {self.sign}. Give -1 if the reading decreases when the tool is "
-                             "pushed", field="record.sign")
+            raise InputError(f"the sign of the reading must be 1 or -1; got {self.sign}. Give -1 if the reading "
+                             "decreases when the tool is pushed", field="record.sign")
         if not 0 <= self.rest < math.inf:
-            raise InputError(f"must be zero or more and finite; got {self.rest:g} s", field="record.rest")
+            raise InputError(f"the rest between motions must be zero or more and finite; got {self.rest:g} s",
+                             field="record.rest")
 
     @property
     def largest_depth(self) -> float:
@@ -136,14 +139,14 @@ def check_plans_against_limits(plans: Sequence[IndentationPlan], limits: MotionL
     reaction = max(limits.sensor_silence, 3 * period, 1.2 * POLLING.timeout) + 2 * POLLING.period + stage.runs_on
     total = 0.0
     if limits.lowest < stage.limits.lowest or limits.highest > stage.limits.highest:
-        raise InputError(f"must lie within the range of the stage, {stage.limits.lowest * 1e3:g} to "
-                         f"{stage.limits.highest * 1e3:g} mm; got {limits.lowest * 1e3:g} to "
+        raise InputError(f"the position limits must lie within the range of the stage, {stage.limits.lowest * 1e3:g} "
+                         f"to {stage.limits.highest * 1e3:g} mm; got {limits.lowest * 1e3:g} to "
                          f"{limits.highest * 1e3:g} mm. Reduce lowest_mm or highest_mm", field="limits")
     for plan in plans:
         travel, allowed_travel = plan.largest_depth + plan.largest_height, limits.highest - limits.lowest
         if travel > allowed_travel:
-            raise InputError(f"must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of [limits]; got "
-                             f"{travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
+            raise InputError(f"the protocol must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of "
+                             f"[limits]; got {travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
         for speed, name in ((plan.largest_speed, f"{plan.name}.protocol"),
                             (plan.approach_speed, "record.approach_speed")):
             fastest = min(limits.speed, stage.limits.speed)
@@ -153,6 +156,7 @@ def check_plans_against_limits(plans: Sequence[IndentationPlan], limits: MotionL
         motions = plan.replicates + plan.preconditioning
         total += motions * (plan.duration + plan.rest + 2 * plan.retract / plan.approach_speed)
     if total > limits.duration:
-        raise InputError(f"must be at least {total:.4g} s, the duration of the plan; got {limits.duration:g} s",
+        raise InputError(f"the time limit must be at least {total:.4g} s, the duration of the plan; got "
+                         f"{limits.duration:g} s",
                          field="limits.duration")
     return total

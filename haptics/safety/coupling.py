@@ -97,10 +97,10 @@ class VirtualCoupling:
 
     def __init__(self, stiffness: float, damping: float = 0.0, mass: float = 0.0):
         if not 0 < stiffness < math.inf:
-            raise InputError(f"must be positive and finite; got {stiffness:g} N/m", field="stiffness")
+            raise InputError(f"the stiffness must be positive and finite; got {stiffness:g} N/m", field="stiffness")
         for value, unit, field in ((damping, "N s/m", "damping"), (mass, "kg", "mass")):
             if not 0 <= value < math.inf:
-                raise InputError(f"must be zero or more and finite; got {value:g} {unit}", field=field)
+                raise InputError(f"damping and mass must be zero or more and finite; got {value:g} {unit}", field=field)
         self.stiffness, self.damping, self.mass = stiffness, damping, mass
         self.reset()
 

@@ -57,7 +57,7 @@ class ForceRelease:
 
     def __init__(self, patience: float = RELEASE.patience, ramp: float = RELEASE.ramp):
         if not patience > 0.0:
-            raise InputError(f"must be positive; got {patience:g} s", field="patience")
+            raise InputError(f"the time without equilibrium must be positive; got {patience:g} s", field="patience")
         self._watchdog = Watchdog(min(patience, RELEASE.longest_patience), ramp)
         self.reset()
 

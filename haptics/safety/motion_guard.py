@@ -79,9 +79,11 @@ class MotionLimits:
             if each.name in ("lowest", "highest", "retracts"):
                 continue
             if not 0 < value < math.inf:
-                raise InputError(f"must be positive and finite; got {value:g}", field=f"limits.{each.name}")
+                raise InputError(f"a limit of a run must be positive and finite; got {value:g}",
+                                 field=f"limits.{each.name}")
         if not -math.inf < self.lowest < self.highest < math.inf:
-            raise InputError(f"must be below limits.highest, {self.highest * 1e3:g} mm; got {self.lowest * 1e3:g} mm",
+            raise InputError(f"the lowest position must be below limits.highest, {self.highest * 1e3:g} mm; got "
+                             f"{self.lowest * 1e3:g} mm",
                              field="limits.lowest")
 
 

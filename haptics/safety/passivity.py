@@ -39,7 +39,8 @@ class PassivityObserver:
 
     def __init__(self, held: bool = False, tolerance: float = 1e-3):
         if not 0 <= tolerance < math.inf:
-            raise InputError(f"must be zero or more and finite; got {tolerance:g}", field="tolerance")
+            raise InputError(f"the tolerance on the energy must be zero or more and finite; got {tolerance:g}",
+                             field="tolerance")
         self.held, self.tolerance = held, tolerance
         self.reset()
 
@@ -145,7 +146,7 @@ class EnergyLimit:
 
     def __init__(self, energy: float):
         if not energy > 0:
-            raise InputError(f"must be positive; got {energy:g} J", field="energy")
+            raise InputError(f"the largest returned energy must be positive; got {energy:g} J", field="energy")
         self.energy = energy
         self.reset()
 
@@ -188,9 +189,10 @@ class PassivityController:
 
     def __init__(self, observer: PassivityObserver, damping: float):
         if not 0 < damping < math.inf:
-            raise InputError(f"must be positive and finite; got {damping:g} N s/m", field="damping")
+            raise InputError(f"the damping must be positive and finite; got {damping:g} N s/m", field="damping")
         if not observer.held:
-            raise InputError("must count the held force; got held=False. Create the observer with held=True",
+            raise InputError("the observer must count the held force; got held=False. Create the observer with "
+                             "held=True",
                              field="observer")
         self.observer, self.damping, self.added = observer, damping, 0.0
 

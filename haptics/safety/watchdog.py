@@ -43,7 +43,7 @@ class Watchdog:
     def __init__(self, timeout: float = 0.050, ramp: float = 0.100):
         for value, field in ((timeout, "timeout"), (ramp, "ramp")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be positive and finite; got {value:g} s", field=field)
+                raise InputError(f"timeout and ramp must be positive and finite; got {value:g} s", field=field)
         self.timeout, self.ramp = timeout, ramp
         self.reset()
 

@@ -46,7 +46,8 @@ class TissueClient:
     def __init__(self, port: int, host: str = LOOPBACK, timeout: float = 1.0, polls: int = 0,
                  session: int | None = None, version: int = VERSION):
         if version not in VERSIONS:
-            raise InputError(f"must be {' or '.join(map(str, VERSIONS))}; got {version!r}", field="version")
+            raise InputError(f"the protocol version must be {' or '.join(map(str, VERSIONS))}; got {version!r}",
+                             field="version")
         self._version = version
         self._timeout, self._polls, self._sequence = timeout, polls, 0
         self.session = secrets.randbits(64) | 1 if session is None else session

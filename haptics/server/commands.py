@@ -131,7 +131,7 @@ class ConfigurationCommands:
                              '{"command": "describe"}') from None
         name = request.get("command") if isinstance(request, dict) else None
         if not isinstance(name, str):
-            raise InputError(f"must be one of {', '.join(self._commands)}; got none", field="command")
+            raise InputError(f"the command must be one of {', '.join(self._commands)}; got none", field="command")
         if name not in self._commands:
             raise InputError(f"unknown command {name[:64]!r}{nearest(name[:64], self._commands)}", field="command")
         kind, function = self._commands[name]

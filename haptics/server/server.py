@@ -238,10 +238,10 @@ def _require_loopback(host: str, expose: bool) -> None:
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
-        raise InputError(f"must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
+        raise InputError(f"the host must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
     if not (loopback or expose):
-        raise InputError(f"must be a loopback address such as {LOOPBACK} unless expose is set; got {host}. Other "
-                         "computers can reach this address, and the protocol has no password", field="host")
+        raise InputError(f"the host must be a loopback address such as {LOOPBACK} unless expose is set; got {host}. "
+                         "Other computers can reach this address, and the protocol has no password", field="host")
 
 
 def _open_socket(kind: socket.SocketKind, host: str, port: int, field: str) -> socket.socket:
@@ -257,7 +257,7 @@ def _open_socket(kind: socket.SocketKind, host: str, port: int, field: str) -> s
         InputError: the port is invalid or in use, or the address does not belong to this computer.
     """
     if not 0 <= port <= 65535:
-        raise InputError(f"must be 1 to 65535, or 0 for a free port; got {port}", field=field)
+        raise InputError(f"the port must be 1 to 65535, or 0 for a free port; got {port}", field=field)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     bound = socket.socket(family, kind)
     try:

@@ -283,7 +283,7 @@ class StepService:
         dt = 0.0 if owner.time is None or reset else request.time - owner.time
         try:
             if not math.isfinite(request.time):
-                raise InputError("must be finite", field="time")
+                raise InputError(f"the time of a request must be finite; got {request.time}", field="time")
             pose = Pose(request.position, request.orientation)
             self.limits.require(pose, None if reset else owner.pose, dt)
         except InputError:
@@ -296,7 +296,7 @@ class StepService:
                 self.discard_last_step()
             answer = self.tissue.step(pose, dt)
             if not answer.is_finite:
-                raise ArithmeticError("the force is not finite")
+                raise ArithmeticError("the force of the tissue must be finite; got NaN or infinity")
         except Exception as error:
             if isinstance(error, InputError) and not self._is_broken:
                 return self._repeat_last_answer_as_refused(), 0.0

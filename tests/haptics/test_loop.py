@@ -236,7 +236,7 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
     def listen(loop):
         step = len(tissue.steps)
         if step == 50:
-            with pytest.raises(InputError, match=r"requires a steerable motion; got a Ramp\. Follow a HandMotion"):
+            with pytest.raises(InputError, match=r"requires a steerable motion; got a Ramp\. Switch to a HandMotion"):
                 loop.aim(1e-3)
         elif step == 100:
             loop.switch_device(HandMotion(2e-3))

@@ -251,6 +251,6 @@ class TestEnergyLimit:
 
     @pytest.mark.parametrize("energy", [0.0, -1.0, math.nan])
     def test_an_invalid_limit_is_refused(self, energy):
-        with pytest.raises(InputError, match="energy: must be positive"):
+        with pytest.raises(InputError, match="energy: the largest returned energy must be positive"):
             EnergyLimit(energy)
         assert EnergyLimit(math.inf).step(-1e9, TICK)

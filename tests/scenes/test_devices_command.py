@@ -41,7 +41,7 @@ def test_the_list_names_every_back_end(capsys, monkeypatch):
 
 def test_an_unknown_device_is_refused(capsys):
     assert main(["devices", "tik:/dev/ttyACM0"]) == 2
-    assert "names: must begin with one of ati-daq, ati-serial, " in capsys.readouterr().err
+    assert "names: the name of a device must begin with one of ati-daq, ati-serial, " in capsys.readouterr().err
 
 
 @pytest.mark.slow

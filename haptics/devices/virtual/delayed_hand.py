@@ -34,9 +34,9 @@ class DelayedHand(HapticDevice):
     def __init__(self, hand: VirtualHand, delay: float, jitter: float = 0.0, loss: float = 0.0, seed: int = 0):
         for value, field in ((delay, "delay"), (jitter, "jitter")):
             if not 0 <= value < math.inf:
-                raise InputError(f"must be 0 s or more; got {value:g} s", field=field)
+                raise InputError(f"delay and jitter must be 0 s or more; got {value:g} s", field=field)
         if not 0 <= loss <= 1:
-            raise InputError(f"must be 0 to 1; got {loss:g}", field="loss")
+            raise InputError(f"the fraction of lost messages must be 0 to 1; got {loss:g}", field="loss")
         self._hand, self._delay, self._jitter, self._loss, self._seed = hand, delay, jitter, loss, seed
         self._discard_forces_in_transit()
 

@@ -47,12 +47,15 @@ class Faults:
     def __post_init__(self) -> None:
         for field in ("loss", "duplicate", "reorder", "garble"):
             if not 0.0 <= getattr(self, field) <= 1.0:
-                raise InputError(f"must be 0 to 1; got {getattr(self, field):g}", field=field)
+                raise InputError(f"the probability of a message fault must be 0 to 1; got {getattr(self, field):g}",
+                                 field=field)
         for field in ("delay", "disconnect_after", "saturate_after", "stall_after"):
             if not getattr(self, field) >= 0.0:
-                raise InputError(f"must be 0 s or more; got {getattr(self, field):g} s", field=field)
+                raise InputError(f"the time of a fault must be 0 s or more; got {getattr(self, field):g} s",
+                                 field=field)
         if not math.isfinite(self.delay) or not math.isfinite(self.drift):
-            raise InputError(f"must be finite; got {self.delay:g} s, {self.drift:g} N/s", field="delay, drift")
+            raise InputError(f"delay and drift must be finite; got {self.delay:g} s, {self.drift:g} N/s",
+                             field="delay, drift")
 
 
 def parse_faults(text: str) -> Faults:

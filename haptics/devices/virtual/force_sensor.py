@@ -33,9 +33,9 @@ class VirtualForceSensor(ForceSensor):
                  clock: Callable[[], float] = time.monotonic, silent_after: float = math.inf):
         for value, unit, field in ((rate, "Hz", "rate"), (resolution, "N", "resolution"), (reach, "N", "reach")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be above 0 {unit}; got {value:g} {unit}", field=field)
+                raise InputError(f"rate, resolution and range must be above 0; got {value:g} {unit}", field=field)
         if not channels:
-            raise InputError("must have at least one channel; got none", field="channels")
+            raise InputError("the sensor must have at least one channel; got none", field="channels")
         self.channels, self.rate, self._load, self._clock = channels, rate, load, clock
         self._resolution, self._largest_count = resolution, math.floor(reach / resolution)
         self._zero, self._silent_after = (0,) * len(channels), silent_after

@@ -42,12 +42,12 @@ class VirtualHand(HapticDevice):
     def __init__(self, motion: Motion, mass: float = 0.15, damping: float = 5.0, grip: float = 400.0,
                  push: float = 0.0):
         if not 0 < mass < math.inf:
-            raise InputError(f"must be above 0 kg; got {mass:g} kg", field="mass")
+            raise InputError(f"the mass must be above 0 kg; got {mass:g} kg", field="mass")
         for value, unit, field in ((damping, "N s/m", "damping"), (grip, "N/m", "grip")):
             if not 0 <= value < math.inf:
-                raise InputError(f"must be 0 {unit} or more; got {value:g} {unit}", field=field)
+                raise InputError(f"damping and grip stiffness must be 0 or more; got {value:g} {unit}", field=field)
         if not math.isfinite(push):
-            raise InputError(f"must be finite; got {push:g} N", field="push")
+            raise InputError(f"the push must be finite; got {push:g} N", field="push")
         self._motion, self._mass, self._damping, self._grip = motion, mass, damping, grip
         self._push = push
         # Characteristic roots: r = -d / 2m +- sqrt((d / 2m)^2 - grip / m).

@@ -90,7 +90,7 @@ class ElasticSpecimen:
 
     def __init__(self, model: Model, depth: float, resolution: str = "accurate"):
         if model.is_path_dependent:
-            raise InputError("must be independent of the loading history for an ElasticSpecimen; make a "
+            raise InputError("the material must be independent of the loading history for an ElasticSpecimen; make a "
                              "HistoryDependentSpecimen", field="model")
         ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _TABLE.points)),
                         rig=Rig())
@@ -122,7 +122,7 @@ class HistoryDependentSpecimen:
 
     def __init__(self, model: Model, resolution: str = "realtime"):
         if model.rig.compliance:
-            raise InputError("must be 0 for a history-dependent specimen; "
+            raise InputError("the compliance of the rig must be 0 for a history-dependent specimen; "
                              f"got {model.rig.compliance:g} m/N. Leave it out", field="rig.compliance")
         self._simulator = Simulator(model, resolution=resolution, inertia="off")
         self._simulator.warm_up()
@@ -175,10 +175,11 @@ class VirtualRig:
                  clock: Callable[[], float] = time.monotonic):
         rig, faults = rig or Rig(), faults or Faults()
         if rig.faults or rig.sampling_rate is not None:
-            raise InputError("must have no added faults and no sampling rate in a VirtualRig; leave them out",
+            raise InputError("the rig must have no added faults and no sampling rate in a VirtualRig; leave them out",
                              field="rig")
         if "Fz" not in channels:
-            raise InputError(f"must contain Fz, the axis of the tool; got {', '.join(channels)}. Name Fz among them",
+            raise InputError(f"the channels must contain Fz, the axis of the tool; got {', '.join(channels)}. Name Fz "
+                             "among them",
                              field="channels")
         self._specimen, self._rig, self._surface, self._faults, self._sign = specimen, rig, surface, faults, sign
         self._axis, self._count, self._reach = channels.index("Fz"), len(channels), reach

@@ -60,10 +60,11 @@ class VirtualStage(Stage):
                  clock: Callable[[], float] = time.monotonic, encoder: bool = True,
                  stalls_after: float = math.inf):
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
-            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m", field="limits")
+            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
+                             field="limits")
         for value, unit, field in ((limits.speed, "m/s", "limits.speed"), (resolution, "m", "resolution")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be above 0 {unit}; got {value:g} {unit}", field=field)
+                raise InputError(f"top speed and resolution must be above 0; got {value:g} {unit}", field=field)
         self.limits, self._resolution, self._clock = limits, resolution, clock
         self.measures_position, self._stalls_after = encoder, stalls_after
         self._started = self._homed = False

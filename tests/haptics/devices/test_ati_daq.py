@@ -209,9 +209,10 @@ def test_a_missing_function_raises(place, sentence):
 
 
 @pytest.mark.parametrize(("settings", "sentence"), [
-    (",volts=reader", r"volts: must be package\.module:function, .*; got 'reader'"),
-    (",rate_hz=0", r"rate_hz: must be above 0; got 0 Hz\. Give the sampling rate of the board"),
-    (",range_V=-5", "range_V: must give a range of voltages; got 5 to -5 V"),
+    (",volts=reader", r"volts: the function that reads the voltages must be package\.module:function, .*; got "
+     r"'reader'"),
+    (",rate_hz=0", r"rate_hz: the sampling rate must be above 0; got 0 Hz\. Give the sampling rate of the board"),
+    (",range_V=-5", "range_V: the lowest voltage must be below the highest; got 5 to -5 V"),
     (",range=5", "range: unknown setting; did you mean 'range_V'"),
 ])
 def test_invalid_settings_are_refused(tmp_path, settings, sentence):

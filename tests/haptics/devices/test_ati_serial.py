@@ -407,15 +407,19 @@ def test_unread_records_are_lost_and_marked_as_a_gap(emulator, monkeypatch):
 @pytest.mark.parametrize(("name", "sentence"), [
     ("ati-serial:", r"^ati-serial\.name: the port of the controller is missing; give it first, as in ati-serial:/dev"),
     ("ati-serial:baud=9600", "the port of the controller is missing"),
-    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: must be above 0; got 0\. Give the counts per unit of the sensor's "
+    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: the counts per unit must be above 0; got 0\. Give the counts per unit "
+     r"of the sensor's "
                                 r"calibration sheet"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: must be above 0; got 0"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry", "mode: must be one of ascii, binary; got "
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: the counts per unit must be above 0; got 0"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry",
+     "mode: the value must be one of ascii, binary; got "
                                                                           "'binry'; did you mean 'binary'"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,bawd=1", "bawd: unknown setting; did you mean 'baud'"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: must be above 0; got -1"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1", "rate_hz: must be above 0; got -1 Hz"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300", "average: must be 0 to 255 samples; got "
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: the baud rate must be above 0; got -1"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1",
+     "rate_hz: the sampling rate must be above 0; got -1 Hz"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300",
+     "average: the number of averaged samples must be 0 to 255; got "
                                                                            "300"),
 ])
 def test_invalid_settings_are_refused(name, sentence):
@@ -424,10 +428,11 @@ def test_invalid_settings_are_refused(name, sentence):
 
 
 def test_invalid_settings_of_the_emulator_are_refused():
-    for name, sentence in (("ati-serial:mode=hex", "mode: must be one of ascii, binary; got 'hex'"),
-                           ("ati-serial:baud=0", "baud: must be above 0; got 0"),
-                           ("ati-serial:counts_per_N=-1", "counts_per_N: must be above 0; got -1")):
+    for name, sentence in (("ati-serial:mode=hex", "mode: the value must be one of ascii, binary; got 'hex'"),
+                           ("ati-serial:baud=0", "baud: counts per unit and baud rate must be above 0; got 0"),
+                           ("ati-serial:counts_per_N=-1", "counts_per_N: counts per unit and baud rate must be above "
+                            "0; got -1")):
         with pytest.raises(InputError, match=sentence):
             open_emulator(name, bench())
-    with pytest.raises(InputError, match="mode: must be ascii or binary; got 'hex'"):
+    with pytest.raises(InputError, match="mode: the mode of the records must be ascii or binary; got 'hex'"):
         AtiSerialSensor("/dev/ttyUSB0", 1.0, 1.0, mode="hex")

@@ -171,7 +171,7 @@ def said_first(message):
 
 @pytest.mark.parametrize(("first", "sentence"), [
     ('{"session_id": 1, "inverse3": []}', "has no Inverse3; connect the device"),
-    ("garbage", r"unknown message \(not valid JSON\); install version 3.1"),
+    ("garbage", r"unknown message \(the message must be valid JSON\); install version 3.1"),
     ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"unknown message \(cursor_position is missing\)"),
     (encode_state_message(HaplyDeviceState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
      "04BA has no power for its motors; plug")])

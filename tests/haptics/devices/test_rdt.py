@@ -180,7 +180,7 @@ class Page:
     (404, b"", "answers with HTTP status 404, so it is no ATI box"),
     (200, b"<html>printer", "must be the XML page of an ATI box"),
     (200, b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu></n>",
-     "must be a known unit of force; got 'stone' from the box"),
+     "the unit of force must be a known unit; got 'stone' from the box"),
     (200, rdt.write_settings_page(BoxSettings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
 ])
 def test_another_device_at_the_address_raises(code, body, said, monkeypatch):

@@ -113,7 +113,7 @@ def test_the_output_range_is_read(attributes, volts):
     ('max="120"', "", "the max of UserAxis Fz must be 1 finite number; got none"),
     ('max="120"', 'max="0"', "UserAxis Fz must have a value and a max above 0; got a max of 0"),
     ('OutputRange="20"', 'OutputRange="-20"', "OutputRange must be above 0 and at most 100 V; got -20 V"),
-    ("<!-- NOTE: made up -->", '<!DOCTYPE a [<!ENTITY b "c">]>', "must not define entities"),
+    ("<!-- NOTE: made up -->", '<!DOCTYPE a [<!ENTITY b "c">]>', "must not define XML entities"),
 ])
 def test_invalid_files_are_refused_with_the_cause(old, new, sentence):
     text = file_of()

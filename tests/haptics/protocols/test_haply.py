@@ -96,8 +96,8 @@ def test_state_messages_are_read_back():
 
 
 @pytest.mark.parametrize(("message", "why"), [
-    ("", "not valid JSON"), ("[" * 100_000, "not valid JSON"), (b"\xff\x00", "not valid JSON"),
-    ("7", "not a JSON object"),
+    ("", "must be valid JSON"), ("[" * 100_000, "must be valid JSON"), (b"\xff\x00", "must be valid JSON"),
+    ("7", "must be a JSON object"),
     ('{"inverse3": 1}', "must be a list of objects"),
     ('{"inverse3": [1]}', "must be a list of objects"),
     ('{"inverse3": [{}]}', "device_id"),

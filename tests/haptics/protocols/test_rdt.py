@@ -82,9 +82,10 @@ def test_units_are_read_from_the_box(force, torque, newtons, newton_metres):
 
 @pytest.mark.parametrize("name", ["stone", "", "Nm"])
 def test_an_unknown_unit_is_refused_with_the_remedy(name):
-    with pytest.raises(InputError, match=r"must be a known unit of torque; .* one of N-m, .* configurations page"):
+    with pytest.raises(InputError, match=r"the unit of torque must be a known unit; .* one of N-m, .* configurations "
+                       r"page"):
         _ = BoxSettings(1.0, 1.0, "N", name).newton_metres_per_count
-    with pytest.raises(InputError, match="must be a known unit of force"):
+    with pytest.raises(InputError, match="the unit of force must be a known unit"):
         _ = BoxSettings(1.0, 1.0, "furlong", "N-m").newtons_per_count
 
 
