@@ -115,7 +115,7 @@ class AtiDaqSensor(ForceSensor):
         return tuple(found)
 
     def _read_new_voltages(self) -> None:
-        """Call the user's function and store the new samples."""
+        """Call the function that reads the voltages, check its result, and store the new samples."""
         if self._read_volts is None:
             raise DeviceError(f"the ATI sensor {self.calibration.serial} is not started; start it first")
         name = getattr(self._read_volts, "__name__", "read_volts")
@@ -159,7 +159,7 @@ class AtiDaqSensor(ForceSensor):
         return ForceSample(counts, tuple(wrench.tolist()), received.sequence, int(status), received.time)
 
     def tare(self) -> None:
-        """Set the mean of the last 0.1 s, or the last sample if that time has none, as zero."""
+        """Set the mean voltages of the last 0.1 s as zero; if that time has no sample, those of the last sample."""
         self._read_new_voltages()
         while not self._recent:
             time.sleep(1e-3)

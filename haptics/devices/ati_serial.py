@@ -153,7 +153,7 @@ class AtiSerialSensor(ForceSensor):
         return ForceSample(counts, values, received.sequence, int(status), received.time)
 
     def tare(self) -> None:
-        """Set the mean of the last 0.1 s, or the last record if that time has none, as zero."""
+        """Set the mean counts of the last 0.1 s as zero; if that time has no record, those of the last record."""
         recent = self._require_started().wait_for_recent_counts(TIMING.tare)
         self._zero = tuple(sum(counts) / len(recent) for counts in zip(*recent, strict=True))
 

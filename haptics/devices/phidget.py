@@ -38,7 +38,7 @@ _EXAMPLE = "phidget:123456,steps_per_mm=25"
 
 
 class _PhidgetErrorCode(IntEnum):
-    """Codes of `Phidget22.ErrorCode`."""
+    """Error codes of the library of the maker, `Phidget22.ErrorCode`, that have their own message here."""
 
     TIMEOUT = 3
     UNSUPPORTED = 20
@@ -105,7 +105,7 @@ class PhidgetStage(Stage):
         self._motor, self._homed, self._sequence, self._goal = motor, False, 0, None
 
     def _attach_controller(self) -> Any:
-        """Return the controller after it has answered."""
+        """Open the connection to the controller, and return its object of the library after it has answered."""
         try:
             from Phidget22.Devices.Stepper import Stepper
             from Phidget22.Phidget import Phidget

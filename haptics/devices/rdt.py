@@ -94,7 +94,7 @@ class RdtSensor(ForceSensor):
         self._stream = stream
 
     def _download_settings(self) -> BoxSettings:
-        """Download the settings page of the box."""
+        """Download the settings page of the box by HTTP, and return its units, scale and rate."""
         address = f"http://{self._url_host}:{self._http_port}{rdt.SETTINGS_PATH}"
         # Proxies of the environment are bypassed, because the box is on a local network.
         fetch = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
@@ -192,7 +192,7 @@ class _RecordStreamThread:
         self._overflowed = self._reported_overflow = 0
 
     def start_stream(self) -> None:
-        """Request records and wait for the first one.
+        """Request the stream of records, start the receiving thread, and wait for the first record.
 
         Raises:
             DeviceError: No record arrives.
@@ -278,7 +278,7 @@ class _RecordStreamThread:
         return counts
 
     def stop_and_close(self) -> None:
-        """Stop the records and close the socket."""
+        """End the thread, request the end of the stream of records, and close the socket."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
@@ -366,7 +366,7 @@ class RecordCounter:
 
 
 def _describe_connection_error(error: BaseException) -> str:
-    """Return the cause in an error of a connection."""
+    """Return the cause of a connection error in words, for a message."""
     inner = getattr(error, "reason", error)
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
 

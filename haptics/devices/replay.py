@@ -83,7 +83,7 @@ class ReplaySensor(ForceSensor):
                      for number, count, value in numbered)
 
     def tare(self) -> None:
-        """Take the values of the newest due sample as zero."""
+        """Set the values of the newest due sample as zero of later values."""
         _, due = self._count_due_samples()
         self._zero = self._values[due - 1]
 

@@ -253,7 +253,7 @@ class TicStage(Stage):
                            int(bits), now, requested)
 
     def halt(self) -> None:
-        """Set the target velocity to zero."""
+        """Set the target velocity to zero, so that the motor decelerates to rest."""
         self._halts += 1
         self._goal, self._is_homing = None, False
         line, writing = self._line, self._writing
@@ -306,7 +306,7 @@ class TicStage(Stage):
             status = self._read_status()
 
     def _require_motion_allowed(self, errors: ErrorFlags) -> None:
-        """Raise the most serious error that keeps the motor from moving."""
+        """Raise a DeviceError with the remedy for the most serious of the errors that keep the motor from moving."""
         for error, remedy in _REMEDIES.items():
             if errors & error:
                 raise DeviceError(f"the Tic at {self._port} {remedy}")
@@ -324,7 +324,7 @@ class TicStage(Stage):
                            "baud rate and the device")
 
     def _read_setting(self, setting: SettingOffset, size: int) -> int:
-        """Read a setting of `size` bytes."""
+        """Read a setting of the Tic, an unsigned number of `size` bytes."""
         return int.from_bytes(self._read_block(TicCommand.GET_SETTING, setting, size), "little")
 
     def _send_and_verify(self, command: TicCommand, value: int, variable: VariableOffset) -> None:

@@ -93,7 +93,7 @@ class AtiSerialEmulator(TerminalEmulator):
         self._sensor.stop()
 
     def _set_power_on_state(self) -> None:
-        """Set the state at power-on."""
+        """Set all variables of the emulated controller to their values after power-on."""
         self._mode, self._streams, self._command = self._mode_at_start, False, b""
         self._biases: deque[tuple[int, ...]] = deque(maxlen=_BIAS_LEVELS)
         #: Loads to average.
@@ -184,7 +184,7 @@ class AtiSerialEmulator(TerminalEmulator):
         self._queue_message(command + _END + _END + PROMPT)
 
     def _encode_next_record(self) -> bytes:
-        """Return the bytes of the next record."""
+        """Measure, and return the bytes of the next record in the selected mode."""
         counts = self._measure_counts()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]

@@ -64,7 +64,7 @@ class GrblEmulator(TerminalEmulator):
         self._set_power_on_state()
 
     def _set_power_on_state(self) -> None:
-        """Set the state at power-on."""
+        """Set all variables of the emulated controller to their values after power-on."""
         #: Received characters of an incomplete line.
         self._text = bytearray()
         #: Complete lines that wait for the end of homing or of a critical alarm.

@@ -190,7 +190,7 @@ class HaplyEmulator(Emulator):
             return HaplyDeviceState("049D", (x, y, z), self._hand.velocity, (1.0, 0.0, 0.0, 0.0), config or {}, _STATUS)
 
     def _apply_force_to_hand(self, force: Vector) -> None:
-        """Apply a force to the hand, N."""
+        """Apply a force in the frame of the device to the simulated hand, N."""
         self.force = force
         self.largest_force = max(self.largest_force, sum(part * part for part in force) ** 0.5)
         self._hand.render((*force, 0.0, 0.0, 0.0))

@@ -84,7 +84,7 @@ class TicEmulator(TerminalEmulator):
         self._set_power_on_state()
 
     def _set_power_on_state(self) -> None:
-        """Set the state at power-on."""
+        """Set all variables of the emulated controller to their values after power-on."""
         self._commands = tic.CommandParser(self._device, self._crc)
         #: Times of power-on and of the last command that clears the timeout, s.
         self._began = self._alive = time.monotonic()

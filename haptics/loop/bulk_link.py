@@ -51,7 +51,7 @@ class BulkLink(Protocol):
 
     @property
     def is_alive(self) -> bool:
-        """Whether the bulk can still send models."""
+        """Whether the bulk, or its process, still runs and can send models."""
 
     def start(self) -> CondensedContact:
         """Create the bulk and return its model of the undeformed tissue.
@@ -62,7 +62,7 @@ class BulkLink(Protocol):
         """
 
     def send_state(self, state: ContactState) -> None:
-        """Send the state of the contact to the bulk without waiting."""
+        """Send the state of the contact, at which the bulk is linearised next, without waiting for the model."""
 
     def receive_model(self, now: float) -> CondensedContact | None:
         """Return a model received since the last call, or None, without waiting; `now` is the time, s."""
@@ -75,10 +75,10 @@ class BulkLink(Protocol):
         """
 
     def set_material(self, material: Material, number: int) -> None:
-        """Change the material of the bulk; models of the new material contain this number."""
+        """Change the material of the bulk; models of the new material have this `number` in their field `material`."""
 
     def snapshot(self) -> Snapshot | None:
-        """Return the tissue at the last model; None for a link without snapshots."""
+        """Return the deformed tissue, for a viewer, at the last model; None for a link without snapshots."""
 
     def close(self) -> None:
         """End the bulk and free its resources."""
@@ -149,12 +149,12 @@ class DelayedBulk:
         return model
 
     def exchange_state_for_model(self, state: ContactState) -> CondensedContact | None:
-        """Return the model of a state, or of a state sent before and not yet received, without delay."""
+        """Return a model at once: of an earlier state whose model was not yet received, otherwise of this state."""
         self.send_state(state)
         return self.receive_model(math.inf)
 
     def set_material(self, material: Material, number: int) -> None:
-        """Change the material of the bulk; later models contain this number."""
+        """Change the material of the bulk; later models have this `number` in their field `material`."""
         self._predictive.set_material(material, number)
 
     def snapshot(self) -> Snapshot | None:
@@ -273,7 +273,7 @@ class BulkProcess:
         return CondensedContact.unpack(np.frombuffer(self._buffers[1], count=length // 8))
 
     def _receive_correction(self) -> CondensedContact | None:
-        """Return a model with a later state of the bulk and the tangent of the last complete model, or None."""
+        """Return a new correction, a model with a later state and the last complete tangent, or None."""
         corrections = self._corrections
         if corrections.written == self._corrected:
             return None

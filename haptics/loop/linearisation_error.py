@@ -78,7 +78,7 @@ class LinearisationError:
         self.base, self.interval = 0.0, 0.0
 
     def rescale_for_shear_modulus(self, shear_modulus: float) -> None:
-        """Adapt the estimate to another shear modulus, Pa; the estimate is scaled up, but never down."""
+        """Multiply the estimate by the ratio of the new shear modulus, Pa, to the old one, if the ratio is above 1."""
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
@@ -102,7 +102,7 @@ class LinearisationError:
         self.base, self.interval = missed, interval
 
     def _compute_growth_coefficient(self, distance: float, depth: float | None) -> float:
-        """Growth with its lower limit, N/m2; see `estimate_force_error`."""
+        """Return `growth`, at least the curvature of a contact, N/m2; for the arguments see `estimate_force_error`."""
         if depth is None:
             return max(self.growth, self.shear_modulus)
         reached = min(max(depth, distance), self.radius)

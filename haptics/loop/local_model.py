@@ -110,7 +110,7 @@ class SlowSolver:
         return self._last
 
     def _estimate_force_error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
-        """Return the estimated error of a new model, N; None while it is unknown."""
+        """Return the estimated error of the force of a new model, N; None while it is unknown."""
         known = last.error
         if any(answer.wrench) or any(last.wrench):
             models = (last, self._before or last)
@@ -235,7 +235,7 @@ def _compute_norm(vector: Vector) -> float:
 
 
 def _shorten_vector(vector: Vector, step: float) -> Vector:
-    """Shorten a vector by this length, at most to zero."""
+    """Return the vector with its length reduced by `step`, in the same direction; zero if the vector is shorter."""
     size = _compute_norm(vector)
     if size <= step:
         return (0.0, 0.0, 0.0)

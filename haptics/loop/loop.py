@@ -208,7 +208,7 @@ class Loop:
             *get_resolution_and_force_error(self._tissue))
 
     def _run_ticks(self) -> tuple[RealTimeFeature, ...]:
-        """Run all ticks and return the real-time features of the system."""
+        """Run all ticks, and return the real-time features that were requested, obtained or refused."""
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
@@ -261,11 +261,11 @@ class Loop:
                          ticker.missed, flags)
 
     def pause(self) -> None:
-        """Stop the motion; the rendering receives no pose, so that the force fades to zero."""
+        """Stop the clock of the motion; the loop continues without a pose, so that the force fades to zero."""
         self._paused = True
 
     def resume(self) -> None:
-        """Continue the motion after a pause."""
+        """Continue the motion, and its clock, after a pause."""
         self._paused = False
 
     def reset(self) -> None:
@@ -280,7 +280,7 @@ class Loop:
         self._motion = 0
 
     def advance_paused_motion(self, seconds: float) -> None:
-        """Continue the motion of a paused loop for this time, s."""
+        """Let the motion of a paused loop continue for this time, s; the loop then stays paused."""
         self._advance += round(seconds * 1e9)
 
     def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
@@ -333,7 +333,7 @@ class Loop:
         self._get_tissue_method("set_parameters")(**values)
 
     def stop(self, ended_by: str = "stop") -> None:
-        """End the loop after this tick."""
+        """End the loop after this tick; `ended_by` is the reason in the report."""
         self._ended_by = ended_by
 
     def _get_tissue_method(self, name: str) -> Callable[..., None]:

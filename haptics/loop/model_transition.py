@@ -125,23 +125,23 @@ class ModelTransition:
                 self.compute_distance_from_model(new, pose))
 
     def _convert_to_equivalent_force(self, wrench: Screw) -> float:
-        """Return the force of a wrench, or its torque divided by the contact radius if larger, N."""
+        """Return the larger of two magnitudes, N: force of a wrench, and its torque divided by the contact radius."""
         return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
 
     def clear_offset_and_correction(self) -> None:
-        """Use the wrench of the newest model without offset and correction."""
+        """Set offset and Broyden correction to zero, so that the wrench of the newest model is used unchanged."""
         self.offset = _NO_WRENCH
         self._correction.reset()
 
     def reduce_offset(self) -> None:
-        """Reduce the offset by at most one step of `TransitionSettings`."""
+        """Move the offset toward zero, by at most the force and torque steps of `TransitionSettings`."""
         if any(self.offset):
             force, torque = self.offset[:3], self.offset[3:]
             self.offset = (_shorten_vector(force, TRANSITION.force_step)
                            + _shorten_vector(torque, TRANSITION.torque_step))
 
     def compute_wrench_and_stiffness(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
-        """Return wrench and stiffness of a step on the newest model with offset and Broyden correction."""
+        """Return wrench, N and N m, and stiffness, shape (6, 6), of a step with Broyden correction and offset."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
             wrench = added(wrench, self._correction.compute_omitted_wrench(self._newest_model.pose, pose))
@@ -191,7 +191,7 @@ class ModelTransition:
 
 
 def _shorten_vector(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
-    """Shorten a vector by this length, at most to zero."""
+    """Return the vector with its length reduced by `step`, in the same direction; zero if the vector is shorter."""
     size = math.hypot(*vector)
     factor = max(0.0, 1.0 - step / size) if size else 0.0
     x, y, z = vector

@@ -145,7 +145,7 @@ class MultiRateTissue(KernelOwner):
         self._place_tool_above_tissue()
 
     def _place_tool_above_tissue(self) -> None:
-        """Place the tool in the air above the undeformed tissue."""
+        """Place the tool without contact at its start pose, and reset frame and model transition."""
         assert self._stepper is not None
         self._stepper.place_in_air()
         start = self._link.contact_surface.start
@@ -327,7 +327,7 @@ class MultiRateTissue(KernelOwner):
 
     @exclusive
     def reset(self) -> None:
-        """Restore the undeformed tissue before the first touch."""
+        """Restore the undeformed tissue, in the state before the first touch of the tool."""
         self._epoch += 1
         self._reset_state()
         self._reduced.history = self._untouched
@@ -368,7 +368,7 @@ class MultiRateTissue(KernelOwner):
         self._reduced.history = history
 
     def snapshot(self) -> Snapshot:
-        """Return the tissue at one of the last models, in the frame of the bulk."""
+        """Return the deformed tissue, for a viewer, at one of the last models, in the frame of the bulk."""
         self.warm_up()
         surface = self._link.contact_surface
         return self._link.snapshot() or Snapshot(surface.start, surface.datum, None)

@@ -143,12 +143,12 @@ class LoopProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
+        """Whether the process of the loop runs."""
         return self._process is not None and self._process.is_alive()
 
     @property
     def pid(self) -> int | None:
-        """Process id; None before the start."""
+        """Process id of the process of the loop; None before the start."""
         return None if self._process is None else self._process.pid
 
     @property
@@ -157,11 +157,11 @@ class LoopProcess:
         return None if self._process is None else self._process.exitcode
 
     def ring(self) -> RingReader:
-        """Return a reader of the ring of a loop that is ready; the caller closes the reader."""
+        """Open and return a reader of the ring of ticks of a loop that is ready; the caller closes the reader."""
         return RingReader(self.ring_path)
 
     def snapshots(self) -> SnapshotReader | None:
-        """Return a reader of the snapshots of a loop that is ready, or None; the caller closes the reader."""
+        """Open and return a reader of the snapshots of a ready loop, or None; the caller closes the reader."""
         return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
 
     def pause(self) -> None:
@@ -338,7 +338,7 @@ class LoopProcess:
         return self.message
 
     def _join_or_kill_process(self, patience: float) -> None:
-        """Wait for the end of the process for this time, s, then terminate it."""
+        """Wait `patience` s for the end of the process, terminate or kill it if necessary, and remove its files."""
         process, connection = self._process, self._connection
         if process is None or connection is None:
             return

@@ -18,7 +18,7 @@ _PR_SET_TIMERSLACK = 29
 
 
 class MemoryLockFlags(IntFlag):
-    """Flags of ``mlockall`` (Linux, mman.h)."""
+    """Flags of the system call ``mlockall``, which keeps pages of this process in memory (Linux, mman.h)."""
 
     #: Lock present pages in memory.
     CURRENT = 1

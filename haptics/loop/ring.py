@@ -150,7 +150,7 @@ class RingReader(SlotReader):
         return None if newest is None else _read_tick_records(newest[1])[0]
 
     def since(self, number: int = 0) -> TickBatch:
-        """Return the ticks written after this number of ticks; 0: all ticks in the ring."""
+        """Return the ticks after the first `number` ticks of the loop; 0: all ticks that the ring still holds."""
         contents, newest, lost = self.read_contents_after(number)
         return TickBatch(_read_tick_records(*contents), newest, lost)
 

@@ -76,7 +76,7 @@ def get_runtime_folder() -> Path:
 
 
 def find_unused_path(ending: str) -> Path:
-    """Return an unused path in `get_runtime_folder` with this file name extension."""
+    """Return the path of a new file in `get_runtime_folder` with the file name extension `ending`; creates no file."""
     return get_runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
 
 
@@ -176,7 +176,7 @@ class SlotReader:
 
     @property
     def written(self) -> int:
-        """Number of the newest slot; 0 before the first."""
+        """Number of the newest written content, counted from 1; 0 before the first."""
         return self._numbers[0]
 
     @property
@@ -185,7 +185,7 @@ class SlotReader:
         return self._numbers[1] != 0
 
     def read(self, number: int) -> bytes | None:
-        """Return the content of a number; None if it is overwritten, incomplete or not yet written."""
+        """Return the content with this number; None if it is overwritten, incomplete or not yet written."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         copy = self._map[offset:offset + self._stride]
         found, length, checksum = _SLOT.unpack_from(copy)
@@ -198,7 +198,7 @@ class SlotReader:
         return self._stride - _SLOT.size
 
     def read_slot_header(self, number: int) -> tuple[int, int]:
-        """Return length (bytes) and checksum of the content of a number; (0, -1) if it is overwritten."""
+        """Return length, bytes, and checksum of the content with this number; (0, -1) if it is overwritten."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         found, length, checksum = _SLOT.unpack_from(self._map, offset)
         return (length, checksum) if found == number and length <= self.size else (0, -1)

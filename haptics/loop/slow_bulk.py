@@ -72,14 +72,14 @@ def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) ->
 
 
 def start_computation_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
-    """Start a computation in a thread and return a function that tells whether it is finished."""
+    """Start a computation in a thread, and return a function that returns True once the computation has finished."""
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
     return lambda: not thread.is_alive()
 
 
 def make_untouched_state(surface: ContactSurface) -> ContactState:
-    """Return the state of a tool without contact on undeformed tissue."""
+    """Return the contact state of undeformed tissue whose tool is at its start pose without contact."""
     zeros, count = np.zeros((len(surface.places), 3)), len(surface.places)
     return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, zeros, zeros, np.zeros((3, count)), False)
 
@@ -171,7 +171,7 @@ def _receive_materials(orders: BinaryIO, materials: deque[tuple[int, Material]],
 
 
 def main() -> None:
-    """Run the task that is sent through the standard input."""
+    """Entry point of the process of a bulk: read the task from the standard input and run `run_bulk_process`."""
     orders = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # printed text must not mix with the binary output

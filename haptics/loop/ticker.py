@@ -94,23 +94,23 @@ class TimeHistogram:
 
     @property
     def maximum(self) -> float:
-        """Longest time, s, exact."""
+        """Longest added time, s, without the rounding of the bins."""
         return self._maximum / 1e9
 
     @property
     def quantiles(self) -> TimeQuantiles:
-        """Median, 99 % and 99.9 % quantile and maximum, s."""
+        """Median, 99 % quantile, 99.9 % quantile and maximum of the added times, s."""
         return TimeQuantiles(self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), self.maximum)
 
 
 def _find_bin_index(nanoseconds: int) -> int:
-    """Return the bin of a time: bins of 1 ns up to `_LINEAR` ns, then as many bins per doubling."""
+    """Return the index of the bin of a time, ns: bins of 1 ns up to `_LINEAR` ns, then `_LINEAR` bins per doubling."""
     doublings = max(nanoseconds.bit_length() - BINS.fineness - 1, 0)
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
 def _compute_bin_midpoint(index: int) -> float:
-    """Return the middle of a bin, ns."""
+    """Return the time at the middle of a bin with this index, ns."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)
 
@@ -165,7 +165,7 @@ class Ticker:
         self._owed = 0
 
     def wait_for_deadline(self) -> int:
-        """Wait for the next deadline and return the lateness, ns."""
+        """Wait for the next deadline, and return the time by which this call ends after the deadline, ns."""
         clock = self._clock
         deadline = self._start + (self.number + 1) * self._period
         now = clock()

@@ -173,7 +173,7 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
     fx, fy, fz, tx, ty, tz = matrix
 
     def subtract_lever_torque(torques: Row, offset_1: float, force_1: Row, offset_2: float, force_2: Row) -> Row:
-        """Return torques - lever (offset_1 force_1 - offset_2 force_2)."""
+        """Return torques minus the moment of two forces: torques - lever (offset_1 force_1 - offset_2 force_2)."""
         return tuple(value - lever * (offset_1 * a - offset_2 * b)
                      for value, a, b in zip(torques, force_1, force_2, strict=True))
 

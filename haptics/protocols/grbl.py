@@ -248,7 +248,7 @@ def parse_banner(line: str) -> str | None:
 
 
 def describe_error(number: int) -> str:
-    """Return cause and remedy of an error."""
+    """Return cause and remedy of an error of Grbl by its number."""
     return ERRORS.get(number, "the line of G-code cannot be executed")
 
 

@@ -102,7 +102,7 @@ def decode_device_state(message: str | bytes, device_id: str | None = None) -> H
 
 
 def _parse_json_object(message: str | bytes) -> dict[str, Any]:
-    """Return the JSON object in a message."""
+    """Return the JSON object in a message; raises ValueError for another content."""
     try:
         content = json.loads(message)
     except (ValueError, RecursionError):
@@ -113,7 +113,7 @@ def _parse_json_object(message: str | bytes) -> dict[str, Any]:
 
 
 def _get_object_list(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
-    """Return a list of objects; empty if the key is absent."""
+    """Return the list of JSON objects at a key; empty if the key is absent."""
     listed = content.get(key)
     if listed is None:
         return []
@@ -123,7 +123,7 @@ def _get_object_list(content: Mapping[str, Any], key: str) -> list[dict[str, Any
 
 
 def _get_nested_object(content: Mapping[str, Any], key: str, default: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return a nested object, or the default if the key is absent."""
+    """Return the JSON object at a key, or the default if the key is absent."""
     part = content.get(key, default)
     if not isinstance(part, dict):
         raise ValueError(f"{key} must be an object")
@@ -131,7 +131,7 @@ def _get_nested_object(content: Mapping[str, Any], key: str, default: dict[str, 
 
 
 def _require_finite(value: Any, name: str) -> float:
-    """Return a finite number."""
+    """Return a JSON value as a float; raises ValueError unless the value is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} must be a number; got {json.dumps(value)[:20]}")
     try:
@@ -144,7 +144,7 @@ def _require_finite(value: Any, name: str) -> float:
 
 
 def _read_vector(value: Any, name: str, largest: float) -> Vector:
-    """Return the x, y and z of an object, whose length must be at most `largest`."""
+    """Return x, y and z of a JSON object as a vector; raises ValueError if its length exceeds `largest`."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} is missing")
     x, y, z = (_require_finite(value.get(axis), f"{name}.{axis}") for axis in _AXES)

@@ -90,7 +90,7 @@ _MEANINGS = {0: "its temperature is out of range", 1: "its supply voltage is out
 
 
 class RdtCommand(IntEnum):
-    """Commands of a request."""
+    """Numbers of the commands that a request sends to the box."""
 
     STOP = 0x0000
     REAL_TIME = 0x0002
@@ -214,7 +214,7 @@ class BoxSettings:
 
 
 def _find_unit_value(name: str, quantity: str) -> float:
-    """Return the SI value of a unit."""
+    """Return the size of a unit of force, N, or of torque, N m, by its name; `quantity` is "force" or "torque"."""
     known = FORCE_UNITS if quantity == "force" else TORQUE_UNITS
     try:
         return known[name.replace("·", "-")]
@@ -243,7 +243,7 @@ def read_settings_page(page: bytes) -> BoxSettings:
              if isinstance(element.tag, str)}
 
     def read_positive_number(name: str) -> float:
-        """Return a positive number of the page."""
+        """Return the positive number in the element `name` of the page."""
         with contextlib.suppress(KeyError, ValueError):
             if 0 < (value := float(texts[name])) < math.inf:
                 return value

@@ -84,7 +84,7 @@ _READS = frozenset({TicCommand.GET_VARIABLE, TicCommand.GET_VARIABLE_AND_CLEAR, 
 
 
 class OperationState(IntEnum):
-    """Values of the variable "operation state"."""
+    """Operation state of a Tic: values of the variable "operation state" (section 7)."""
 
     RESET = 0
     DEENERGIZED = 2
@@ -95,7 +95,7 @@ class OperationState(IntEnum):
 
 
 class MiscFlags(IntFlag):
-    """Bits of the variable "misc flags 1"."""
+    """Flags of motor, homing and limit switches: bits of the variable "misc flags 1" (section 7)."""
 
     ENERGIZED = 1
     POSITION_UNCERTAIN = 2
@@ -119,7 +119,7 @@ class ErrorFlags(IntFlag):
 
 
 class PlanningMode(IntEnum):
-    """Values of the variable "planning mode"."""
+    """Quantity that the motor follows, position or velocity: values of the variable "planning mode" (section 7)."""
 
     OFF = 0
     POSITION = 1
@@ -157,7 +157,7 @@ class VariableOffset(IntEnum):
 
 
 class SettingOffset(IntEnum):
-    """Offsets of settings (section 6)."""
+    """Offsets of settings in the memory of a Tic, bytes (section 6)."""
 
     CONTROL_MODE = 0x01
     DISABLE_SAFE_START = 0x03

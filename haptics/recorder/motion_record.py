@@ -83,7 +83,7 @@ class MotionRecord:
 
     @property
     def gap_count(self) -> int:
-        """Number of interruptions in which force samples were lost."""
+        """Number of gaps in the sequence numbers, in which force samples were lost."""
         return sum(bool(status & SampleStatus.GAP) for status in self.statuses)
 
     def fit_sample_clock(self, period: float) -> SampleClock:

@@ -106,7 +106,7 @@ class RunFolder:
             self._lock = None
 
     def update_state(self, **entries: Any) -> None:
-        """Replace entries of the state, and write ``run.json``."""
+        """Replace the given entries of the state of the run, and write the state to ``run.json``."""
         self.state |= entries
         write_text(self.folder / RUN_FILE, json.dumps(self.state, indent=2, ensure_ascii=False) + "\n")
 

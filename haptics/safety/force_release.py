@@ -63,7 +63,7 @@ class ForceRelease:
 
     @property
     def gain(self) -> float:
-        """Factor of the force in the last step, 0 to 1."""
+        """Factor by which the last step multiplied the force, 0 to 1."""
         return self._watchdog.gain
 
     def reset(self) -> None:

@@ -52,7 +52,7 @@ class PassivityObserver:
 
     @property
     def energy(self) -> float:
-        """Energy put in less energy returned, J."""
+        """Energy that the hand put in minus energy returned to the hand, J; negative for an active port."""
         return self.energy_in - self.energy_out
 
     @property

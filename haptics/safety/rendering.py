@@ -146,7 +146,7 @@ class ForceRendering:
         self.reset()
 
     def reset(self):
-        """Reset all parts to their initial state."""
+        """Reset limits, coupling, watchdog, energy sums and energy limit to their initial states."""
         for part in (self.limits, self.coupling, self.watchdog, self.observer, self.held_observer,
                      self.energy_limit):
             if part is not None:

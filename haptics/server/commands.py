@@ -38,7 +38,7 @@ Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
 class _CommandWithoutArguments(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Command without arguments."""
+    """Command without arguments; base class of the commands with arguments."""
 
     command: str
 
@@ -149,7 +149,7 @@ class ConfigurationCommands:
                 "commands": list(self._commands), "states": list(self._states)}
 
     def _collect_statistics(self, _: _CommandWithoutArguments) -> dict[str, Any]:
-        """Return the counters and the address of the owner."""
+        """Return the counters of packets and steps, and the address of the client that owns the tissue."""
         owner = self._service.owner_address
         return {**msgspec.to_builtins(self._service.counters),
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}

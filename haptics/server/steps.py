@@ -96,7 +96,7 @@ class StepCounters:
     clients: int = 0
 
     def count_step_status(self, status: ForceStatus) -> None:
-        """Count an answered step under its status."""
+        """Add 1 to the counter of answered steps with this status of the force."""
         self.steps += 1
         name = _NAMES[status]
         setattr(self, name, getattr(self, name) + 1)

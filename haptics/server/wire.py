@@ -51,7 +51,7 @@ _NO_MATRIX: Matrix = ((0.0,) * 6,) * 6
 
 
 class RequestKind(IntEnum):
-    """Kind of a request."""
+    """Kind of a request: a step, or the goodbye of a client."""
 
     #: Step the tissue to the pose of the request.
     STEP = 1
@@ -60,7 +60,7 @@ class RequestKind(IntEnum):
 
 
 class RequestFlags(IntFlag):
-    """Flags of a request."""
+    """Flags of a request, bits that change how the step is made."""
 
     NONE = 0
     #: Restore the undeformed state of the tissue before this step.
@@ -68,7 +68,7 @@ class RequestFlags(IntFlag):
 
 
 class ReplyFlags(IntFlag):
-    """Flags of a reply."""
+    """Flags of a reply, bits with information on the force."""
 
     NONE = 0
     #: The force includes the mass of the tissue.
@@ -97,7 +97,7 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """Meaning of the status, and the remedy."""
+        """Meaning of the status in words, with the remedy."""
         match self:
             case Status.BUSY:
                 return "another client owns the tissue; try again after its goodbye or its silence"

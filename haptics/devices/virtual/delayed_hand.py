@@ -41,7 +41,7 @@ class DelayedHand(HapticDevice):
         self._discard_forces_in_transit()
 
     def _discard_forces_in_transit(self) -> None:
-        """Restart time and random numbers, and discard the forces in transit."""
+        """Restart the clock and the random numbers, and discard all forces that have not yet arrived at the hand."""
         self._random = random.Random(self._seed)
         self._time = 0.0
         #: Forces in transit: time of arrival, s, and wrench.
@@ -77,7 +77,7 @@ class DelayedHand(HapticDevice):
             self._in_transit.append((arrives, wrench))
 
     def _draw_message_loss(self) -> bool:
-        """Draw whether a message is lost."""
+        """Draw a random number, and return True if the message of this call is lost, with probability `loss`."""
         return self._loss > 0.0 and self._random.random() < self._loss
 
     def stop(self) -> None:

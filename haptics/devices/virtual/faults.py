@@ -110,7 +110,7 @@ class FaultyMessageQueue:
             self._waiting.append((now + faults.delay, each))
 
     def _release_held_message(self) -> list[bytes]:
-        """Return the message that was held back, if any, and forget it."""
+        """Return the message that was held back to change the order, in a list; empty if no message is held back."""
         held_back, self._held_back = self._held_back, None
         return [] if held_back is None else [held_back]
 

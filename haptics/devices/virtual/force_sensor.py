@@ -65,7 +65,7 @@ class VirtualForceSensor(ForceSensor):
         return tuple(samples)
 
     def tare(self) -> None:
-        """Take the present counts as zero."""
+        """Set the present counts as zero of later values."""
         now, _ = self._get_present_and_start_time()
         self._zero, _ = self._measure_counts(now)
 

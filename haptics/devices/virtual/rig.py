@@ -62,7 +62,7 @@ _TABLE = CurveTableSettings()
 
 
 class Specimen(Protocol):
-    """A specimen that a tool indents."""
+    """Interface of a simulated specimen: force on the tool for time and depth."""
 
     def force(self, time: float, depth: float) -> float:
         """Return the force on the tool, N.
@@ -193,7 +193,7 @@ class VirtualRig:
 
     @property
     def bench(self) -> Bench:
-        """The sensor and the stage."""
+        """The virtual sensor and the virtual stage as a `Bench`."""
         return Bench(self.sensor, self.stage)
 
     def _compute_load(self, at: float) -> tuple[float, ...]:

@@ -32,7 +32,7 @@ class _LinearMotion(NamedTuple):
     speed: float
 
     def compute_position(self, at: float) -> float:
-        """Return the position at a time, s; m."""
+        """Return the position of the motor in this motion at a time `at` on the clock, s; m."""
         length = self.goal - self.start
         travelled = self.speed * max(at - self.began, 0.0)
         return self.goal if travelled >= abs(length) else self.start + math.copysign(travelled, length)
