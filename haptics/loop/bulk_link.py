@@ -208,7 +208,7 @@ class BulkProcess:
         self._received, self._reading, self._piece, self._check = 0, 0, 0, 0
         self._model = started.model
         #: Buffer into which the next model is read, and buffer of the last model.
-        self._buffers = bytearray(self._models.size), bytearray(self._models.size)
+        self._buffers = bytearray(self._models.max_content_size), bytearray(self._models.max_content_size)
         self._write_to_process(b"go\n")
         return started.model
 

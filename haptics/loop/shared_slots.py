@@ -193,7 +193,7 @@ class SlotReader:
         return content if found == number and checksum == _compute_checksum(content, number) else None
 
     @property
-    def size(self) -> int:
+    def max_content_size(self) -> int:
         """Maximum size of the content of a slot, bytes."""
         return self._stride - _SLOT.size
 
@@ -201,7 +201,7 @@ class SlotReader:
         """Return length, bytes, and checksum of the content with this number; (0, -1) if it is overwritten."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         found, length, checksum = _SLOT.unpack_from(self._map, offset)
-        return (length, checksum) if found == number and length <= self.size else (0, -1)
+        return (length, checksum) if found == number and length <= self.max_content_size else (0, -1)
 
     def read_content_range(self, number: int, start: int, end: int) -> bytes:
         """Return the bytes from `start` to `end` of the content of a number, without a check.
