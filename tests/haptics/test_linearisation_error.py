@@ -27,7 +27,7 @@ def learned(missed=0.02, distance=2e-3, between=1e-3, interval=0.05):
 
 
 def test_nothing_is_known_before_two_models():
-    assert math.isinf(LinearisationError(RADIUS, MODULUS).at(0.0))
+    assert math.isinf(LinearisationError(RADIUS, MODULUS).estimate_force_error(0.0))
 
 
 def test_the_newest_model_errs_at_its_own_pose_and_with_its_age():
@@ -41,18 +41,18 @@ def test_the_newest_model_errs_at_its_own_pose_and_with_its_age():
 
 
 def test_models_that_agree_by_chance_leave_the_curvature_of_a_contact():
-    assert learned(missed=0.0).at(2e-3) == pytest.approx(MODULUS * 2e-3**2)
+    assert learned(missed=0.0).estimate_force_error(2e-3) == pytest.approx(MODULUS * 2e-3**2)
 
 
 def test_the_curvature_of_a_contact_is_that_of_hertz_at_the_depth_of_the_tool():
     """Two models that agree by chance at 1 mm; a model 1 mm away from a tool that is 2 mm deep."""
     agreed, distance, depth = learned(missed=0.0), 1e-3, 2e-3
     growth = 2.0 * MODULUS * math.sqrt(RADIUS / depth)
-    assert agreed.at(distance, depth=depth) == pytest.approx(growth * distance**2)
+    assert agreed.estimate_force_error(distance, depth=depth) == pytest.approx(growth * distance**2)
     at_the_distance = 2.0 * MODULUS * math.sqrt(RADIUS / distance)
-    assert agreed.at(distance, depth=-depth) == pytest.approx(at_the_distance * distance**2)
-    assert agreed.at(0.0, depth=0.0) == 0.0
-    assert agreed.at(distance, depth=10.0 * RADIUS) == pytest.approx(2.0 * MODULUS * distance**2)
+    assert agreed.estimate_force_error(distance, depth=-depth) == pytest.approx(at_the_distance * distance**2)
+    assert agreed.estimate_force_error(0.0, depth=0.0) == 0.0
+    assert agreed.estimate_force_error(distance, depth=10.0 * RADIUS) == pytest.approx(2.0 * MODULUS * distance**2)
 
 
 def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distance():
@@ -68,7 +68,7 @@ def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distan
 
 
 def test_a_stiffer_material_raises_what_was_learned():
-    estimate, before = learned(), learned().at(1e-3)
+    estimate, before = learned(), learned().estimate_force_error(1e-3)
     estimate.rescale_for_shear_modulus(2 * MODULUS)
     assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before)
     estimate.rescale_for_shear_modulus(MODULUS)

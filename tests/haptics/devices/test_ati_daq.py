@@ -119,7 +119,7 @@ def test_a_tare_is_the_mean_of_a_tenth_of_a_second():
     sensor.tare()
     samples = sensor.read()
     assert len(samples) == 50  # the samples that the tare has read
-    assert samples[-1].values == pytest.approx(CALIBRATION.wrench((0.1,) * 6))
+    assert samples[-1].values == pytest.approx(CALIBRATION.compute_wrench((0.1,) * 6))
 
 
 def test_a_tare_waits_for_the_first_sample(monkeypatch):

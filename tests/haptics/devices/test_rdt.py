@@ -262,5 +262,5 @@ def test_sequence_numbers_are_unique_and_in_order(order):
 
 
 def test_a_passed_threshold_is_no_fault():
-    (_, _, status), = RecordCounter().accept(numbered((1, 1), status=0x00010000), 0.0)
+    (_, _, status), = RecordCounter().select_new_records(numbered((1, 1), status=0x00010000), 0.0)
     assert status == SampleStatus.GOOD
