@@ -58,7 +58,7 @@ class AsciiRecordStream:
         return records
 
     def fix_record_format(self) -> None:
-        """Accept only the form, padded or not, that all records so far had."""
+        """From now on accept only lines of the form, padded or not, that all records so far had."""
         self._padded = self._forms == {True}
 
 
@@ -135,5 +135,5 @@ def is_printable_text(data: bytes) -> bool:
 
 
 def quote_last_bytes(data: bytes) -> str:
-    """Return the last 40 bytes for a message."""
+    """Return the last 40 bytes as quoted text for a message, or ``nothing arrived`` for no bytes."""
     return repr(data.strip()[-40:].decode("ascii", "backslashreplace")) if data.strip() else "nothing arrived"

@@ -33,7 +33,7 @@ def identify_controller(line: SerialLine) -> str:
 
 
 def _query_controller(line: SerialLine, question: bytes) -> bytes:
-    """Send a question and return all bytes that arrive within `_ANSWER_TIMEOUT`."""
+    """Send the bytes `question`, and return all bytes that arrive within `_ANSWER_TIMEOUT` s."""
     line.read()
     line.write(question)
     end, text = time.monotonic() + _ANSWER_TIMEOUT, b""

@@ -371,14 +371,14 @@ class GrblStage(Stage):
         return report
 
     def _require_motion_allowed(self, report: AxisStatusReport, connection: GrblConnection) -> None:
-        """Raise an error with the remedy if the state forbids a motion."""
+        """Raise a DeviceError with the remedy if the reported state of Grbl forbids a motion."""
         if report.state == "Alarm" and connection.alarm is not None:
             raise DeviceError(f"{self._name} is in alarm {connection.alarm}: {grbl.describe_alarm(connection.alarm)}")
         if report.state in _BLOCKED:
             raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
 
     def _raise_thread_error(self, connection: GrblConnection) -> None:
-        """Raise the error that the thread has left, if any, and clear it; a lost connection stays an error."""
+        """Raise the error that the thread has stored, if any, and clear it; a lost connection stays an error."""
         if connection.lost:
             raise DeviceError(connection.lost)
         trouble, self._trouble = self._trouble, ""

@@ -266,7 +266,7 @@ class GrblConnection:
         return self.unanswered == 0 and self.latest.exchange == self._exchanges
 
     def wait_for_report(self, timeout: float) -> AxisStatusReport | None:
-        """Return a report requested after this call; None: timeout, s, or lost connection. Requires the lock."""
+        """Wait up to `timeout` s for a report requested after this call; None: no report. Requires the lock."""
         begin = time.monotonic()
         self._wakeup.set()
         while self.latest.requested < begin or not self.latest.number:
@@ -306,7 +306,7 @@ class GrblConnection:
             self._received.wait(0.1)
 
     def wake_thread(self) -> None:
-        """Make the thread read the port and act at once."""
+        """End the present wait of the thread, so that it reads the port and calls `act` at once."""
         self._wakeup.set()
 
     def close(self) -> None:

@@ -119,7 +119,7 @@ class HaplyDevice(HapticDevice):
         self._thread.start()
 
     def _open_connection(self) -> WebSocketConnection:
-        """Open the connection; errors have the remedy."""
+        """Open and return the connection to the service; raises a DeviceError with the remedy if this fails."""
         try:
             return WebSocketConnection(self.address, TIMING.connect)
         except ImportError:

@@ -237,7 +237,7 @@ class GuardedMotion:
                                 "move, and the stage was halted; close other programs on this computer"))
 
     def compute_mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
-        """Return the mean of the last forces, N; NaN if there are none.
+        """Return the mean force along the tool in the last time window, N; NaN without a sample.
 
         Args:
             seconds: length of the window, s, at most `GuardedMotionSettings.force_window`.
@@ -249,7 +249,7 @@ class GuardedMotion:
 
     @property
     def last_force(self) -> float:
-        """The last force, N; NaN if there is none."""
+        """Last measured force along the tool minus `zero`, N, with the sign of the plan; NaN without a sample."""
         return self._recent[-1][1] if self._recent else np.nan
 
     def move_to(self, position: float, speed: float, until: Callable[[], bool] = lambda: False) -> bool:
@@ -310,7 +310,7 @@ class GuardedMotion:
             return future.result()
 
     def poll_for_duration(self, seconds: float) -> None:
-        """Poll the devices without a new command for a time, s."""
+        """Poll the devices for this time, s, without a new command to the stage."""
         until = self.now() + seconds
         while self.now() < until:
             self.poll()
