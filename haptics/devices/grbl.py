@@ -75,8 +75,7 @@ class GrblStage(Stage):
                              f"{limits.highest:g} m", field="lowest_mm, highest_mm")
         if not grbl.LEAST_FEED / 60e3 <= limits.speed < math.inf:
             raise InputError(f"the top speed must be at least {grbl.LEAST_FEED / 60:.4f} mm/s; got "
-                             f"{limits.speed * 1e3:g} mm/s",
-                             field="top_speed_mm_s")
+                             f"{limits.speed * 1e3:g} mm/s", field="top_speed_mm_s")
         if len(axis) != 1 or axis not in grbl.AXES:
             raise InputError(f"the axis must be X, Y or Z; got {axis!r}", field="axis")
         if baud <= 0:
@@ -97,7 +96,7 @@ class GrblStage(Stage):
         self._goal: tuple[float, float] | None = None
         #: Target of the last jog sent, mm; None: the axis must be at rest before the next jog.
         self._sent: float | None = None
-        #: Time at which homing fails, s; None: not homing.
+        #: Time at which homing fails, s; None: not homing. A homing cycle may take `_longest_homing`, s.
         self._homing_until: float | None = None
         #: True if the homing command was sent.
         self._homing_sent = False
@@ -137,9 +136,9 @@ class GrblStage(Stage):
                 raise DeviceError(f"{self._name} does not report its setting ${setting}; install Grbl 1.1")
             return settings[setting]
 
-        top = read_setting(GrblSetting.MAX_RATE + number) / 60.0
+        top, pull_off = read_setting(GrblSetting.MAX_RATE + number) / 60.0, read_setting(GrblSetting.PULL_OFF)
         acceleration = read_setting(GrblSetting.ACCELERATION + number)
-        travel = read_setting(GrblSetting.TRAVEL + number) - read_setting(GrblSetting.PULL_OFF)
+        travel = read_setting(GrblSetting.TRAVEL + number) - pull_off
         self._steps_per_mm = read_setting(GrblSetting.STEPS_PER_MM + number)
         speed, highest = self.limits.speed * 1e3, self.limits.highest * 1e3
         if read_setting(GrblSetting.REPORT_INCHES):
@@ -157,13 +156,11 @@ class GrblStage(Stage):
             raise DeviceError(f"with {JOGS.queue * 1e3:g} ms of queued motion and {acceleration:g} mm/s^2 the top "
                               f"speed of axis {self._axis} of {self._name} is {most:g} mm/s, less than {speed:g} "
                               f"mm/s; lower top_speed_mm_s, or raise ${GrblSetting.ACCELERATION + number}")
-        homes_to_positive_end = not int(read_setting(GrblSetting.HOMING_DIRECTION)) >> number & 1
-        self._sign = -1.0 if homes_to_positive_end else 1.0
+        homes_to_negative_end = int(read_setting(GrblSetting.HOMING_DIRECTION)) >> number & 1
+        self._sign = 1.0 if homes_to_negative_end else -1.0
+        seek, feed = (max(read_setting(speed), 1.0) for speed in (GrblSetting.HOMING_SEEK, GrblSetting.HOMING_FEED))
         seek_distance = 1.5 * read_setting(GrblSetting.TRAVEL + number)
-        #: Longest duration of a homing cycle, s.
-        self._longest_homing = 20.0 + 120.0 * (
-            seek_distance / max(read_setting(GrblSetting.HOMING_SEEK), 1.0)
-            + 10.0 * read_setting(GrblSetting.PULL_OFF) / max(read_setting(GrblSetting.HOMING_FEED), 1.0))
+        self._longest_homing = 20.0 + 120.0 * (seek_distance / seek + 10.0 * pull_off / feed)
 
     def home(self) -> None:
         """Request Grbl's homing cycle and return at once."""

@@ -334,7 +334,7 @@ def test_a_tissue_without_the_ability_says_so(run, tissues):
         def step(self, depth, dt):
             return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
-    with pytest.raises(InputError, match=r"this tissue \(Plain\) has no reset"):
+    with pytest.raises(InputError, match=r"this tissue \(Plain\) has no method reset"):
         run(Plain(), 0.1, listen=lambda loop: loop.reset())
 
 
