@@ -117,7 +117,8 @@ def test_a_pause_holds_the_tool(needle_loop, until):
 def test_a_refused_command_changes_nothing(needle_loop, until):
     simulation = needle_loop.simulation
     force = until(needle_loop, at_rest(2e-3)).readouts.force
-    for command, values, expected in (("aim", {"depth": float("nan")}, "depth: the target depth must be a finite number"),
+    for command, values, expected in (("aim", {"depth": float("nan")},
+                                       "depth: the target depth must be a finite number"),
                                       ("set_parameters", {"C10": -1.0}, "must give a positive shear modulus"),
                                       ("set_parameters", {"C77": 1.0}, "C77")):
         with pytest.raises(ts.InputError, match=expected):
