@@ -13,12 +13,12 @@ import tissue_sim as ts
 from benchmarks.inputs import sample_files
 from calibration.campaign.campaign import load_campaign
 from haptics.devices.contracts import DeviceError
-from haptics.devices.settings import read_choices, read_settings, split_target
+from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
 from haptics.loop.ring import RingReader, RingWriter
 from haptics.protocols import ati_serial, grbl, haply, rdt
 from haptics.protocols.ati_calibration import read_calibration
 from haptics.server import wire
-from haptics.server.commands import Commands
+from haptics.server.commands import ConfigurationCommands
 from scenes.commands.record.protocol_file import read_protocol_file
 from scenes.viewer.material_files import read_upload
 from tissue_sim.experiment.protocol_text import parse_protocol
@@ -195,13 +195,13 @@ def _of_settings(folder: Path) -> dict[str, tuple[bytes, Reader]]:
 
 def _of_devices() -> dict[str, tuple[bytes, Reader]]:
     def settings(text: str) -> Any:
-        _, rest = split_target(text, "the port", "/dev/ttyUSB0,baud=9600")
-        words, rest = read_choices(rest, volts=("",), mode=("ascii", "binary"))
+        _, rest = split_address_and_settings(text, "the port", "/dev/ttyUSB0,baud=9600")
+        words, rest = read_word_settings(rest, volts=("",), mode=("ascii", "binary"))
         return words, read_settings(rest, rate_hz=1000.0, count=3)
 
     def haply_state(text: str) -> Any:
         try:
-            return _found(haply.read_state(text))
+            return _found(haply.decode_device_state(text))
         except ValueError as error:  # which its driver expects
             raise ts.InputError(str(error)) from None
 
@@ -213,22 +213,22 @@ def _of_devices() -> dict[str, tuple[bytes, Reader]]:
         return _found(rdt.unpack_records(content) or rdt.unpack_request(content))
 
     def serial(content: bytes) -> Any:
-        return _found(ati_serial.decode_ascii(content) or ati_serial.decode_binary(content))
+        return _found(ati_serial.decode_ascii_record(content) or ati_serial.decode_binary_record(content))
 
     return {
         "ati calibration": (CALIBRATION.encode(), lambda content: read_calibration(content, "FT1.cal")),
         "device settings": (b"/dev/ttyUSB0,mode=binary,rate_hz=500,count=7", _text(settings)),
         "haply state": (STATE.encode(), _text(haply_state)),
         "grbl line": (b"<Hold:1|MPos:0.000,1.500,-3.250|FS:500,0|Ov:100,100,100|A:S>", _text(grbl_line)),
-        "ati record": (ati_serial.encode_ascii(ati_serial.Record(0, (1, 2, 3, 4, 5, 6))), serial),
-        "rdt settings": (rdt.write_settings_page(rdt.Settings(1e6, 1e6, rate=7000.0, product="Net")),
+        "ati record": (ati_serial.encode_ascii_record(ati_serial.AtiSerialRecord(0, (1, 2, 3, 4, 5, 6))), serial),
+        "rdt settings": (rdt.write_settings_page(rdt.BoxSettings(1e6, 1e6, rate=7000.0, product="Net")),
                          rdt.read_settings_page),
         "rdt records": (struct.pack("!3I6i", 1, 2, 0, 100, -200, 300, 4, 5, 6), records),
     }
 
 
 def _of_the_wire(folder: Path) -> dict[str, tuple[bytes, Reader]]:
-    commands = Commands(_Service(), {"scene": "needle"}, {"C10": 1500.0})  # type: ignore[arg-type]
+    commands = ConfigurationCommands(_Service(), {"scene": "needle"}, {"C10": 1500.0})  # type: ignore[arg-type]
     commands_sample = json.dumps({"command": "set_parameters", "parameters": {"C10": 1500.0}}).encode()
 
     def command(line: bytes) -> None:

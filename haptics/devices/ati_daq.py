@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_choices, read_settings, split_target
+from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
 from haptics.protocols.ati_calibration import MAX_SIZE, AtiCalibration, read_calibration
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
@@ -68,13 +68,15 @@ class AtiDaqSensor(ForceSensor):
     def __init__(self, calibration: AtiCalibration, read_volts: Callable[[], Any] | str | None = None,
                  rate: float = 1000.0, volts: tuple[float, float] | None = None):
         if not 0 < rate < math.inf:
-            raise InputError(f"must be above 0; got {rate:g} Hz. Give the sampling rate of the board", field="rate_hz")
+            raise InputError(f"the sampling rate must be above 0; got {rate:g} Hz. Give the sampling rate of the board",
+                             field="rate_hz")
         lowest, highest = calibration.volts if volts is None else volts
         if not -math.inf < lowest < highest < math.inf:
-            raise InputError(f"must give a range of voltages; got {lowest:g} to {highest:g} V. Give volts as in "
-                             "range_V=10", field="range_V")
+            raise InputError(f"the lowest voltage must be below the highest; got {lowest:g} to {highest:g} V. Give "
+                             "volts as in range_V=10", field="range_V")
         if isinstance(read_volts, str) and not all(part.strip() for part in read_volts.partition(":")):
-            raise InputError(f"must be package.module:function, as in {_EXAMPLE}; got {read_volts!r}", field="volts")
+            raise InputError(f"the function that reads the voltages must be package.module:function, as in {_EXAMPLE}; "
+                             f"got {read_volts!r}", field="volts")
         self.calibration, self.rate = calibration, rate
         self._given, self._lowest, self._highest = read_volts, lowest, highest
         self._matrix = np.array(calibration.matrix)
@@ -104,7 +106,7 @@ class AtiDaqSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples received since the last call, forces in N and torques in N m."""
-        self._read_board()
+        self._read_new_voltages()
         found = []
         while self._waiting:
             received = self._waiting.popleft()
@@ -112,8 +114,8 @@ class AtiDaqSensor(ForceSensor):
             self._next = received.sequence + 1
         return tuple(found)
 
-    def _read_board(self) -> None:
-        """Call the user's function and store the new samples."""
+    def _read_new_voltages(self) -> None:
+        """Call the function that reads the voltages, check its result, and store the new samples."""
         if self._read_volts is None:
             raise DeviceError(f"the ATI sensor {self.calibration.serial} is not started; start it first")
         name = getattr(self._read_volts, "__name__", "read_volts")
@@ -157,11 +159,11 @@ class AtiDaqSensor(ForceSensor):
         return ForceSample(counts, tuple(wrench.tolist()), received.sequence, int(status), received.time)
 
     def tare(self) -> None:
-        """Set the mean of the last 0.1 s, or the last sample if that time has none, as zero."""
-        self._read_board()
+        """Set the mean voltages of the last 0.1 s as zero; if that time has no sample, those of the last sample."""
+        self._read_new_voltages()
         while not self._recent:
             time.sleep(1e-3)
-            self._read_board()
+            self._read_new_voltages()
         count = min(max(round(TIMING.tare * self.rate), 1), len(self._recent))
         self._zero = np.mean([each.volts for each in list(self._recent)[-count:]], axis=0)
 
@@ -214,8 +216,8 @@ def open_ati_daq(text: str) -> AtiDaqSensor:
 
     ``range_V`` is the largest voltage of the board, in both directions; 0: from the calibration file.
     """
-    file, rest = split_target(text, "the calibration file", _EXAMPLE)
-    words, rest = read_choices(rest, volts=("",))
+    file, rest = split_address_and_settings(text, "the calibration file", _EXAMPLE)
+    words, rest = read_word_settings(rest, volts=("",))
     given = read_settings(rest, rate_hz=1000.0, range_V=0.0)
     calibration = read_calibration(read_bytes(file, "the .cal file of an ATI sensor", MAX_SIZE), file)
     reach = given["range_V"]

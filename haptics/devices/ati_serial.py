@@ -11,18 +11,24 @@ from collections import deque
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from haptics.devices.ati_serial_records import AsciiStream, BinaryRequests, is_text, quote_bytes, read_until_quiet
+from haptics.devices.ati_serial_records import (
+    AsciiRecordStream,
+    BinaryRecordRequester,
+    is_printable_text,
+    quote_last_bytes,
+    read_until_quiet,
+)
 from haptics.devices.contracts import SAMPLE_BUFFER, DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.devices.serial_line import SerialLine
-from haptics.devices.settings import read_choices, read_settings, split_target
+from haptics.devices.settings import read_settings, read_word_settings, split_address_and_settings
 from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     CHANNELS,
     FORMAT,
     PROMPT,
-    Record,
+    AtiSerialRecord,
     compute_transmission_time,
-    is_at_end_of_range,
+    has_count_at_end_of_range,
 )
 from tissue_sim.errors import InputError
 
@@ -62,7 +68,7 @@ class AtiSerialSensor(ForceSensor):
 
     In ASCII mode the controller streams (command ``QS``). A record with a missing, additional or wrong character is
     left out, and its sequence number with it. Without a checksum some errors are undetectable, see
-    `haptics.protocols.ati_serial.decode_ascii`.
+    `haptics.protocols.ati_serial.decode_ascii_record`.
 
     In binary mode this program requests each record (``^T``), so that a lost byte damages one record only: the 13 bytes
     have no marker of their beginning. Wrong bytes are undetectable. The checksum of ``CD E`` is not used, because its
@@ -90,24 +96,27 @@ class AtiSerialSensor(ForceSensor):
                  rate: float | None = None, average: int = 0):
         for field, value in (("counts_per_N", counts_per_N), ("counts_per_Nm", counts_per_Nm)):
             if not value > 0:
-                raise InputError(f"must be above 0; got {value:g}. Give the counts per unit of the sensor's "
-                                 "calibration sheet", field=field)
+                raise InputError(f"the counts per unit must be above 0; got {value:g}. Give the counts per unit of "
+                                 "the sensor's calibration sheet", field=field)
         if baud <= 0:
-            raise InputError(f"must be above 0; got {baud}. Give the baud rate of the controller, such as 9600",
+            raise InputError(f"the baud rate must be above 0; got {baud}. Give the baud rate of the controller, such "
+                             "as 9600",
                              field="baud")
         if mode not in MODES:
-            raise InputError(f"must be {' or '.join(MODES)}; got {mode!r}", field="mode")
+            raise InputError(f"the mode of the records must be {' or '.join(MODES)}; got {mode!r}", field="mode")
         if rate is not None and not rate > 0:
-            raise InputError(f"must be above 0; got {rate:g} Hz. Leave it out to measure the rate", field="rate_hz")
+            raise InputError(f"the sampling rate must be above 0; got {rate:g} Hz. Leave it out to measure the rate",
+                             field="rate_hz")
         if not 0 <= average <= 255:
-            raise InputError(f"must be 0 to 255 samples; got {average}", field="average")
+            raise InputError(f"the number of averaged samples must be 0 to 255; got {average}. Give 0 for no averaging",
+                             field="average")
         self._port, self._baud, self._mode, self._average = port, baud, mode, average
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
         self._given_rate = rate
         length = FORMAT.padded_length if mode == "ascii" else FORMAT.binary_length + 1
         self.rate = rate or 1.0 / compute_transmission_time(length, baud)
         self._zero = (0.0,) * 6
-        self._receiver: _Receiver | None = None
+        self._receiver: _RecordReceiverThread | None = None
 
     def start(self) -> None:
         """Open the port, configure the controller, observe its records and start the thread that receives them."""
@@ -115,18 +124,20 @@ class AtiSerialSensor(ForceSensor):
             return
         line = SerialLine(self._port, self._baud, _OWNER)
         try:
-            self._configure(line)
-            source = AsciiStream(line) if self._mode == "ascii" else BinaryRequests(line, self._baud, TIMING.answer)
-            source.begin()
+            self._configure_controller(line)
+            source = (AsciiRecordStream(line) if self._mode == "ascii"
+                      else BinaryRecordRequester(line, self._baud, TIMING.answer))
+            source.start_stream()
             self._observe_records(source)
         except BaseException:
             line.close()
             raise
-        self._receiver = _Receiver(line, source, self._port, max(TIMING.silence, TIMING.silent_periods / self.rate))
+        silence = max(TIMING.silence, TIMING.silent_periods / self.rate)
+        self._receiver = _RecordReceiverThread(line, source, self._port, silence)
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples received since the last call, forces in N and torques in N m."""
-        return tuple(self._convert_record(*each) for each in self._require_start().take())
+        return tuple(self._convert_record(*each) for each in self._require_started().take_new_records())
 
     def _convert_record(self, received: _ReceivedRecord, gap: bool) -> ForceSample:
         """Return the sample of a record; `gap` marks lost records before it."""
@@ -134,7 +145,7 @@ class AtiSerialSensor(ForceSensor):
         if received.record.flag:
             # The controller has one flag for a saturated and for a disconnected sensor.
             status |= SampleStatus.SATURATED | SampleStatus.FAULT
-        if is_at_end_of_range(received.record):
+        if has_count_at_end_of_range(received.record):
             status |= SampleStatus.SATURATED
         counts = received.record.counts
         values = tuple((count - zero) / scale
@@ -142,15 +153,15 @@ class AtiSerialSensor(ForceSensor):
         return ForceSample(counts, values, received.sequence, int(status), received.time)
 
     def tare(self) -> None:
-        """Set the mean of the last 0.1 s, or the last record if that time has none, as zero."""
-        recent = self._require_start().recent(TIMING.tare)
+        """Set the mean counts of the last 0.1 s as zero; if that time has no record, those of the last record."""
+        recent = self._require_started().wait_for_recent_counts(TIMING.tare)
         self._zero = tuple(sum(counts) / len(recent) for counts in zip(*recent, strict=True))
 
     def stop(self) -> None:
         """End the thread and close the port."""
         if self._receiver is not None:
             receiver, self._receiver = self._receiver, None
-            receiver.end()
+            receiver.stop_and_close()
 
     def describe(self) -> dict[str, Any]:
         """Return port, mode, rate, resolution, range and number of garbled records; keys carry units."""
@@ -162,19 +173,19 @@ class AtiSerialSensor(ForceSensor):
                 "garbled_records": self._receiver.garbled if self._receiver else 0,
                 "verified": "against an emulator only"}
 
-    def _require_start(self) -> _Receiver:
+    def _require_started(self) -> _RecordReceiverThread:
         if self._receiver is None:
             raise DeviceError(f"the ATI controller at {self._port} is not started; start it first")
         return self._receiver
 
-    def _configure(self, line: SerialLine) -> None:
+    def _configure_controller(self, line: SerialLine) -> None:
         """Stop a stream, and set the mode: forces and torques, no checksum, no biases."""
         quiet = 0.05 + compute_transmission_time(FORMAT.padded_length + 8, self._baud)
         answer = b""
         for _ in range(3):
             line.write(CARRIAGE_RETURN)
             answer = read_until_quiet(line, quiet, TIMING.answer)
-            if answer.rstrip(b" \r\n\0").endswith(PROMPT) and is_text(answer[-3:]):
+            if answer.rstrip(b" \r\n\0").endswith(PROMPT) and is_printable_text(answer[-3:]):
                 break
         else:
             raise DeviceError(_describe_missing_prompt(self._port, self._baud, answer))
@@ -184,11 +195,11 @@ class AtiSerialSensor(ForceSensor):
             while not answer.rstrip().endswith(PROMPT):
                 if time.monotonic() >= end:
                     raise DeviceError(f"the ATI controller at {self._port} did not end its answer to {command!r} "
-                                      f"({quote_bytes(answer)}) with its prompt '>'; switch it off and on, and start "
-                                      "again")
+                                      f"({quote_last_bytes(answer)}) with its prompt '>'; switch it off and on, and "
+                                      "start again")
                 answer += line.read_within(0.1)
 
-    def _observe_records(self, source: AsciiStream | BinaryRequests) -> None:
+    def _observe_records(self, source: AsciiRecordStream | BinaryRecordRequester) -> None:
         """Read records for `AtiSerialTiming.observation` to find their form and rate; discards the records."""
         times: list[float] = []
         end = time.monotonic() + TIMING.patience
@@ -196,9 +207,9 @@ class AtiSerialSensor(ForceSensor):
             times += [time.monotonic() for record in source.read_records(0.1) if record is not None]
             if time.monotonic() >= end + (TIMING.observation if times else 0.0):
                 raise DeviceError(f"the ATI controller at {self._port} sends no records of a flag and six counts "
-                                  f"({quote_bytes(source.wrong)}); select all six components (CV 3F), and check the "
-                                  "baud rate and the cable")
-        source.require_present_form()
+                                  f"({quote_last_bytes(source.wrong)}); select all six components (CV 3F), and check "
+                                  "the baud rate and the cable")
+        source.fix_record_format()
         line_rate = 1.0 / compute_transmission_time(source.length, self._baud)
         measured = (len(times) - 1) / max(times[-1] - times[0], 1e-9)
         is_close = abs(measured - line_rate) <= TIMING.rate_tolerance * line_rate
@@ -208,12 +219,12 @@ class AtiSerialSensor(ForceSensor):
 class _ReceivedRecord(NamedTuple):
     """A record with its number and its time of receipt, s."""
 
-    record: Record
+    record: AtiSerialRecord
     sequence: int
     time: float
 
 
-class _Receiver:
+class _RecordReceiverThread:
     """A thread that receives records, so that each has the time of its receipt.
 
     Args:
@@ -226,7 +237,7 @@ class _Receiver:
         garbled: Number of records left out.
     """
 
-    def __init__(self, line: SerialLine, source: AsciiStream | BinaryRequests, port: str, silence: float):
+    def __init__(self, line: SerialLine, source: AsciiRecordStream | BinaryRecordRequester, port: str, silence: float):
         self._line, self._source, self._port, self._silence = line, source, port, silence
         self._waiting: deque[_ReceivedRecord] = deque(maxlen=SAMPLE_BUFFER)
         self._recent: deque[_ReceivedRecord] = deque(maxlen=SAMPLE_BUFFER)
@@ -235,10 +246,10 @@ class _Receiver:
         self.garbled = 0
         self._trouble: DeviceError | None = None
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._receive, name=f"ATI at {port}", daemon=True)
+        self._thread = threading.Thread(target=self._receive_records, name=f"ATI at {port}", daemon=True)
         self._thread.start()
 
-    def _receive(self) -> None:
+    def _receive_records(self) -> None:
         """Receive records until the end or an error; the body of the thread."""
         last_received, wrong = time.monotonic(), b""
         try:
@@ -257,13 +268,13 @@ class _Receiver:
                     self._number += 1
                 if now - last_received > self._silence:
                     # Some controllers report a saturated or disconnected sensor in words.
-                    sent = f"no complete record ({quote_bytes(wrong)})" if wrong else "nothing"
+                    sent = f"no complete record ({quote_last_bytes(wrong)})" if wrong else "nothing"
                     raise DeviceError(f"the ATI controller at {self._port} has sent {sent} for {self._silence:.2g} s; "
                                       "check its power, its sensor and the cable, and start it again")
         except DeviceError as error:
             self._trouble = error
 
-    def take(self) -> list[tuple[_ReceivedRecord, bool]]:
+    def take_new_records(self) -> list[tuple[_ReceivedRecord, bool]]:
         """Return the records since the last call, each with True if records before it are missing."""
         found = []
         while self._waiting:
@@ -274,7 +285,7 @@ class _Receiver:
             raise self._trouble
         return found
 
-    def recent(self, seconds: float) -> list[tuple[int, ...]]:
+    def wait_for_recent_counts(self, seconds: float) -> list[tuple[int, ...]]:
         """Return the counts of the records of the last `seconds` s; waits for at least one record."""
         while not self._recent:
             if self._trouble is not None:
@@ -286,7 +297,7 @@ class _Receiver:
         since = records[-1].time - seconds
         return [each.record.counts for each in records if each.time >= since]
 
-    def end(self) -> None:
+    def stop_and_close(self) -> None:
         """Stop the stream and close the port."""
         self._ending.set()
         self._thread.join()
@@ -303,11 +314,11 @@ def _describe_missing_prompt(port: str, baud: int, answer: bytes) -> str:
     if not answer:
         return (f"nothing answers at {port}; check that the ATI controller has power, the cable, and the baud rate "
                 f"(here {baud}; its display shows its own at power on)")
-    if sum(not is_text(bytes([byte])) for byte in answer) > len(answer) / 8:
+    if sum(not is_printable_text(bytes([byte])) for byte in answer) > len(answer) / 8:
         return (f"the bytes from {port} are no text at {baud} baud; give the baud rate of the ATI controller, which "
                 "its display shows at power on, as in baud=38400")
-    return (f"the device at {port} is not an ATI controller (it sent {quote_bytes(answer)} and no prompt '>'); give "
-            "the port of the controller")
+    return (f"the device at {port} is not an ATI controller (it sent {quote_last_bytes(answer)} and no prompt '>'); "
+            "give the port of the controller")
 
 
 def open_ati_serial(text: str) -> AtiSerialSensor:
@@ -317,8 +328,8 @@ def open_ati_serial(text: str) -> AtiSerialSensor:
     ``rate_hz=0`` measures the rate.
     """
     example = "ati-serial:/dev/ttyUSB0,counts_per_N=100,counts_per_Nm=4000"
-    port, rest = split_target(text, "the port of the controller", example)
-    words, rest = read_choices(rest, mode=MODES)
+    port, rest = split_address_and_settings(text, "the port of the controller", example)
+    words, rest = read_word_settings(rest, mode=MODES)
     given = read_settings(rest, counts_per_N=0.0, counts_per_Nm=0.0, baud=9600, rate_hz=0.0, average=0)
     return AtiSerialSensor(port, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]), words["mode"],
                            given["rate_hz"] or None, int(given["average"]))

@@ -9,15 +9,15 @@ from haptics.protocols.ati_serial import (
     CARRIAGE_RETURN,
     FORMAT,
     ONE_RECORD,
-    Record,
+    AtiSerialRecord,
     compute_transmission_time,
-    decode_ascii,
-    decode_binary,
-    is_padded,
+    decode_ascii_record,
+    decode_binary_record,
+    has_padded_fields,
 )
 
 
-class AsciiStream:
+class AsciiRecordStream:
     """Source of records as lines that the controller streams.
 
     Args:
@@ -35,11 +35,11 @@ class AsciiStream:
         self._padded: bool | None = None
         self.length, self.wrong = FORMAT.padded_length, b""
 
-    def begin(self) -> None:
+    def start_stream(self) -> None:
         """Start the stream."""
         self._line.write(b"QS" + CARRIAGE_RETURN)
 
-    def read_records(self, timeout: float) -> list[Record | None]:
+    def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
         """Return the records that arrive within `timeout` seconds, with None for each garbled one."""
         *lines, self._rest = (self._rest + self._line.read_within(timeout)).split(CARRIAGE_RETURN)
         if len(self._rest) > 4 * FORMAT.padded_length:
@@ -48,21 +48,21 @@ class AsciiStream:
         records = []
         for text in (line.removeprefix(b"\n") for line in lines):
             if text:
-                record = decode_ascii(text, self._padded)
+                record = decode_ascii_record(text, self._padded)
                 records.append(record)
                 if record is None:
                     self.wrong = text
                 elif self._padded is None:
-                    self._forms.add(is_padded(text))
+                    self._forms.add(has_padded_fields(text))
                     self.length = len(text) + 2
         return records
 
-    def require_present_form(self) -> None:
-        """Accept only the form, padded or not, that all records so far had."""
+    def fix_record_format(self) -> None:
+        """From now on accept only lines of the form, padded or not, that all records so far had."""
         self._padded = self._forms == {True}
 
 
-class BinaryRequests:
+class BinaryRecordRequester:
     """Source of binary records that are requested one at a time.
 
     Args:
@@ -85,11 +85,11 @@ class BinaryRequests:
         self._timeout = max(timeout, self._pause)
         self.wrong = b""
 
-    def begin(self) -> None:
+    def start_stream(self) -> None:
         """Do nothing; each record is requested."""
         return
 
-    def read_records(self, timeout: float) -> list[Record | None]:
+    def read_records(self, timeout: float) -> list[AtiSerialRecord | None]:
         """Request a record; return [record], [None] if its length is wrong, or [] if there is no answer."""
         self._line.read()  # discards late bytes of an earlier answer
         self._line.write(ONE_RECORD)
@@ -99,14 +99,14 @@ class BinaryRequests:
         answer += self._line.read()
         if not answer:
             return []
-        record = decode_binary(answer)
+        record = decode_binary_record(answer)
         if record is None:
             self.wrong = answer
             if len(answer) > FORMAT.binary_length:
                 read_until_quiet(self._line, self._pause)
         return [record]
 
-    def require_present_form(self) -> None:
+    def fix_record_format(self) -> None:
         """Do nothing; binary records have one form."""
         return
 
@@ -129,11 +129,11 @@ def read_until_quiet(line: SerialLine, quiet: float, first: float = 0.0, longest
     return received
 
 
-def is_text(data: bytes) -> bool:
+def is_printable_text(data: bytes) -> bool:
     """Return True if all bytes are printable ASCII, line ends, tabs, ACK or NUL."""
     return all(byte in b"\r\n\t\x06\0" or 32 <= byte < 127 for byte in data)
 
 
-def quote_bytes(data: bytes) -> str:
-    """Return the last 40 bytes for a message."""
+def quote_last_bytes(data: bytes) -> str:
+    """Return the last 40 bytes as quoted text for a message, or ``nothing arrived`` for no bytes."""
     return repr(data.strip()[-40:].decode("ascii", "backslashreplace")) if data.strip() else "nothing arrived"

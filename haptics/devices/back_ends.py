@@ -27,7 +27,7 @@ MOTIONS: Registry[Callable[[str], Motion]] = Registry("motion", "tissue_sim.moti
 })
 #: Force sensors.
 FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor", "tissue_sim.force_sensors", {
-    "virtual": "haptics.devices.virtual.force_sensor:open_virtual",
+    "virtual": "haptics.devices.virtual.force_sensor:open_virtual_sensor",
     "replay": "haptics.devices.replay:open_replay",
     "rdt": "haptics.devices.rdt:open_rdt",
     "ati-serial": "haptics.devices.ati_serial:open_ati_serial",
@@ -35,31 +35,31 @@ FORCE_SENSORS: Registry[Callable[[str], ForceSensor]] = Registry("force sensor",
 })
 #: Linear stages.
 STAGES: Registry[Callable[[str], Stage]] = Registry("stage", "tissue_sim.stages", {
-    "virtual": "haptics.devices.virtual.stage:open_virtual",
+    "virtual": "haptics.devices.virtual.stage:open_virtual_stage",
     "tic": "haptics.devices.tic:open_tic",
     "grbl": "haptics.devices.grbl:open_grbl",
     "phidget": "haptics.devices.phidget:open_phidget",
 })
 #: Haptic devices.
 HAPTIC_DEVICES: Registry[Callable[[str], HapticDevice]] = Registry("haptic device", "tissue_sim.haptic_devices", {
-    "virtual": "haptics.devices.virtual.hand:open_virtual",
+    "virtual": "haptics.devices.virtual.hand:open_virtual_hand",
     "haply": "haptics.devices.haply:open_haply",
 })
 
 
 def open_motion(name: str) -> Motion:
     """Make a motion by name; see `open_haptic`."""
-    return _make_device(MOTIONS, name)
+    return _make_device_by_name(MOTIONS, name)
 
 
 def open_sensor(name: str) -> ForceSensor:
     """Make a force sensor by name; see `open_haptic`."""
-    return _make_device(FORCE_SENSORS, name)
+    return _make_device_by_name(FORCE_SENSORS, name)
 
 
 def open_stage(name: str) -> Stage:
     """Make a stage by name; see `open_haptic`."""
-    return _make_device(STAGES, name)
+    return _make_device_by_name(STAGES, name)
 
 
 def open_haptic(name: str) -> HapticDevice:
@@ -71,10 +71,10 @@ def open_haptic(name: str) -> HapticDevice:
     Raises:
         InputError: No back-end has this name (the message names the nearest), or the settings are invalid.
     """
-    return _make_device(HAPTIC_DEVICES, name)
+    return _make_device_by_name(HAPTIC_DEVICES, name)
 
 
-def _make_device(table: Registry[Callable[[str], Device]], name: str) -> Device:
+def _make_device_by_name(table: Registry[Callable[[str], Device]], name: str) -> Device:
     """Make a device from a table of back-ends; errors name the back-end."""
     back_end, _, rest = name.partition(":")
     make = table.find(back_end)

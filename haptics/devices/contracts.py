@@ -18,6 +18,7 @@ from typing import Any
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.approach import Approach
 from tissue_sim.pose import Pose, Screw
+from tissue_sim.public_names import OldName, adopt_old_names
 
 #: Signature of `HapticDevice.set_approach`.
 _SetApproach = Callable[[Any, Approach | None], None]
@@ -133,9 +134,11 @@ class StageSample:
     requested: float | None = None
 
     @property
-    def earliest(self) -> float:
+    def earliest_reading_time(self) -> float:
         """The earliest time at which the position can have been read, s."""
         return self.received if self.requested is None else min(self.requested, self.received)
+
+    earliest = OldName("earliest_reading_time")
 
 
 @dataclass(frozen=True)
@@ -151,7 +154,7 @@ class StageLimits:
         """Return limits from the settings ``lowest_mm``, ``highest_mm`` and ``top_speed_mm_s``."""
         return cls(settings["lowest_mm"] * 1e-3, settings["highest_mm"] * 1e-3, settings["top_speed_mm_s"] * 1e-3)
 
-    def require(self, position: float, speed: float, slowest: float = 0.0) -> None:
+    def require_within_limits(self, position: float, speed: float, slowest: float = 0.0) -> None:
         """Raise an error for a target or a speed outside the limits.
 
         Args:
@@ -163,10 +166,14 @@ class StageLimits:
             InputError: The position or the speed is outside the limits; its field is ``position`` or ``speed``.
         """
         if not self.lowest <= position <= self.highest:
-            raise InputError(f"must be {self.lowest:g} to {self.highest:g} m; got {position:g} m", field="position")
+            raise InputError(f"the target position must be {self.lowest:g} to {self.highest:g} m; got {position:g} m",
+                             field="position")
         if not (0 < speed <= self.speed and speed >= slowest):
             least = f"{slowest:.3g} m/s or more" if slowest else "above zero"
-            raise InputError(f"must be {least} and at most {self.speed:g} m/s; got {speed:g} m/s", field="speed")
+            raise InputError(f"the speed of the stage must be {least} and at most {self.speed:g} m/s; got {speed:g} "
+                             "m/s", field="speed")
+
+    require = OldName("require_within_limits")
 
 
 class Stage(ABC):
@@ -278,9 +285,11 @@ class HapticDevice(ABC):
         """Apply zero force and disconnect; has no effect on a stopped device. A stopped device can be started again."""
         return
 
-    def take_over(self, pose: Pose) -> None:
+    def continue_from_pose(self, pose: Pose) -> None:
         """Continue from the pose that the previous device left. Devices without a movable start ignore the call."""
         return
+
+    take_over = OldName("continue_from_pose")
 
     def set_approach(self, approach: Approach | None) -> None:
         """Use a tool's approach to convert depths to poses. Devices that own an approach ignore the call."""
@@ -291,8 +300,9 @@ class HapticDevice(ABC):
         warnings.warn("HapticDevice.go_along is deprecated; use set_approach", DeprecationWarning, stacklevel=2)
 
     def __init_subclass__(cls, **keywords: Any) -> None:
-        """Keep the old method name ``go_along`` of `set_approach` for one release, with a warning."""
+        """Keep the old names ``go_along`` of `set_approach` and ``take_over`` for one release, with a warning."""
         super().__init_subclass__(**keywords)
+        adopt_old_names(cls, {"take_over": "continue_from_pose"})
         own = vars(cls)
         if "go_along" in own and "set_approach" not in own:
             warnings.warn(f"{cls.__name__}.go_along is deprecated; name the method set_approach", DeprecationWarning,
@@ -311,7 +321,8 @@ class HapticDevice(ABC):
         Raises:
             InputError: The device cannot be steered, or the depth is not a finite number.
         """
-        raise InputError(f"requires a steerable motion; got a {type(self).__name__}. Follow a HandMotion first",
+        raise InputError(f"a target requires a steerable motion; got a {type(self).__name__}. Switch to a HandMotion "
+                         "first",
                          field="aim")
 
     def describe(self) -> dict[str, Any]:

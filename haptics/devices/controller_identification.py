@@ -18,12 +18,13 @@ def identify_controller(line: SerialLine) -> str:
     Sends an empty line and a status query of a Tic; neither moves a motor.
     """
     try:
-        text = _send_question(line, b"\r")
+        text = _query_controller(line, b"\r")
         if b"Grbl" in text or text.strip() == b"ok" or b"\nok" in text or text.startswith((b"error:", b"ALARM:")):
             return f"; a Grbl answers there: name it grbl:{line.port}"
         if text.rstrip().endswith(b">"):
             return f"; an ATI controller answers there: name it ati-serial:{line.port}"
-        block = _send_question(line, tic.encode(tic.Command.GET_VARIABLE, tic.Variable.STATUS, tic.BlockLength.STATUS))
+        query = tic.encode_command(tic.TicCommand.GET_VARIABLE, tic.VariableOffset.STATUS, tic.BlockLength.STATUS)
+        block = _query_controller(line, query)
         if tic.parse_status(block) is not None:
             return f"; a Tic answers there: name it tic:{line.port}"
     except DeviceError:
@@ -31,8 +32,8 @@ def identify_controller(line: SerialLine) -> str:
     return ""
 
 
-def _send_question(line: SerialLine, question: bytes) -> bytes:
-    """Send a question and return all bytes that arrive within `_ANSWER_TIMEOUT`."""
+def _query_controller(line: SerialLine, question: bytes) -> bytes:
+    """Send the bytes `question`, and return all bytes that arrive within `_ANSWER_TIMEOUT` s."""
     line.read()
     line.write(question)
     end, text = time.monotonic() + _ANSWER_TIMEOUT, b""

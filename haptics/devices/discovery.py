@@ -9,7 +9,7 @@ from typing import Any
 
 from haptics.devices.back_ends import FORCE_SENSORS, HAPTIC_DEVICES, STAGES
 from haptics.devices.contracts import DeviceError
-from haptics.devices.serial_line import SerialLine, serial_ports
+from haptics.devices.serial_line import SerialLine, list_serial_ports
 from tissue_sim.errors import InputError
 
 #: Kinds of devices and their tables of back-ends.
@@ -53,12 +53,12 @@ def find_devices(names: Sequence[str] = ()) -> list[ProbeResult]:
     Raises:
         InputError: A name is the name of no back-end.
     """
-    return [each for name in names for each in _probe_name(name)] if names else list(_probe_all())
+    return [each for name in names for each in _probe_named_device(name)] if names else list(_probe_all_back_ends())
 
 
-def _probe_all() -> Iterator[ProbeResult]:
+def _probe_all_back_ends() -> Iterator[ProbeResult]:
     """Probe the factory addresses of all back-ends, and all serial ports."""
-    ports = serial_ports()
+    ports = list_serial_ports()
     for kind, table in _TABLES:
         for back_end in table:
             if back_end in _SERIAL:
@@ -69,10 +69,10 @@ def _probe_all() -> Iterator[ProbeResult]:
             else:
                 yield ProbeResult(f"{back_end}:", kind, False, _FILES.get(back_end, "give its name with its settings"))
     for port in ports:
-        yield _probe_port(port)
+        yield _probe_serial_port(port)
 
 
-def _probe_port(port: str) -> ProbeResult:
+def _probe_serial_port(port: str) -> ProbeResult:
     """Open a port without sending anything: a query of one device can be a motion command of another."""
     try:
         SerialLine(port, 9600, "a device").close()
@@ -81,13 +81,13 @@ def _probe_port(port: str) -> ProbeResult:
     return ProbeResult(port, "serial port", True, f"to identify its device: tissue-sim devices tic:{port}")
 
 
-def _probe_name(name: str) -> Iterator[ProbeResult]:
+def _probe_named_device(name: str) -> Iterator[ProbeResult]:
     """Probe the device of a name in each table that has its back-end."""
     back_end = name.partition(":")[0]
     tables = [(kind, table) for kind, table in _TABLES if back_end in table]
     if not tables:
         known = ", ".join(sorted({each for _, table in _TABLES for each in table}))
-        raise InputError(f"must begin with one of {known}; got {back_end!r}", field="names")
+        raise InputError(f"the name of a device must begin with one of {known}; got {back_end!r}", field="names")
     for kind, table in tables:
         yield _probe_back_end(name, kind, table)
 

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.grbl_connection import AxisReport, GrblConnection
+from haptics.devices.grbl_connection import AxisStatusReport, GrblConnection
 from haptics.devices.settings import read_settings
 from haptics.protocols import grbl
-from haptics.protocols.grbl import Setting
+from haptics.protocols.grbl import GrblSetting
 from tissue_sim.errors import InputError
 
 
@@ -69,17 +69,17 @@ class GrblStage(Stage):
 
     def __init__(self, port: str, limits: StageLimits, axis: str = "Z", baud: int = grbl.BAUD):
         if not port:
-            raise InputError("must be given, as in grbl:/dev/ttyUSB0,axis=Z; got none", field="port")
+            raise InputError("the serial port must be given, as in grbl:/dev/ttyUSB0,axis=Z; got none", field="port")
         if limits.lowest != 0.0 or not 0.0 < limits.highest < math.inf:
-            raise InputError(f"must begin at 0 m, where the limit switch is; got {limits.lowest:g} to "
+            raise InputError(f"the travel must begin at 0 m, where the limit switch is; got {limits.lowest:g} to "
                              f"{limits.highest:g} m", field="lowest_mm, highest_mm")
         if not grbl.LEAST_FEED / 60e3 <= limits.speed < math.inf:
-            raise InputError(f"must be at least {grbl.LEAST_FEED / 60:.4f} mm/s; got {limits.speed * 1e3:g} mm/s",
-                             field="top_speed_mm_s")
+            raise InputError(f"the top speed must be at least {grbl.LEAST_FEED / 60:.4f} mm/s; got "
+                             f"{limits.speed * 1e3:g} mm/s", field="top_speed_mm_s")
         if len(axis) != 1 or axis not in grbl.AXES:
-            raise InputError(f"must be X, Y or Z; got {axis!r}", field="axis")
+            raise InputError(f"the axis must be X, Y or Z; got {axis!r}", field="axis")
         if baud <= 0:
-            raise InputError(f"must be above 0; got {baud}", field="baud")
+            raise InputError(f"the baud rate must be above 0; got {baud}", field="baud")
         self.limits, self._port, self._axis, self._baud = limits, port, axis, baud
         self._name = f"the Grbl at {port}"
         self._connection: GrblConnection | None = None
@@ -96,7 +96,7 @@ class GrblStage(Stage):
         self._goal: tuple[float, float] | None = None
         #: Target of the last jog sent, mm; None: the axis must be at rest before the next jog.
         self._sent: float | None = None
-        #: Time at which homing fails, s; None: not homing.
+        #: Time at which homing fails, s; None: not homing. A homing cycle may take `_longest_homing`, s.
         self._homing_until: float | None = None
         #: True if the homing command was sent.
         self._homing_sent = False
@@ -121,7 +121,7 @@ class GrblStage(Stage):
         connection = GrblConnection(self._port, self._baud, grbl.AXES.index(self._axis))
         try:
             self._check_settings(connection.read_settings())
-            connection.start_thread(self._send_next_commands)
+            connection.start_thread(self._send_next_jogs_or_homing)
         except BaseException:
             connection.close()
             raise
@@ -131,42 +131,42 @@ class GrblStage(Stage):
         """Raise an error if the machine's settings ``$$`` do not permit the limits of this stage."""
         number = grbl.AXES.index(self._axis)
 
-        def read(setting: int) -> float:
+        def read_setting(setting: int) -> float:
             if setting not in settings:
                 raise DeviceError(f"{self._name} does not report its setting ${setting}; install Grbl 1.1")
             return settings[setting]
 
-        top, acceleration = read(Setting.MAX_RATE + number) / 60.0, read(Setting.ACCELERATION + number)
-        travel = read(Setting.TRAVEL + number) - read(Setting.PULL_OFF)
-        self._steps_per_mm = read(Setting.STEPS_PER_MM + number)
+        top, pull_off = read_setting(GrblSetting.MAX_RATE + number) / 60.0, read_setting(GrblSetting.PULL_OFF)
+        acceleration = read_setting(GrblSetting.ACCELERATION + number)
+        travel = read_setting(GrblSetting.TRAVEL + number) - pull_off
+        self._steps_per_mm = read_setting(GrblSetting.STEPS_PER_MM + number)
         speed, highest = self.limits.speed * 1e3, self.limits.highest * 1e3
-        if read(Setting.REPORT_INCHES):
+        if read_setting(GrblSetting.REPORT_INCHES):
             raise DeviceError(f"{self._name} reports inches; set $13=0")
-        if not read(Setting.HOMING):
+        if not read_setting(GrblSetting.HOMING):
             raise DeviceError(f"{self._name} cannot home, so its zero is undefined; fit limit switches and set $22=1")
         if highest > travel:
             raise DeviceError(f"the travel of axis {self._axis} of {self._name} is {travel:g} mm, less than "
-                              f"{highest:g} mm; lower highest_mm, or correct ${Setting.TRAVEL + number}")
+                              f"{highest:g} mm; lower highest_mm, or correct ${GrblSetting.TRAVEL + number}")
         if speed > top:
             raise DeviceError(f"the top speed of axis {self._axis} of {self._name} is {top:g} mm/s, less than "
-                              f"{speed:g} mm/s; lower top_speed_mm_s, or raise ${Setting.MAX_RATE + number}")
+                              f"{speed:g} mm/s; lower top_speed_mm_s, or raise ${GrblSetting.MAX_RATE + number}")
         most = 2.0 * acceleration * JOGS.stopping_fraction * JOGS.queue
         if speed > most:
             raise DeviceError(f"with {JOGS.queue * 1e3:g} ms of queued motion and {acceleration:g} mm/s^2 the top "
                               f"speed of axis {self._axis} of {self._name} is {most:g} mm/s, less than {speed:g} "
-                              f"mm/s; lower top_speed_mm_s, or raise ${Setting.ACCELERATION + number}")
-        homes_to_positive_end = not int(read(Setting.HOMING_DIRECTION)) >> number & 1
-        self._sign = -1.0 if homes_to_positive_end else 1.0
-        seek_distance = 1.5 * read(Setting.TRAVEL + number)
-        #: Longest duration of a homing cycle, s.
-        self._longest_homing = 20.0 + 120.0 * (seek_distance / max(read(Setting.HOMING_SEEK), 1.0)
-                                               + 10.0 * read(Setting.PULL_OFF) / max(read(Setting.HOMING_FEED), 1.0))
+                              f"mm/s; lower top_speed_mm_s, or raise ${GrblSetting.ACCELERATION + number}")
+        homes_to_negative_end = int(read_setting(GrblSetting.HOMING_DIRECTION)) >> number & 1
+        self._sign = 1.0 if homes_to_negative_end else -1.0
+        seek, feed = (max(read_setting(speed), 1.0) for speed in (GrblSetting.HOMING_SEEK, GrblSetting.HOMING_FEED))
+        seek_distance = 1.5 * read_setting(GrblSetting.TRAVEL + number)
+        self._longest_homing = 20.0 + 120.0 * (seek_distance / seek + 10.0 * pull_off / feed)
 
     def home(self) -> None:
         """Request Grbl's homing cycle and return at once."""
-        connection = self._require_start()
+        connection = self._require_started()
         with connection.lock:
-            self._raise_trouble(connection)
+            self._raise_thread_error(connection)
             if self._homing_until is not None:
                 return
             report = self._wait_for_new_report(connection)
@@ -174,34 +174,34 @@ class GrblStage(Stage):
                 raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
             if report.critical:
                 # A critical alarm accepts only a reset. The axis is at rest, so the reset loses no position.
-                connection.reset()
+                connection.soft_reset()
             self._goal = self._sent = self._zero = None
             self._homing_until = time.monotonic() + self._longest_homing
             self._homing_sent, connection.alarm, connection.error = False, None, None
-            connection.wake()
+            connection.wake_thread()
 
     def move(self, position: float, speed: float) -> None:
         """Set the goal of the jogs, m, and their speed, m/s, and return at once."""
-        halts, connection = self._halts, self._require_start()
-        self.limits.require(position, speed, slowest=grbl.LEAST_FEED / 60e3)
+        halts, connection = self._halts, self._require_started()
+        self.limits.require_within_limits(position, speed, slowest=grbl.LEAST_FEED / 60e3)
         with connection.lock:
-            self._raise_trouble(connection)
+            self._raise_thread_error(connection)
             report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
-            self._require_movable(report, connection)
+            self._require_motion_allowed(report, connection)
             zero = self._zero
             if zero is None:
                 raise DeviceError(f"{self._name} does not know its zero; home it first, and wait until it is homed")
             if halts == self._halts:
                 self._last_call = time.monotonic()
                 self._goal = zero + self._sign * position * 1e3, speed * 1e3
-                connection.wake()
+                connection.wake_thread()
 
     def position(self) -> StageSample:
         """Return the commanded position, m, from a new status report, or from the latest one during homing."""
-        connection = self._require_start()
+        connection = self._require_started()
         with connection.lock:
             self._last_call = time.monotonic()
-            self._raise_trouble(connection)
+            self._raise_thread_error(connection)
             report = connection.latest if self._homing_until is not None else self._wait_for_new_report(connection)
             homing = self._homing_until is not None
             moving = (homing or self._goal is not None or connection.unanswered > 0
@@ -229,12 +229,12 @@ class GrblStage(Stage):
         try:
             self._goal = self._sent = None
             # Only a reset ends a homing cycle. The reset loses the zero, which is unknown during homing anyway.
-            connection.send(grbl.RESET if homing else grbl.JOG_CANCEL)
+            connection.send_bytes(grbl.RESET if homing else grbl.JOG_CANCEL)
             self._homing_until = None
             if homing:
                 connection.unanswered = 0
             # A jog may still be in transmission; the thread sends cancels until the axis is at rest.
-            connection.wake()
+            connection.wake_thread()
         except Exception:
             # A halt must not raise: the queue ends within `runs_on`, and `position` reports the error.
             return
@@ -261,7 +261,7 @@ class GrblStage(Stage):
                 "runs_on_s": self.runs_on, "homing_runs_on": "to its end",
                 "checked_with": "emulator; unverified on hardware"}
 
-    def _send_next_commands(self, connection: GrblConnection) -> bool:
+    def _send_next_jogs_or_homing(self, connection: GrblConnection) -> bool:
         """Send the next commands; return True while a motion is in progress.
 
         The connection's thread calls this method every few milliseconds and holds the lock.
@@ -284,7 +284,7 @@ class GrblStage(Stage):
         report = connection.latest
         if connection.error is not None:
             self._trouble = (f"{self._name} has refused a motion with error {connection.error}: "
-                             f"{grbl.error_text(connection.error)}")
+                             f"{grbl.describe_error(connection.error)}")
             self._goal, connection.error = None, None
         if report.number == connection.handled:
             return  # one action per report
@@ -293,25 +293,25 @@ class GrblStage(Stage):
         if motion is None:
             self._sent = None
             if report.state == "Jog":
-                connection.send(grbl.JOG_CANCEL)
+                connection.send_bytes(grbl.JOG_CANCEL)
             return
         if time.monotonic() - self._last_call > JOGS.silence:
             return
         goal, speed = motion
         if self._sent is None:
-            if not connection.is_settled:
+            if not connection.has_current_report:
                 return
             if report.state != "Idle":
-                connection.send(grbl.JOG_CANCEL)
+                connection.send_bytes(grbl.JOG_CANCEL)
                 return
             self._sent = report.position
         elif self._sent == goal:
-            if report.state == "Idle" and connection.is_settled:
+            if report.state == "Idle" and connection.has_current_report:
                 self._goal = self._sent = None
             return
         if (goal - self._sent) * (self._sent - report.position) < 0:
             # A reversal: the old motion is cancelled, and the new one begins at rest.
-            connection.send(grbl.JOG_CANCEL)
+            connection.send_bytes(grbl.JOG_CANCEL)
             self._sent = None
             return
         for target in self._list_jog_targets(report.position, self._sent, goal, speed):
@@ -339,50 +339,50 @@ class GrblStage(Stage):
         """Send the homing command once the axis is at rest, and detect the end or the failure of homing."""
         report = connection.latest
         if connection.error is not None or connection.alarm is not None:
-            cause = (grbl.error_text(connection.error) if connection.error is not None else
-                     grbl.alarm_text(connection.alarm))
+            cause = (grbl.describe_error(connection.error) if connection.error is not None else
+                     grbl.describe_alarm(connection.alarm))
             self._trouble = f"{self._name} did not home: {cause}"
             connection.error, self._homing_until = None, None
         elif self._homing_until is not None and time.monotonic() > self._homing_until:
             self._trouble = (f"the homing of {self._name} does not end; check the limit switch of {self._axis}, "
                              "power and cable")
             self._homing_until = None
-            connection.send(grbl.RESET)
+            connection.send_bytes(grbl.RESET)
         elif not self._homing_sent:
-            if connection.is_settled and report.state in ("Idle", "Alarm"):
+            if connection.has_current_report and report.state in ("Idle", "Alarm"):
                 self._homing_sent, connection.was_reset = True, False
                 connection.send_line(b"$H\n")
             elif report.state == "Jog" and report.number != connection.handled:
                 connection.handled = report.number
-                connection.send(grbl.JOG_CANCEL)
-        elif connection.is_settled and report.state == "Idle":
+                connection.send_bytes(grbl.JOG_CANCEL)
+        elif connection.has_current_report and report.state == "Idle":
             self._zero, self._homing_until, connection.was_reset = report.position, None, False
 
-    def _wait_for_new_report(self, connection: GrblConnection) -> AxisReport:
+    def _wait_for_new_report(self, connection: GrblConnection) -> AxisStatusReport:
         """Return a report requested after this call. Requires the lock, which is released during the wait."""
         report = connection.wait_for_report(JOGS.report)
         if report is None:
-            self._raise_trouble(connection)
+            self._raise_thread_error(connection)
             raise DeviceError(f"{self._name} has sent no report for {JOGS.report:g} s; check that it has power, the "
                               "cable and the baud rate")
         return report
 
-    def _require_movable(self, report: AxisReport, connection: GrblConnection) -> None:
-        """Raise an error with the remedy if the state forbids a motion."""
+    def _require_motion_allowed(self, report: AxisStatusReport, connection: GrblConnection) -> None:
+        """Raise a DeviceError with the remedy if the reported state of Grbl forbids a motion."""
         if report.state == "Alarm" and connection.alarm is not None:
-            raise DeviceError(f"{self._name} is in alarm {connection.alarm}: {grbl.alarm_text(connection.alarm)}")
+            raise DeviceError(f"{self._name} is in alarm {connection.alarm}: {grbl.describe_alarm(connection.alarm)}")
         if report.state in _BLOCKED:
             raise DeviceError(f"{self._name} {_BLOCKED[report.state]}")
 
-    def _raise_trouble(self, connection: GrblConnection) -> None:
-        """Raise the error that the thread has left, if any, and clear it; a lost connection stays an error."""
+    def _raise_thread_error(self, connection: GrblConnection) -> None:
+        """Raise the error that the thread has stored, if any, and clear it; a lost connection stays an error."""
         if connection.lost:
             raise DeviceError(connection.lost)
         trouble, self._trouble = self._trouble, ""
         if trouble:
             raise DeviceError(trouble)
 
-    def _require_start(self) -> GrblConnection:
+    def _require_started(self) -> GrblConnection:
         connection = self._connection
         if connection is None:
             raise DeviceError("the Grbl stage is not started; start it first")

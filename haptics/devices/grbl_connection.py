@@ -43,13 +43,13 @@ TIMING = GrblTiming()
 
 
 @dataclass(frozen=True)
-class AxisReport:
+class AxisStatusReport:
     """A status report about one axis.
 
     Attributes:
         state: State of Grbl, one of `grbl.STATES`.
         position: Position of the axis in machine coordinates, mm.
-        pins: Letters of the active inputs, see `grbl.Report`.
+        pins: Letters of the active inputs, see `grbl.StatusReport`.
         received: Time of receipt, s on the clock of `time.monotonic`.
         number: Number of the report since the start.
         requested: Time of the request, s.
@@ -110,7 +110,7 @@ class GrblConnection:
         self._critical = False
         #: Received bytes of an incomplete line.
         self._partial_line = b""
-        self.latest = AxisReport("Idle", 0.0, "", time.monotonic(), 0, 0.0, -1)
+        self.latest = AxisStatusReport("Idle", 0.0, "", time.monotonic(), 0, 0.0, -1)
         self.unanswered, self.handled, self.lost = 0, 0, ""
         self.error: int | None = None
         self.alarm: int | None = None
@@ -127,16 +127,16 @@ class GrblConnection:
         state = self._wait_for_first_state()
         if state == "Jog":
             # Jogs of another program that has ended.
-            self.send(grbl.JOG_CANCEL)
+            self.send_bytes(grbl.JOG_CANCEL)
         elif state in ("Run", "Hold", "Home"):
             raise DeviceError(f"{self._name} is in the state {state} because of another program; end that program, and "
                               "start again")
-        lines = self._query_lines(b"$I\n")
+        lines = self._query_answer_lines(b"$I\n")
         versions = [version for version in map(grbl.parse_version, lines) if version]
         if not versions or not versions[0][0].startswith("1.1"):
             version = versions[0][0] if versions else "no version"
             raise DeviceError(f"{self._name} reports {version}; install Grbl 1.1, which can jog")
-        settings = [setting for setting in map(grbl.parse_setting, self._query_lines(b"$$\n")) if setting]
+        settings = [setting for setting in map(grbl.parse_setting, self._query_answer_lines(b"$$\n")) if setting]
         return dict(settings)
 
     def _wait_for_first_state(self) -> str:
@@ -145,7 +145,7 @@ class GrblConnection:
         while time.monotonic() < end:
             if time.monotonic() - requested > TIMING.boot_interval:
                 requested = time.monotonic()
-                self.send(grbl.STATUS)
+                self.send_bytes(grbl.STATUS)
             received += self._line.read()
             for line in received.decode("latin-1").split("\n")[:-1]:
                 report = grbl.parse_report(line.strip())
@@ -159,9 +159,9 @@ class GrblConnection:
         raise DeviceError(f"nothing answers at {self._port} within {TIMING.boot:g} s; check that the Grbl has power, "
                           f"the cable and the baud rate ({self._baud}){identify_controller(self._line)}")
 
-    def _query_lines(self, command: bytes) -> list[str]:
+    def _query_answer_lines(self, command: bytes) -> list[str]:
         """Send a command while the thread does not run, and return the lines before its ``ok``."""
-        self.send(command)
+        self.send_bytes(command)
         lines: list[str] = []
         end = time.monotonic() + TIMING.line
         while time.monotonic() < end:
@@ -170,7 +170,7 @@ class GrblConnection:
             if answer == ("ok", 0):
                 return lines
             if answer:
-                cause = grbl.error_text(answer[1]) if answer[0] == "error" else grbl.alarm_text(answer[1])
+                cause = grbl.describe_error(answer[1]) if answer[0] == "error" else grbl.describe_alarm(answer[1])
                 raise DeviceError(f"{self._name} answers {command.decode().strip()} with {line}: {cause}")
             lines.append(line)
         raise DeviceError(f"{self._name} does not end its answer to {command.decode().strip()}; check the cable")
@@ -218,8 +218,8 @@ class GrblConnection:
             if kind == "ALARM":
                 self.alarm, self._critical = number, number in (1, 2)
                 last = self.latest
-                self.latest = AxisReport("Alarm", last.position, last.pins, last.received, last.number, last.requested,
-                                         -1, self._critical)
+                self.latest = AxisStatusReport("Alarm", last.position, last.pins, last.received, last.number,
+                                               last.requested, -1, self._critical)
                 # Grbl discards its queue on an alarm and answers none of its lines.
                 self.unanswered = 0
             else:
@@ -232,7 +232,7 @@ class GrblConnection:
             self._banners += 1
             self._exchanges += 1
 
-    def _handle_report(self, report: grbl.Report) -> None:
+    def _handle_report(self, report: grbl.StatusReport) -> None:
         """Store a report as `latest`, in machine coordinates; ignores a report that was not requested."""
         if report.offset is not None and self._axis < len(report.offset):
             self._offset = report.offset[self._axis]
@@ -247,8 +247,8 @@ class GrblConnection:
             position += self._offset
         if report.state != "Alarm":
             self._critical = False
-        self.latest = AxisReport(report.state, position, report.pins, time.monotonic(), self.latest.number + 1,
-                                 requested, exchange, self._critical)
+        self.latest = AxisStatusReport(report.state, position, report.pins, time.monotonic(), self.latest.number + 1,
+                                       requested, exchange, self._critical)
         self._report_awaited = False
 
     def _request_report(self, interval: float) -> None:
@@ -258,15 +258,15 @@ class GrblConnection:
                 (now - self._requested > TIMING.report_retry)):
             self._requested = now
             self._exchanges_at_request = self._exchanges if self.unanswered == 0 else -1
-            self.send(grbl.STATUS)
+            self.send_bytes(grbl.STATUS)
 
     @property
-    def is_settled(self) -> bool:
+    def has_current_report(self) -> bool:
         """True if all lines have an answer and the last report was requested after these answers."""
         return self.unanswered == 0 and self.latest.exchange == self._exchanges
 
-    def wait_for_report(self, timeout: float) -> AxisReport | None:
-        """Return a report requested after this call; None: timeout, s, or lost connection. Requires the lock."""
+    def wait_for_report(self, timeout: float) -> AxisStatusReport | None:
+        """Wait up to `timeout` s for a report requested after this call; None: no report. Requires the lock."""
         begin = time.monotonic()
         self._wakeup.set()
         while self.latest.requested < begin or not self.latest.number:
@@ -282,9 +282,9 @@ class GrblConnection:
         """Send a line that Grbl answers. Requires the lock."""
         self.unanswered += 1
         self._exchanges += 1
-        self.send(line)
+        self.send_bytes(line)
 
-    def send(self, data: bytes) -> None:
+    def send_bytes(self, data: bytes) -> None:
         """Send bytes that Grbl does not answer; callable from any thread.
 
         Raises:
@@ -297,16 +297,16 @@ class GrblConnection:
             if has_lock:
                 self._writing.release()
 
-    def reset(self) -> None:
+    def soft_reset(self) -> None:
         """Send a soft reset and wait for the banner. Requires the lock."""
         self.alarm, before = None, self._banners
-        self.send(grbl.RESET)
+        self.send_bytes(grbl.RESET)
         end = time.monotonic() + TIMING.line
         while self._banners == before and not self.lost and time.monotonic() < end:
             self._received.wait(0.1)
 
-    def wake(self) -> None:
-        """Make the thread read the port and act at once."""
+    def wake_thread(self) -> None:
+        """End the present wait of the thread, so that it reads the port and calls `act` at once."""
         self._wakeup.set()
 
     def close(self) -> None:

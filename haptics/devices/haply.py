@@ -15,8 +15,8 @@ from typing import Any
 
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.devices.settings import read_settings
-from haptics.devices.web_socket import LineClosedError, WebSocketLine, check_address
-from haptics.protocols.haply import ADDRESS, HapticState, encode_force, read_state
+from haptics.devices.web_socket import WebSocketClosedError, WebSocketConnection, parse_address
+from haptics.protocols.haply import ADDRESS, HaplyDeviceState, decode_device_state, encode_force_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Quaternion, Screw, Vector
 
@@ -67,7 +67,7 @@ class HaplyDevice(HapticDevice):
         largest_force: Largest force on the hand, N.
 
     Attributes:
-        trouble: Reason why poses are missing; empty while the exchange works.
+        exchange_error: Reason why poses are missing; empty while the exchange works.
 
     Raises:
         InputError: The address, a scale, the axes or the largest force are invalid.
@@ -76,33 +76,34 @@ class HaplyDevice(HapticDevice):
     def __init__(self, address: str = ADDRESS, scale: float = 1.0, force_scale: float = 1.0, axes: str = "xyz",
                  origin: Vector | None = None, above: float = 10e-3, turn: bool = False,
                  largest_force: float = LARGEST_FORCE):
-        check_address(address)
+        parse_address(address)
         for value, unit, field in ((scale, "", "scale"), (force_scale, "", "force_scale"),
                                    (largest_force, " N", "largest_force")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be a finite number above 0; got {value:g}{unit}", field=field)
+                raise InputError(f"scales and largest force must be finite numbers above 0; got {value:g}{unit}",
+                                 field=field)
         self.address, self._scale, self._force_scale, self._begin_branch = address, scale, force_scale, turn
-        self._axes, self._axis_order = axes, _read_axes(axes)
+        self._axes, self._axis_order = axes, _parse_axes(axes)
         self._given_origin, self._above, self._largest_hand_force = origin, above, largest_force
         #: Largest force of the loop, N, with which the force on the hand stays within its limit.
         self.largest_force = largest_force / force_scale
         self._origin: Vector = origin or (0.0, 0.0, 0.0)
         self._first_orientation: Quaternion | None = None
-        self._line: WebSocketLine | None = None
+        self._line: WebSocketConnection | None = None
         self._thread: _ExchangeThread | None = None
         self._trouble = ""
-        self._first: HapticState | None = None
+        self._first: HaplyDeviceState | None = None
 
     @property
-    def trouble(self) -> str:
+    def exchange_error(self) -> str:
         """Reason why poses are missing; empty while the exchange works."""
-        return self._trouble if self._thread is None else self._thread.trouble
+        return self._trouble if self._thread is None else self._thread.exchange_error
 
     def start(self) -> None:
         """Connect to the service, set the origin of the motion and start the thread that exchanges messages."""
         if self._thread is not None:
             return
-        line = self._connect()
+        line = self._open_connection()
         try:
             first = self._register_program(line)
         except BaseException:
@@ -110,20 +111,20 @@ class HaplyDevice(HapticDevice):
             raise
         self._first, self._first_orientation = first, first.orientation
         if self._given_origin is None:
-            x, y, z = self._to_scene(first.position)
-            self._origin = self._to_device((x, y, z - self._above / self._scale))
+            x, y, z = self._to_scene_axes(first.position)
+            self._origin = self._to_device_axes((x, y, z - self._above / self._scale))
         else:
             self._origin = self._given_origin
         self._thread = _ExchangeThread(line, first, self.address)
         self._thread.start()
 
-    def _connect(self) -> WebSocketLine:
-        """Open the connection; errors have the remedy."""
+    def _open_connection(self) -> WebSocketConnection:
+        """Open and return the connection to the service; raises a DeviceError with the remedy if this fails."""
         try:
-            return WebSocketLine(self.address, TIMING.connect)
+            return WebSocketConnection(self.address, TIMING.connect)
         except ImportError:
             raise DeviceError("a Haply device requires the package websockets; run 'pip install websockets'") from None
-        except LineClosedError as error:
+        except WebSocketClosedError as error:
             raise DeviceError(f"the server at {self.address} is no Haply Inverse service ({error}); give the address "
                               "of its simulation channel, by default port 10001") from None
         except OSError as error:
@@ -131,25 +132,25 @@ class HaplyDevice(HapticDevice):
                               "the service (Linux: systemctl start haply-inverse-service), or give its address as "
                               "haply:ws://HOST:PORT") from None
 
-    def _register_program(self, line: WebSocketLine) -> HapticState:
+    def _register_program(self, line: WebSocketConnection) -> HaplyDeviceState:
         """Receive the first state and register this program with zero force; return the state."""
         service = f"the Haply Inverse service at {self.address}"
         try:
             messages = line.receive(TIMING.connect)
             if not messages:
                 raise DeviceError(f"{service} sent nothing within {TIMING.connect:g} s; restart it")
-            first = read_state(messages[0])
+            first = decode_device_state(messages[0])
             if first is None:
                 raise DeviceError(f"{service} has no Inverse3; connect the device, switch it on, and check in the "
                                   "Haply Hub that it is listed")
             if first.status.get("power_supply") is False:
                 raise DeviceError(f"the Inverse3 {first.device_id} has no power for its motors; plug its power supply "
                                   "in, then start again")
-            line.send(encode_force(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
+            line.send(encode_force_message(first.device_id, (0.0, 0.0, 0.0), PROFILE), TIMING.connect)
             answers = line.receive(TIMING.connect)
             if not answers:
                 raise DeviceError(f"{service} does not answer; restart it")
-            read_state(answers[-1], first.device_id)
+            decode_device_state(answers[-1], first.device_id)
         except ValueError as error:
             raise DeviceError(f"{service} sent an unknown message ({error}); install version 3.1 or later of the "
                               "service") from None
@@ -160,12 +161,12 @@ class HaplyDevice(HapticDevice):
     def pose(self, time: float) -> Pose | None:
         """Return the newest pose of the cursor in the scene, scaled, m; None without a recent state."""
         thread = self._thread
-        state = None if thread is None else thread.newest()
+        state = None if thread is None else thread.get_newest_state()
         if state is None:
             return None
         x, y, z = state.position
         a, b, c = self._origin
-        u, v, w = self._to_scene((x - a, y - b, z - c))
+        u, v, w = self._to_scene_axes((x - a, y - b, z - c))
         position = (self._scale * u, self._scale * v, self._scale * w)
         if not self._begin_branch or state.orientation is None or self._first_orientation is None:
             return Pose(position)
@@ -181,14 +182,14 @@ class HaplyDevice(HapticDevice):
             # A second limit behind the loop's own; a force that is not a number becomes zero.
             factor = self._largest_hand_force / size if math.isfinite(size) else 0.0
             x, y, z = (factor * x, factor * y, factor * z) if factor else (0.0, 0.0, 0.0)
-        self._thread.set_force(self._to_device((x, y, z)))
+        self._thread.set_force(self._to_device_axes((x, y, z)))
 
     def stop(self) -> None:
         """End the exchange of messages with the service."""
         thread, self._thread = self._thread, None
         if thread is not None:
-            thread.end()
-            self._trouble = thread.trouble
+            thread.stop_and_close()
+            self._trouble = thread.exchange_error
 
     def describe(self) -> dict[str, Any]:
         """Return address, axes, scales, largest force and state of the device; keys carry units."""
@@ -198,16 +199,16 @@ class HaplyDevice(HapticDevice):
             "origin_mm": [1e3 * part for part in self._origin], "unverified": "messages were never tried on a device"}
         if self._first is not None:
             described |= {"device_id": self._first.device_id, "status": dict(self._first.status)}
-        if self.trouble:
-            described["trouble"] = self.trouble
+        if self.exchange_error:
+            described["trouble"] = self.exchange_error
         return described
 
-    def _to_scene(self, vector: Vector) -> Vector:
+    def _to_scene_axes(self, vector: Vector) -> Vector:
         """Convert a vector from the device's axes to the scene's."""
         (i, a), (j, b), (k, c) = self._axis_order
         return a * vector[i], b * vector[j], c * vector[k]
 
-    def _to_device(self, vector: Vector) -> Vector:
+    def _to_device_axes(self, vector: Vector) -> Vector:
         """Convert a vector from the scene's axes to the device's."""
         turned = [0.0, 0.0, 0.0]
         for (axis, sign), part in zip(self._axis_order, vector, strict=True):
@@ -217,8 +218,8 @@ class HaplyDevice(HapticDevice):
     def _rotation_since_start(self, now: Quaternion, first: Quaternion) -> Quaternion:
         """Return now * conjugate(first), the rotation of the grip since the start, in the frame of the scene."""
         (w, x, y, z), (s, a, b, c) = now, first
-        u, v, q = self._to_scene((-w * a + x * s - y * c + z * b, -w * b + x * c + y * s - z * a,
-                                  -w * c - x * b + y * a + z * s))
+        u, v, q = self._to_scene_axes((-w * a + x * s - y * c + z * b, -w * b + x * c + y * s - z * a,
+                                       -w * c - x * b + y * a + z * s))
         return w * s + x * a + y * b + z * c, u, v, q
 
 
@@ -231,10 +232,10 @@ class _ExchangeThread:
         address: Address of the service, for messages.
 
     Attributes:
-        trouble: Reason why the exchange ended; empty while it works.
+        exchange_error: Reason why the exchange ended; empty while it works.
     """
 
-    def __init__(self, line: WebSocketLine, first: HapticState, address: str):
+    def __init__(self, line: WebSocketConnection, first: HaplyDeviceState, address: str):
         self._line, self._device_id, self._address = line, first.device_id, address
         #: Time of receipt, s, and newest state.
         self._newest = (time.monotonic(), first)
@@ -243,29 +244,29 @@ class _ExchangeThread:
         #: Number of messages in flight, and time of the last answer, s.
         self._unanswered, self._answered = 0, time.monotonic()
         self._has_force, self._ending = threading.Event(), threading.Event()
-        self._thread = threading.Thread(target=self._run, name="Haply device", daemon=True)
-        self.trouble = ""
+        self._thread = threading.Thread(target=self._run_exchange, name="Haply device", daemon=True)
+        self.exchange_error = ""
 
     def start(self) -> None:
         self._thread.start()
 
-    def newest(self) -> HapticState | None:
+    def get_newest_state(self) -> HaplyDeviceState | None:
         """Return the newest state, or None if it has expired or the exchange has ended."""
         received, state = self._newest
-        return None if self.trouble or time.monotonic() - received > TIMING.stale else state
+        return None if self.exchange_error or time.monotonic() - received > TIMING.stale else state
 
     def set_force(self, force: Vector) -> None:
         """Set the force to apply from now on, N, in the frame of the device."""
         self._request = (time.monotonic(), force)
         self._has_force.set()
 
-    def end(self) -> None:
+    def stop_and_close(self) -> None:
         """Send zero force and close the connection; returns when the thread has ended."""
         self._ending.set()
         self._has_force.set()
         self._thread.join()
 
-    def _run(self) -> None:
+    def _run_exchange(self) -> None:
         """Exchange messages until the end or an error, then send zero force; the body of the thread."""
         try:
             while not self._ending.is_set():
@@ -278,15 +279,15 @@ class _ExchangeThread:
             self._unanswered = 0
             self._exchange_messages((0.0, 0.0, 0.0), within=0.2)
         except OSError as error:
-            self.trouble = (f"the Haply Inverse service at {self._address} is gone ({error}); start it again, then "
-                            "this program")
+            self.exchange_error = (f"the Haply Inverse service at {self._address} is gone ({error}); start it "
+                                   "again, then this program")
         finally:
             self._line.close()
 
     def _exchange_messages(self, force: Vector, within: float = TIMING.answer) -> None:
         """Send a force, N, unless too many messages are in flight, and receive answers for up to `within` seconds."""
         if self._unanswered < TIMING.max_unanswered:
-            self._line.send(encode_force(self._device_id, force), within + 1.0)
+            self._line.send(encode_force_message(self._device_id, force), within + 1.0)
             self._unanswered += 1
         messages = self._line.receive(within)
         if messages:
@@ -296,12 +297,12 @@ class _ExchangeThread:
         for message in messages:
             # An invalid message counts as not received.
             with contextlib.suppress(ValueError):
-                state = read_state(message, self._device_id)
+                state = decode_device_state(message, self._device_id)
                 if state is not None:
                     self._newest = (time.monotonic(), state)
 
 
-def _read_axes(axes: str) -> tuple[tuple[int, float], ...]:
+def _parse_axes(axes: str) -> tuple[tuple[int, float], ...]:
     """Return, for x, y and z of the scene, the index of the device's axis and its sign.
 
     Raises:
@@ -318,11 +319,11 @@ def _read_axes(axes: str) -> tuple[tuple[int, float], ...]:
             order.append((3, sign))
     indices = [axis for axis, _ in order]
     if sorted(indices) != [0, 1, 2]:
-        raise InputError(f"must be x, y and z in some order, with signs, such as xyz or yz-x; got {axes!r}",
+        raise InputError(f"the axes must be x, y and z in some order, with signs, such as xyz or yz-x; got {axes!r}",
                          field="axes")
     swaps = sum(indices[i] > indices[j] for i in range(3) for j in range(i + 1, 3))
     if math.prod(each for _, each in order) != (-1.0 if swaps % 2 else 1.0):
-        raise InputError(f"must be a right-handed frame; got {axes!r}. Change one sign", field="axes")
+        raise InputError(f"the axes must form a right-handed frame; got {axes!r}. Change one sign", field="axes")
     return tuple(order)
 
 

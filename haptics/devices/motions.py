@@ -54,7 +54,7 @@ class ProtocolMotion(AxialMotion):
         self._depths = protocol.displacement.tolist()
         self._repeat = repeat
         if repeat and (len(self._times) < 2 or not math.isclose(self._depths[0], self._depths[-1], abs_tol=1e-9)):
-            raise InputError("must end at its first displacement to be repeated; it ends "
+            raise InputError("a repeated protocol must end at its first displacement; it ends "
                              f"{1e3 * (self._depths[-1] - self._depths[0]):.4g} mm from it. Add 'unload' at the end or "
                              "use repeat=False", field="protocol")
 
@@ -90,9 +90,9 @@ class SineMotion(AxialMotion):
     """
 
     def __init__(self, deepest: float, highest: float = 0.0, frequency: float = 1.0):
-        _require_range(highest, deepest)
+        _require_depth_range(highest, deepest)
         if not 0 < frequency < math.inf:
-            raise InputError(f"must be above 0 Hz; got {frequency:g} Hz", field="frequency")
+            raise InputError(f"the frequency must be above 0 Hz; got {frequency:g} Hz", field="frequency")
         self._middle, self._amplitude = 0.5 * (highest + deepest), 0.5 * (deepest - highest)
         self._rate = 2 * math.pi * frequency
 
@@ -123,9 +123,9 @@ class HandMotion(Motion):
         self._starts_at_tool = start is None
         self._time = 0.0
         self._velocity = [0.0, 0.0, 0.0]
-        self._set_start(approach, start or 0.0, start or 0.0)
+        self._set_start_and_target(approach, start or 0.0, start or 0.0)
 
-    def _set_start(self, approach: Approach | None, start: float, target: float) -> None:
+    def _set_start_and_target(self, approach: Approach | None, start: float, target: float) -> None:
         """Set approach, depth, m, and target depth, m, at the start of the motion."""
         self.approach = approach
         # A position is x and y, where the tool's axis meets the height of first contact, and the depth along the axis.
@@ -138,7 +138,7 @@ class HandMotion(Motion):
     def set_approach(self, approach: Approach | None) -> None:
         """Begin at the start of an approach, unless the motion has one or begins at the present pose of the tool."""
         if self.approach is None and approach is not None and not self._starts_at_tool:
-            self._set_start(approach, self._position[2], self._target[2])
+            self._set_start_and_target(approach, self._position[2], self._target[2])
 
     def _set_orientation(self, pose: Pose) -> None:
         """Store a pose's orientation and the tool's axis, scaled: x, y and height per unit of depth along the axis."""
@@ -146,7 +146,7 @@ class HandMotion(Motion):
         (_, _, a), (_, _, b), (_, _, c) = pose.rotation
         self._axis = -a, -b, max(c, _DEFAULTS.least_cosine)
 
-    def take_over(self, pose: Pose) -> None:
+    def continue_from_pose(self, pose: Pose) -> None:
         """Begin at the present pose of the tool if the motion was made without a start."""
         if not self._starts_at_tool:
             return
@@ -164,9 +164,9 @@ class HandMotion(Motion):
         """
         x, y = self._target[:2] if across is None else across
         if not math.isfinite(depth):
-            raise InputError(f"must be a finite number; got {depth}", field="depth")
+            raise InputError(f"the target depth must be a finite number; got {depth}", field="depth")
         if not (math.isfinite(x) and math.isfinite(y)):
-            raise InputError(f"must be two finite numbers; got ({x}, {y})", field="across")
+            raise InputError(f"the target across the axis must be two finite numbers; got ({x}, {y})", field="across")
         self._target = [x, y, depth]
 
     def pose(self, time: float) -> Pose:
@@ -224,11 +224,11 @@ class RandomWalk(AxialMotion):
 
     def __init__(self, seed: int | str = 0, deepest: float = 8e-3, highest: float = -2e-3, speed: float = 0.2,
                  start: float | None = None):
-        _require_range(highest, deepest)
+        _require_depth_range(highest, deepest)
         require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here
         start = highest if start is None else start
         if not highest <= start <= deepest:
-            raise InputError(f"must be {highest:g} to {deepest:g} m; got {start:g} m", field="start")
+            raise InputError(f"the initial depth must be {highest:g} to {deepest:g} m; got {start:g} m", field="start")
         self._random = random.Random(seed)
         self._highest, self._deepest = highest, deepest
         self._longest_step = speed * self.SPACING
@@ -289,11 +289,12 @@ class SpatialWalk(Motion):
                  turn: float = 0.0, speed: float = 0.2, turn_speed: float = math.radians(60.0),
                  approach: Approach | None = None):
         if not 0.0 <= sideways < math.inf:
-            raise InputError(f"must be 0 m or more; got {sideways:g} m", field="sideways")
+            raise InputError(f"the sideways range must be 0 m or more; got {sideways:g} m", field="sideways")
         require_length(speed, "speed")  # checks for finite and positive; the unit is m/s here, rad/s below
         require_length(turn_speed, "turn_speed")
         if not 0.0 <= turn < math.pi:
-            raise InputError(f"must be 0 rad or more and less than half a turn; got {turn:g} rad", field="turn")
+            raise InputError(f"the rotation range must be 0 rad or more and less than half a turn; got {turn:g} rad",
+                             field="turn")
         self.approach = approach
         # Three perpendicular components of at most limit / sqrt(3) have a resultant of at most the limit.
         fraction = 1.0 / math.sqrt(3.0)
@@ -317,10 +318,11 @@ class SpatialWalk(Motion):
         return turned(moved, (about_x, about_y, about_z))
 
 
-def _require_range(highest: float, deepest: float) -> None:
+def _require_depth_range(highest: float, deepest: float) -> None:
     """Raise an error unless `deepest` is below `highest`, both finite, m."""
     if not -math.inf < highest < deepest < math.inf:
-        raise InputError(f"must be deeper than the upper depth, {highest:g} m; got {deepest:g} m", field="deepest")
+        raise InputError(f"the deepest position must be deeper than the upper depth, {highest:g} m; got {deepest:g} m",
+                         field="deepest")
 
 
 def open_random(text: str) -> RandomWalk | SpatialWalk:
@@ -346,10 +348,10 @@ def open_sine(text: str) -> SineMotion:
 
 def open_protocol(text: str) -> ProtocolMotion:
     """Make a protocol's motion from ``protocol:ramp 4mm @2mm/s; unload``; see `tissue_sim.Protocol.parse`."""
-    return follow_protocol(Protocol.parse(text))
+    return make_protocol_motion(Protocol.parse(text))
 
 
-def follow_protocol(protocol: Protocol) -> ProtocolMotion:
+def make_protocol_motion(protocol: Protocol) -> ProtocolMotion:
     """Return a protocol's motion, repeated if the last displacement equals the first."""
     closes = abs(protocol.displacement[-1] - protocol.displacement[0]) < 1e-9
     return ProtocolMotion(protocol, repeat=bool(closes))

@@ -14,12 +14,12 @@ from enum import IntEnum
 from typing import Any
 
 from haptics.devices.contracts import DeviceError, SampleStatus, Stage, StageLimits, StageSample
-from haptics.devices.settings import read_settings, split_target
+from haptics.devices.settings import read_settings, split_address_and_settings
 from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class ControllerTimes:
+class PhidgetTiming:
     """Times that the controller is given, in the unit of its library.
 
     Attributes:
@@ -32,13 +32,13 @@ class ControllerTimes:
     failsafe_ms: int = 500
 
 
-_TIMES = ControllerTimes()
+_TIMES = PhidgetTiming()
 #: A complete name, for messages.
 _EXAMPLE = "phidget:123456,steps_per_mm=25"
 
 
-class _ErrorCode(IntEnum):
-    """Codes of `Phidget22.ErrorCode`."""
+class _PhidgetErrorCode(IntEnum):
+    """Error codes of the library of the maker, `Phidget22.ErrorCode`, that have their own message here."""
 
     TIMEOUT = 3
     UNSUPPORTED = 20
@@ -72,12 +72,14 @@ class PhidgetStage(Stage):
     def __init__(self, serial: int | None, steps_per_mm: float, limits: StageLimits, acceleration: float = 0.05,
                  microsteps: int = 16, current: float | None = None):
         if not limits.lowest <= 0.0 < limits.highest < float("inf") or limits.lowest == -float("inf"):
-            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m", field="limits")
+            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
+                             field="limits")
         for field, value in (("top_speed_mm_s", limits.speed), ("acceleration_mm_s2", acceleration),
                              ("steps_per_mm", abs(steps_per_mm)), ("microsteps", microsteps)):
             if not 0 < value < float("inf"):
                 condition = "finite and not 0" if field == "steps_per_mm" else "finite and above 0"
-                raise InputError(f"must be {condition}, as in {_EXAMPLE}; got {value:g}", field=field)
+                raise InputError(f"a setting of the motor must be {condition}, as in {_EXAMPLE}; got {value:g}",
+                                 field=field)
         self.limits, self._serial, self._steps_per_mm = limits, serial, steps_per_mm
         self._acceleration, self._microsteps, self._current = acceleration, microsteps, current
         #: Length of one microstep, m, with the sign of the direction.
@@ -93,17 +95,17 @@ class PhidgetStage(Stage):
         """Attach the controller and set current, acceleration and failsafe."""
         if self._motor is not None:
             return
-        motor = self._attach()
+        motor = self._attach_controller()
         try:
-            self._configure(motor)
+            self._configure_motor(motor)
         except BaseException:
             with contextlib.suppress(Exception):
                 motor.close()
             raise
         self._motor, self._homed, self._sequence, self._goal = motor, False, 0, None
 
-    def _attach(self) -> Any:
-        """Return the controller after it has answered."""
+    def _attach_controller(self) -> Any:
+        """Open the connection to the controller, and return its object of the library after it has answered."""
         try:
             from Phidget22.Devices.Stepper import Stepper
             from Phidget22.Phidget import Phidget
@@ -127,21 +129,21 @@ class PhidgetStage(Stage):
         except Exception as error:
             with contextlib.suppress(Exception):
                 motor.close()
-            if getattr(error, "code", None) == _ErrorCode.TIMEOUT:
+            if getattr(error, "code", None) == _PhidgetErrorCode.TIMEOUT:
                 which = "no Phidget stepper" if self._serial is None else f"no Phidget stepper {self._serial}"
                 raise DeviceError(f"{which} answers within {_TIMES.attach_ms / 1000:g} s; check its power, the cable "
                                   "and the serial number, close the Phidget Control Panel, and on Linux let your user "
                                   "open it (udev rule 99-libphidget22.rules)") from None
-            raise self._to_device_error(error) from None
+            raise self._convert_to_device_error(error) from None
         return motor
 
-    def _configure(self, motor: Any) -> None:
+    def _configure_motor(self, motor: Any) -> None:
         """Set units to counts, acceleration, current limit and failsafe; the velocity limit of 0 prevents motion."""
         try:
             motor.setRescaleFactor(1.0)
             motor.setVelocityLimit(0.0)
-            self._require_speed(motor)
-            motor.setAcceleration(min(max(self._to_counts(self._acceleration), motor.getMinAcceleration()),
+            self._require_reachable_top_speed(motor)
+            motor.setAcceleration(min(max(self._convert_to_counts(self._acceleration), motor.getMinAcceleration()),
                                       motor.getMaxAcceleration()))
             if self._current is not None:
                 motor.setCurrentLimit(self._current)
@@ -149,51 +151,51 @@ class PhidgetStage(Stage):
         except DeviceError:
             raise
         except Exception as error:
-            raise self._to_device_error(error) from None
+            raise self._convert_to_device_error(error) from None
 
     def _enable_failsafe(self, motor: Any) -> None:
         """Enable the failsafe and set `runs_on`; without a failsafe it is infinite."""
         try:
             motor.enableFailsafe(_TIMES.failsafe_ms)
         except Exception as error:
-            if getattr(error, "code", None) != _ErrorCode.UNSUPPORTED:
+            if getattr(error, "code", None) != _PhidgetErrorCode.UNSUPPORTED:
                 raise
             self.runs_on = math.inf
         else:
             self.runs_on = 1e-3 * _TIMES.failsafe_ms
 
-    def _require_speed(self, motor: Any) -> None:
+    def _require_reachable_top_speed(self, motor: Any) -> None:
         """Raise an error if the controller cannot reach the top speed."""
         most = motor.getMaxVelocityLimit() * abs(self._length_per_count)
         if self.limits.speed > most:
             raise DeviceError(f"the top speed of the Phidget stepper is {most * 1e3:g} mm/s at {self._steps_per_mm:g} "
                               f"steps per mm; give top_speed_mm_s={most * 1e3:.4g} or less")
 
-    def _to_counts(self, length: float) -> float:
+    def _convert_to_counts(self, length: float) -> float:
         """Convert a length, m, a speed, m/s, or an acceleration, m/s^2, to counts, without sign."""
         return abs(length / self._length_per_count)
 
     def home(self) -> None:
         """Take the present position as zero, without a motion, and switch the current on."""
-        motor = self._require_start()
+        motor = self._require_started()
         try:
             motor.setVelocityLimit(0.0)
             motor.addPositionOffset(-motor.getPosition())
             motor.setTargetPosition(0.0)
             motor.setEngaged(True)
         except Exception as error:
-            raise self._to_device_error(error) from None
+            raise self._convert_to_device_error(error) from None
         self._homed, self._goal = True, None
 
     def move(self, position: float, speed: float) -> None:
         """Begin a motion to a position, m, at a speed, m/s, and return at once."""
-        motor = self._require_start()
-        self.limits.require(position, speed)
+        motor = self._require_started()
+        self.limits.require_within_limits(position, speed)
         if not self._homed:
             raise DeviceError("the Phidget stepper does not know its zero; home it first")
         # The controller rounds down to whole counts per second, so a speed below 1 would become 0.
-        if self._to_counts(speed) < 1.0:
-            raise InputError(f"must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
+        if self._convert_to_counts(speed) < 1.0:
+            raise InputError(f"the speed must be at least {abs(self._length_per_count):.3g} m/s; got {speed:g} m/s",
                              field="speed")
         halts = self._halts
         try:
@@ -201,23 +203,23 @@ class PhidgetStage(Stage):
             motor.setVelocityLimit(0.0)
             motor.setTargetPosition(float(round(position / self._length_per_count)))
             if self._halts == halts:
-                motor.setVelocityLimit(float(round(self._to_counts(speed))))
+                motor.setVelocityLimit(float(round(self._convert_to_counts(speed))))
             if self._halts != halts:  # another thread halted in between
                 motor.setVelocityLimit(0.0)
                 return
         except Exception as error:
-            raise self._to_device_error(error) from None
+            raise self._convert_to_device_error(error) from None
         self._goal = position
 
     def position(self) -> StageSample:
         """Return the commanded position, m, and restart the failsafe timer."""
-        motor = self._require_start()
+        motor = self._require_started()
         try:
             if self.runs_on < math.inf:
                 motor.resetFailsafe()
             steps, turning = motor.getPosition(), bool(motor.getIsMoving())
         except Exception as error:
-            raise self._to_device_error(error) from None
+            raise self._convert_to_device_error(error) from None
         now, position = time.monotonic(), steps * self._length_per_count
         goal = self._goal
         # The controller reports a motion shortly after its beginning, hence the comparison with the target.
@@ -259,19 +261,19 @@ class PhidgetStage(Stage):
                 "zero": "where it stood when it was homed",
                 "verified": "against a stand-in for its library only"}
 
-    def _require_start(self) -> Any:
+    def _require_started(self) -> Any:
         if self._motor is None:
             raise DeviceError("the Phidget stepper is not started; start it first")
         return self._motor
 
-    def _to_device_error(self, error: Exception) -> DeviceError:
+    def _convert_to_device_error(self, error: Exception) -> DeviceError:
         """Return cause and remedy for an error of the library."""
         code = getattr(error, "code", None)
-        if code == _ErrorCode.FAILSAFE:
+        if code == _PhidgetErrorCode.FAILSAFE:
             self._homed = False
             return DeviceError("the Phidget stepper has switched its motor off, because this program did not "
                                f"communicate for {self.runs_on:g} s; stop it, start it and home it again")
-        if code == _ErrorCode.NOT_ATTACHED:
+        if code == _PhidgetErrorCode.NOT_ATTACHED:
             self._homed = False
             return DeviceError("the Phidget stepper is gone; check its power and the cable, and start it again")
         details = " ".join((getattr(error, "details", "") or str(error)).split()).rstrip(".")
@@ -284,9 +286,10 @@ def open_phidget(text: str) -> PhidgetStage:
     Defaults: ``phidget:SERIAL,steps_per_mm=...,lowest_mm=0,highest_mm=50,top_speed_mm_s=5,acceleration_mm_s2=50,
     microsteps=16,current_A=0``; ``current_A=0`` leaves the current limit unchanged.
     """
-    serial, rest = split_target(text, "the serial number of the controller, or 'any',", _EXAMPLE)
+    serial, rest = split_address_and_settings(text, "the serial number of the controller, or 'any',", _EXAMPLE)
     if serial != "any" and not (serial.isascii() and serial.isdigit()):
-        raise InputError(f"must be the serial number of the controller or 'any', as in {_EXAMPLE}; got {serial!r}",
+        raise InputError(f"the name must begin with the serial number of the controller or 'any', as in {_EXAMPLE}; "
+                         f"got {serial!r}",
                          field="serial")
     given = read_settings(rest, steps_per_mm=0.0, lowest_mm=0.0, highest_mm=50.0, top_speed_mm_s=5.0,
                           acceleration_mm_s2=50.0, microsteps=16, current_A=0.0)

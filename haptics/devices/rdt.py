@@ -15,7 +15,7 @@ from typing import Any
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
 from haptics.protocols import rdt
-from haptics.protocols.rdt import Record, Request, Settings
+from haptics.protocols.rdt import BoxSettings, RdtRecord, RdtRequest
 from tissue_sim.errors import InputError
 
 
@@ -62,39 +62,39 @@ class RdtSensor(ForceSensor):
 
     def __init__(self, host: str, port: int = rdt.PORTS.records, http_port: int = rdt.PORTS.settings):
         if not host:
-            raise InputError("must be given, as in rdt://192.168.1.1; got none", field="host")
+            raise InputError("the address of the box must be given, as in rdt://192.168.1.1; got none", field="host")
         for number, field in ((port, "port"), (http_port, "http_port")):
             if not 0 < number < 65536:
-                raise InputError(f"must be 1 to 65535; got {number}", field=field)
+                raise InputError(f"a port must be 1 to 65535; got {number}", field=field)
         self._host, self._port, self._http_port = host, port, http_port
         self.rate = 7000.0
-        self._settings: Settings | None = None
-        self._stream: _Stream | None = None
+        self._settings: BoxSettings | None = None
+        self._stream: _RecordStreamThread | None = None
         self._zero = (0.0,) * 6
 
     def start(self) -> None:
         """Read the settings of the box, and start the thread that receives its stream of records."""
         if self._stream is not None:
             return
-        settings = self._read_settings()
+        settings = self._download_settings()
         try:
-            force, torque = settings.newtons, settings.newton_metres
+            force, torque = settings.newtons_per_count, settings.newton_metres_per_count
         except InputError as error:
             raise DeviceError(f"the box at {self._host}: {error}") from None
         if settings.rate is not None:
             self.rate = settings.rate
         self._settings, self._scales = settings, (force,) * 3 + (torque,) * 3
         self._zero = (0.0,) * 6
-        stream = _Stream(self._host, self._port)
+        stream = _RecordStreamThread(self._host, self._port)
         try:
-            stream.begin()
+            stream.start_stream()
         except DeviceError:
-            stream.end()
+            stream.stop_and_close()
             raise
         self._stream = stream
 
-    def _read_settings(self) -> Settings:
-        """Download the settings page of the box."""
+    def _download_settings(self) -> BoxSettings:
+        """Download the settings page of the box by HTTP, and return its units, scale and rate."""
         address = f"http://{self._url_host}:{self._http_port}{rdt.SETTINGS_PATH}"
         # Proxies of the environment are bypassed, because the box is on a local network.
         fetch = urllib.request.build_opener(urllib.request.ProxyHandler({})).open
@@ -105,9 +105,9 @@ class RdtSensor(ForceSensor):
             raise DeviceError(f"{address} answers with HTTP status {error.code}, so it is no ATI box; check the address"
                               ) from None
         except (OSError, ValueError) as error:
-            raise DeviceError(f"no ATI box answers at {address} ({_describe_error(error)}); check its power, the cable"
-                              ", and that this computer has an address in its network (a new box is at 192.168.1.1)"
-                              ) from None
+            raise DeviceError(f"no ATI box answers at {address} ({_describe_connection_error(error)}); check its "
+                              "power, the cable, and that this computer has an address in its network (a new box is at "
+                              "192.168.1.1)") from None
         try:
             return rdt.read_settings_page(page)
         except InputError as error:
@@ -120,24 +120,24 @@ class RdtSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples received since the last call, forces in N and torques in N m."""
-        stream = self._require_start()
+        stream = self._require_started()
         scales, zero = self._scales, self._zero
         return tuple(ForceSample(counts, tuple(scale * (count - offset) for scale, count, offset
                                                in zip(scales, counts, zero, strict=True)), number, status, received)
-                     for counts, number, status, received in stream.take())
+                     for counts, number, status, received in stream.take_new_records())
 
     def tare(self) -> None:
         """Wait for the next records, for at most 0.1 s of sampling, and take their mean as zero."""
-        stream = self._require_start()
+        stream = self._require_started()
         count = max(1, min(STREAM.tare_records, math.ceil(0.1 * self.rate)))
-        latest = stream.latest(count, timeout=STREAM.patience + 2 * count / self.rate)
+        latest = stream.wait_for_next_counts(count, timeout=STREAM.patience + 2 * count / self.rate)
         self._zero = tuple(sum(axis) / len(latest) for axis in zip(*latest, strict=True))
 
     def stop(self) -> None:
         """End the stream and its thread."""
         stream, self._stream = self._stream, None
         if stream is not None:
-            stream.end()
+            stream.stop_and_close()
 
     def describe(self) -> dict[str, Any]:
         """Return address, rate, calibration, resolution and statistics of the stream; keys carry units."""
@@ -147,12 +147,12 @@ class RdtSensor(ForceSensor):
         if (settings := self._settings) is not None:
             about |= {"product": settings.product, "calibration": settings.calibration,
                       "unit_of_force": settings.force_unit, "unit_of_torque": settings.torque_unit,
-                      "resolution_N": settings.newtons, "resolution_Nm": settings.newton_metres}
+                      "resolution_N": settings.newtons_per_count, "resolution_Nm": settings.newton_metres_per_count}
         if self._stream is not None:
-            about |= self._stream.statistics()
+            about |= self._stream.get_statistics()
         return about
 
-    def _require_start(self) -> _Stream:
+    def _require_started(self) -> _RecordStreamThread:
         if self._stream is None:
             raise DeviceError(f"the sensor at {self._host} is not started; start it first")
         return self._stream
@@ -161,7 +161,7 @@ class RdtSensor(ForceSensor):
         return {**self.__dict__, "_stream": None, "_settings": None, "_zero": (0.0,) * 6}
 
 
-class _Stream:
+class _RecordStreamThread:
     """A thread that receives the records of a box.
 
     Args:
@@ -175,7 +175,8 @@ class _Stream:
             family, kind, _, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[0]
             self._socket = socket.socket(family, kind)
         except OSError as error:
-            raise DeviceError(f"{host} cannot be reached ({_describe_error(error)}); check the address") from None
+            raise DeviceError(f"{host} cannot be reached ({_describe_connection_error(error)}); check the "
+                              "address") from None
         with contextlib.suppress(OSError):  # a smaller buffer works, too
             self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, STREAM.receive_buffer)
         self._address = address
@@ -186,12 +187,12 @@ class _Stream:
         #: Last error of the socket; empty: none.
         self._failure = ""
         self._arrived = threading.Condition()
-        self._thread = threading.Thread(target=self._receive, name="RDT", daemon=True)
+        self._thread = threading.Thread(target=self._receive_datagrams, name="RDT", daemon=True)
         #: Number of records lost because they were not read, and its value at the last report of a gap.
         self._overflowed = self._reported_overflow = 0
 
-    def begin(self) -> None:
-        """Request records and wait for the first one.
+    def start_stream(self) -> None:
+        """Request the stream of records, start the receiving thread, and wait for the first record.
 
         Raises:
             DeviceError: No record arrives.
@@ -200,9 +201,10 @@ class _Stream:
             # Connecting the socket discards datagrams from other senders.
             self._socket.connect(self._address)
             self._socket.settimeout(0.1)
-            self._socket.send(rdt.pack_request(Request(rdt.Command.REAL_TIME)))
+            self._socket.send(rdt.pack_request(RdtRequest(rdt.RdtCommand.REAL_TIME)))
         except OSError as error:
-            raise DeviceError(f"{self._host} cannot be reached ({_describe_error(error)}); check the network") from None
+            raise DeviceError(f"{self._host} cannot be reached ({_describe_connection_error(error)}); check the "
+                              "network") from None
         self._thread.start()
         with self._arrived:
             if not self._arrived.wait_for(lambda: self._waiting, STREAM.first_record):
@@ -212,7 +214,7 @@ class _Stream:
                                      if garbled else "sends no records by UDP; switch RDT on in its communication "
                                      "settings, and let a firewall pass its port 49152"))
 
-    def _receive(self) -> None:
+    def _receive_datagrams(self) -> None:
         """Receive datagrams until the end; the body of the thread."""
         buffer = bytearray(rdt.RECORD_SIZE * rdt.DATAGRAM.max_records + 1)
         view, waiting, counter = memoryview(buffer), self._waiting, self._counter
@@ -223,19 +225,19 @@ class _Stream:
                 continue
             except OSError as error:
                 # The system reports each datagram sent to a closed port; the box may return later.
-                self._failure = _describe_error(error)
+                self._failure = _describe_connection_error(error)
                 if self._ending.wait(0.05):
                     return
                 continue
             now = time.monotonic()
-            for record, number, status in counter.accept(rdt.unpack_records(bytes(view[:size])), now):
+            for record, number, status in counter.select_new_records(rdt.unpack_records(bytes(view[:size])), now):
                 if len(waiting) == STREAM.kept_samples:
                     self._overflowed += 1
                 waiting.append((record.counts, number, status, now))
             with self._arrived:
                 self._arrived.notify_all()
 
-    def take(self) -> list[tuple[tuple[int, ...], int, int, float]]:
+    def take_new_records(self) -> list[tuple[tuple[int, ...], int, int, float]]:
         """Return counts, number, status and time of receipt, s, of all records since the last call."""
         waiting, taken = self._waiting, []
         for _ in range(len(waiting)):
@@ -246,8 +248,8 @@ class _Stream:
             taken[0] = counts, number, status | SampleStatus.GAP, at
         return taken
 
-    def latest(self, count: int, timeout: float) -> list[tuple[int, ...]]:
-        """Wait for the next `count` records and return their counts; `take` will still return these records.
+    def wait_for_next_counts(self, count: int, timeout: float) -> list[tuple[int, ...]]:
+        """Wait for the next `count` records and return their counts; `take_new_records` still returns them.
 
         Raises:
             DeviceError: They do not arrive within `timeout` seconds, or report a saturation or a fault.
@@ -263,7 +265,7 @@ class _Stream:
                                   "would be wrong; take the load off and check its status page")
         return [counts for counts, *_ in latest]
 
-    def statistics(self) -> dict[str, Any]:
+    def get_statistics(self) -> dict[str, Any]:
         """Return the numbers of records received, lost and refused, and the last status and error."""
         counter = self._counter
         counts: dict[str, Any] = {
@@ -275,13 +277,13 @@ class _Stream:
             counts["last_failure"] = self._failure
         return counts
 
-    def end(self) -> None:
-        """Stop the records and close the socket."""
+    def stop_and_close(self) -> None:
+        """End the thread, request the end of the stream of records, and close the socket."""
         self._ending.set()
         if self._thread.is_alive():
             self._thread.join()
         with contextlib.suppress(OSError):
-            self._socket.send(rdt.pack_request(Request(rdt.Command.STOP)))
+            self._socket.send(rdt.pack_request(RdtRequest(rdt.RdtCommand.STOP)))
         self._socket.close()
 
 
@@ -300,14 +302,14 @@ class RecordCounter:
 
     def __init__(self) -> None:
         self.accepted = self.lost = self.twice = self.late = self.garbled = self.restarts = self.status = 0
-        self._last: Record | None = None
+        self._last: RdtRecord | None = None
         #: Number of the last accepted record since the start, and its time of receipt, s.
         self._number, self._received = -1, -math.inf
         #: Recent sequence numbers of the box that were skipped.
         self._missing: deque[int] = deque(maxlen=STREAM.max_reordering)
         self._has_restarted = False
 
-    def accept(self, records: list[Record] | None, now: float) -> list[tuple[Record, int, int]]:
+    def select_new_records(self, records: list[RdtRecord] | None, now: float) -> list[tuple[RdtRecord, int, int]]:
         """Return the new records of a datagram, each with its number since the start and its status.
 
         Args:
@@ -326,16 +328,16 @@ class RecordCounter:
                 status |= SampleStatus.GAP
             if record.status:
                 self.status = record.status
-                if rdt.is_out_of_range(record.status):
+                if rdt.has_exceeded_range(record.status):
                     status |= SampleStatus.SATURATED
-                if rdt.is_fault(record.status):
+                if rdt.has_fault(record.status):
                     status |= SampleStatus.FAULT
             self._number, self._last, self._received, self._has_restarted = number, record, now, False
             self.accepted += 1
             new.append((record, number, int(status)))
         return new
 
-    def _count_since_start(self, record: Record, now: float) -> int | None:
+    def _count_since_start(self, record: RdtRecord, now: float) -> int | None:
         """Return the number of a record since the start; None: the record is late or a duplicate."""
         last = self._last
         if last is None:
@@ -363,8 +365,8 @@ class RecordCounter:
         return None
 
 
-def _describe_error(error: BaseException) -> str:
-    """Return the cause in an error of a connection."""
+def _describe_connection_error(error: BaseException) -> str:
+    """Return the cause of a connection error in words, for a message."""
     inner = getattr(error, "reason", error)
     return getattr(inner, "strerror", None) or str(inner) or type(inner).__name__
 
@@ -374,7 +376,7 @@ def open_rdt(text: str) -> RdtSensor:
     address, _, rest = text.removeprefix("//").partition(",")
     name, _, given = rest.partition("=")
     if name.strip() not in ("", "http_port"):
-        raise InputError(f"must be http_port; got {name.strip()!r}", field="settings")
+        raise InputError(f"the setting after the address must be http_port; got {name.strip()!r}", field="settings")
     host, port = address, str(rdt.PORTS.records)
     if address.startswith("["):
         host, _, rest = address[1:].partition("]")
@@ -384,6 +386,6 @@ def open_rdt(text: str) -> RdtSensor:
     try:
         numbers = int(port.rstrip("/")), int(given) if given else rdt.PORTS.settings
     except ValueError:
-        raise InputError(f"must be a whole number, as in rdt://ADDRESS:PORT,http_port=PORT; got {text!r}",
+        raise InputError(f"a port must be a whole number, as in rdt://ADDRESS:PORT,http_port=PORT; got {text!r}",
                          field="port") from None
     return RdtSensor(host.rstrip("/"), *numbers)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from haptics.devices.contracts import DeviceError, ForceSample, ForceSensor, SampleStatus
-from haptics.devices.settings import read_settings, split_target
+from haptics.devices.settings import read_settings, split_address_and_settings
 from haptics.protocols.ati_serial import CHANNELS
 from tissue_sim.errors import InputError
 from tissue_sim.recording.file import read_recording
@@ -42,15 +42,16 @@ class ReplaySensor(ForceSensor):
                  clock: Callable[[], float] = time.monotonic):
         for value, field in ((speed, "speed"), (resolution, "resolution")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be a finite number above 0; got {value:g}", field=field)
+                raise InputError(f"replay speed and resolution must be finite numbers above 0; got {value:g}",
+                                 field=field)
         channels = tuple(name for name in CHANNELS if name in recording)
         columns = [recording.channel(name) for name in channels] if channels else [recording.force]
         if "time" not in recording:
-            raise InputError("must be recorded for a replay; the recording has no times. Give another recording",
+            raise InputError("the times must be recorded for a replay; the recording has none. Give another recording",
                              file=recording.metadata.get("source"), field="time")
         times = recording.time
         if len(recording) < 2 or times[-1] <= times[0]:
-            raise InputError("must have two different times for a replay; give a longer recording",
+            raise InputError("the recording must have two different times for a replay; give a longer recording",
                              file=recording.metadata.get("source"), field="time")
         self.channels = channels or ("Fz",)
         self._name, self._speed, self._resolution, self._clock = recording.name, speed, resolution, clock
@@ -70,7 +71,7 @@ class ReplaySensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples that have become due since the last call."""
-        now, due = self._count_due()
+        now, due = self._count_due_samples()
         first, self._returned = self._returned, due
         if first == len(self._times):
             raise DeviceError(f"the recording {self._name!r} is at its end, after {len(self._times)} samples in "
@@ -82,8 +83,8 @@ class ReplaySensor(ForceSensor):
                      for number, count, value in numbered)
 
     def tare(self) -> None:
-        """Take the values of the newest due sample as zero."""
-        _, due = self._count_due()
+        """Set the values of the newest due sample as zero of later values."""
+        _, due = self._count_due_samples()
         self._zero = self._values[due - 1]
 
     def stop(self) -> None:
@@ -96,7 +97,7 @@ class ReplaySensor(ForceSensor):
                 "speed": self._speed, "resolution_N": self._resolution, "samples": len(self._times),
                 "duration_s": float(self._times[-1])}
 
-    def _count_due(self) -> tuple[float, int]:
+    def _count_due_samples(self) -> tuple[float, int]:
         """Return the present time, s on the clock, and the number of samples due until now, at least one."""
         if self._began is None:
             raise DeviceError(f"the replay of {self._name!r} is not started; start it first")
@@ -106,6 +107,6 @@ class ReplaySensor(ForceSensor):
 
 def open_replay(text: str) -> ReplaySensor:
     """Make a sensor from ``replay:FILE.csv,speed=1,resolution_N=0.001``; the recording must have times."""
-    file, rest = split_target(text, "the recording", "replay:needle_1.csv")
+    file, rest = split_address_and_settings(text, "the recording", "replay:needle_1.csv")
     given = read_settings(rest, speed=1.0, resolution_N=1e-3)
     return ReplaySensor(read_recording(file), given["speed"], given["resolution_N"])

@@ -134,7 +134,7 @@ def _describe_open_failure(port: str, owner: str, error: Exception) -> str:
     if number in (errno.EBUSY, errno.EAGAIN) or "lock" in str(error).lower():
         return f"{port} is in use by another program; close that one, then start {owner} again"
     if number == errno.ENOENT or isinstance(error, FileNotFoundError):
-        ports = serial_ports()
+        ports = list_serial_ports()
         return (f"there is no port {port} for {owner}; "
                 + (f"the ports are {', '.join(ports)}" if ports else "no serial port was found: plug the device in"))
     return f"{port} cannot be opened for {owner} ({error}); give the port of a serial device, such as /dev/ttyUSB0"
@@ -150,7 +150,7 @@ def _find_port_group(port: str) -> str:
         return "dialout"
 
 
-def serial_ports() -> list[str]:
+def list_serial_ports() -> list[str]:
     """Return the names of this computer's serial ports, sorted."""
     from serial.tools.list_ports import comports
 

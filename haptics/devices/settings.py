@@ -21,7 +21,7 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
     for part in filter(None, (part.strip() for part in text.split(","))):
         name, equals, value = (word.strip() for word in part.partition("="))
         if not equals:
-            raise InputError(f"must be NAME=NUMBER with NAME one of {', '.join(defaults)}; got {part!r}",
+            raise InputError(f"a setting must be NAME=NUMBER with NAME one of {', '.join(defaults)}; got {part!r}",
                              field="settings")
         if name not in defaults:
             raise InputError(f"unknown setting{nearest(name, defaults)}", field=name)
@@ -29,14 +29,14 @@ def read_settings(text: str, **defaults: float) -> dict[str, float]:
         try:
             settings[name] = int(value) if whole else float(value)
         except ValueError:
-            raise InputError(f"must be a {'whole ' * whole}number; got {value!r}", field=name) from None
+            raise InputError(f"the value must be a {'whole ' * whole}number; got {value!r}", field=name) from None
         # A comparison instead of math.isfinite, which overflows for integers beyond the range of a float.
         if not abs(settings[name]) <= sys.float_info.max:
-            raise InputError(f"must be a finite number; got {value!r}", field=name)
+            raise InputError(f"the value must be a finite number; got {value!r}", field=name)
     return settings
 
 
-def split_target(text: str, quantity: str, example: str) -> tuple[str, str]:
+def split_address_and_settings(text: str, quantity: str, example: str) -> tuple[str, str]:
     """Split text into the port, file or number at its beginning and the settings after the first comma.
 
     Args:
@@ -53,7 +53,7 @@ def split_target(text: str, quantity: str, example: str) -> tuple[str, str]:
     return target.strip(), rest
 
 
-def read_choices(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
+def read_word_settings(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str], str]:
     """Return the settings whose values are words, and the remaining text for `read_settings`.
 
     Args:
@@ -70,7 +70,7 @@ def read_choices(text: str, **choices: tuple[str, ...]) -> tuple[dict[str, str],
             rest.append(part)
             continue
         if choices[name][0] and value not in choices[name]:
-            raise InputError(f"must be one of {', '.join(choices[name])}; got {value!r}"
+            raise InputError(f"the value must be one of {', '.join(choices[name])}; got {value!r}"
                              f"{nearest(value, choices[name])}", field=name)
         words[name] = value
     return words, ",".join(rest)

@@ -16,7 +16,15 @@ from haptics.devices.controller_identification import identify_controller
 from haptics.devices.serial_line import SerialLine
 from haptics.devices.settings import read_settings
 from haptics.protocols import tic
-from haptics.protocols.tic import Command, Errors, Flags, Planning, Setting, State, Variable
+from haptics.protocols.tic import (
+    ErrorFlags,
+    MiscFlags,
+    OperationState,
+    PlanningMode,
+    SettingOffset,
+    TicCommand,
+    VariableOffset,
+)
 from tissue_sim.errors import InputError
 
 
@@ -39,14 +47,14 @@ TIMING = TicTiming()
 
 #: Errors that keep the motor from moving, with the remedy (section 5.4); the most serious first.
 _REMEDIES = {
-    Errors.LOW_VIN: "has too little voltage at VIN; switch the motor's supply on",
-    Errors.DRIVER_ERROR: "reports an error of its motor driver; check motor, wiring and current limit, then switch its "
-                         "supply off and on",
-    Errors.KILL_SWITCH: "is stopped by its kill switch; release it",
-    Errors.DEENERGIZED: "was de-energized on purpose; press Resume in the Tic Control Center, or switch its supply off "
-                        "and on",
-    Errors.INPUT_INVALID: "lacks a required input; set its control mode to Serial / I2C / USB",
-    Errors.ERR_LINE_HIGH: "is stopped by its ERR line; repair the device that drives it high",
+    ErrorFlags.LOW_VIN: "has too little voltage at VIN; switch the motor's supply on",
+    ErrorFlags.DRIVER_ERROR: "reports an error of its motor driver; check motor, wiring and current limit, then switch "
+                             "its supply off and on",
+    ErrorFlags.KILL_SWITCH: "is stopped by its kill switch; release it",
+    ErrorFlags.DEENERGIZED: "was de-energized on purpose; press Resume in the Tic Control Center, or switch its supply "
+                            "off and on",
+    ErrorFlags.INPUT_INVALID: "lacks a required input; set its control mode to Serial / I2C / USB",
+    ErrorFlags.ERR_LINE_HIGH: "is stopped by its ERR line; repair the device that drives it high",
 }
 
 
@@ -75,25 +83,28 @@ class TicStage(Stage):
     def __init__(self, port: str, limits: StageLimits, steps_per_m: float, baud: int = 9600, device: int | None = None,
                  crc: bool = False, response_crc: bool = False, ramp: float = 0.1):
         if not port:
-            raise InputError("must be given, as in tic:/dev/ttyUSB0,steps_per_mm=800; got none", field="port")
+            raise InputError("the serial port must be given, as in tic:/dev/ttyUSB0,steps_per_mm=800; got none",
+                             field="port")
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
-            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
+            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
                              field="lowest_mm, highest_mm")
         for value, name in ((limits.speed, "top_speed_mm_s"), (steps_per_m, "steps_per_mm"), (baud, "baud")):
             if not 0 < value < math.inf:
                 remedy = (". Give the microsteps per turn of the motor divided by the lead of the screw"
                           if name == "steps_per_mm" else "")
-                raise InputError(f"must be above 0; got {value:g}{remedy}", field=name)
+                raise InputError(f"top speed, steps and baud rate must be above 0; got {value:g}{remedy}", field=name)
         if not 0.01 <= ramp <= 1.0:
-            raise InputError(f"must be 10 to 1000 ms; got {ramp * 1e3:g} ms", field="ramp_ms")
+            raise InputError(f"the time of the speed ramp must be 10 to 1000 ms; got {ramp * 1e3:g} ms",
+                             field="ramp_ms")
         if device is not None and not 0 <= device <= 127:
-            raise InputError(f"must be 0 to 127; got {device}", field="device")
+            raise InputError(f"the device number must be 0 to 127; got {device}", field="device")
         if limits.speed * steps_per_m > tic.MOTION.top_speed * tic.MOTION.speed_unit:
-            raise InputError("must be at most 50000 microsteps/s; got "
+            raise InputError("the top speed must be at most 50000 microsteps/s; got "
                              f"{limits.speed * 1e3:g} mm/s = {limits.speed * steps_per_m:.0f} microsteps/s. Lower the "
                              "speed, or use larger steps", field="top_speed_mm_s")
         if max(-limits.lowest, limits.highest) * steps_per_m > 0x7FFFFFFF:
-            raise InputError("must fit into 32 bits as a number of microsteps. Use a shorter travel, or larger steps",
+            raise InputError("the travel must fit into 32 bits as a number of microsteps. Use a shorter travel, or "
+                             "larger steps",
                              field="lowest_mm, highest_mm")
         self.limits, self._port, self._steps, self._baud = limits, port, steps_per_m, baud
         self._device, self._crc, self._response_crc, self._ramp = device, crc, response_crc, ramp
@@ -135,7 +146,7 @@ class TicStage(Stage):
         """Check that a Tic answers and stops its motor after a silence, and set its ramps."""
         try:
             self._read_status()
-            answers = self._read_setting(Setting.CRC, 1)
+            answers = self._read_setting(SettingOffset.CRC, 1)
             self._read_status()
         except DeviceError as error:
             other = identify_controller(line)
@@ -146,25 +157,25 @@ class TicStage(Stage):
                               "in the Tic Control Center, and give response_crc="
                               f"{bool(answers & tic.AnswerFormat.CHECKED):d}")
         # Ends a motion that another program has left.
-        self._send_command(Command.SET_TARGET_VELOCITY, 0)
-        mode = self._read_setting(Setting.CONTROL_MODE, 1)
+        self._send_command(TicCommand.SET_TARGET_VELOCITY, 0)
+        mode = self._read_setting(SettingOffset.CONTROL_MODE, 1)
         if mode != tic.ControlMode.SERIAL:
             raise DeviceError(f"the Tic at {self._port} is in control mode {mode}, which ignores serial commands; set "
                               "it to Serial / I2C / USB in the Tic Control Center")
-        timeout = 1e-3 * self._read_setting(Setting.COMMAND_TIMEOUT, 2)
+        timeout = 1e-3 * self._read_setting(SettingOffset.COMMAND_TIMEOUT, 2)
         if not 0 < timeout <= TIMING.longest_timeout:
             state = f"{timeout:g} s" if timeout else "switched off"
             raise DeviceError(f"the command timeout of the Tic at {self._port} is {state}, so the motor would not stop "
                               f"if this program died; set it to {TIMING.longest_timeout:g} s or less in the Tic "
                               "Control Center")
-        if self._read_setting(Setting.SOFT_ERROR_RESPONSE, 1) == tic.SoftErrorResponse.GO_TO_POSITION:
+        if self._read_setting(SettingOffset.SOFT_ERROR_RESPONSE, 1) == tic.SoftErrorResponse.GO_TO_POSITION:
             raise DeviceError(f"the Tic at {self._port} would move to a position if this program died; set its soft "
                               "error response to Decelerate to hold in the Tic Control Center")
         self.runs_on = timeout + self._ramp
         acceleration = round(self.limits.speed * self._steps / self._ramp / tic.MOTION.acceleration_unit)
         acceleration = min(max(acceleration, tic.MOTION.least_acceleration), tic.MOTION.top_acceleration)
-        for command, variable in ((Command.SET_MAX_ACCELERATION, Variable.MAX_ACCELERATION),
-                                  (Command.SET_MAX_DECELERATION, Variable.MAX_DECELERATION)):
+        for command, variable in ((TicCommand.SET_MAX_ACCELERATION, VariableOffset.MAX_ACCELERATION),
+                                  (TicCommand.SET_MAX_DECELERATION, VariableOffset.MAX_DECELERATION)):
             self._send_and_verify(command, acceleration, variable)
 
     def home(self) -> None:
@@ -173,12 +184,13 @@ class TicStage(Stage):
         self._enter_normal_operation()
         steps = (self.limits.highest - self.limits.lowest) * self._steps
         speeds = [max(self._read_setting(setting, 4) * tic.MOTION.speed_unit, 1.0)
-                  for setting in (Setting.HOMING_SPEED_TOWARDS, Setting.HOMING_SPEED_AWAY)]
+                  for setting in (SettingOffset.HOMING_SPEED_TOWARDS, SettingOffset.HOMING_SPEED_AWAY)]
         self._homing_until = time.monotonic() + TIMING.homing_margin + sum(2.0 * steps / speed for speed in speeds)
-        self._send_unless_halted(Command.GO_HOME, 0, halts)
+        self._send_unless_halted(TicCommand.GO_HOME, 0, halts)
         end, status = time.monotonic() + TIMING.wake, self._read_status()
-        while status.flags & Flags.POSITION_UNCERTAIN and not status.flags & Flags.HOMING and halts == self._halts:
-            self._require_movable(status.errors)
+        while (status.flags & MiscFlags.POSITION_UNCERTAIN and not status.flags & MiscFlags.HOMING
+               and halts == self._halts):
+            self._require_motion_allowed(status.errors)
             if time.monotonic() > end:
                 raise DeviceError(f"the Tic at {self._port} does not begin to home; assign a reverse limit switch in "
                                   "the Tic Control Center")
@@ -187,52 +199,52 @@ class TicStage(Stage):
     def move(self, position: float, speed: float) -> None:
         """Set maximum speed, m/s, and target, m, and return when the Tic has accepted them."""
         halts = self._halts
-        self._require_start()
-        self.limits.require(position, speed)
+        self._require_started()
+        self.limits.require_within_limits(position, speed)
         status = self._read_status()
-        self._require_movable(status.errors)
-        if status.flags & (Flags.POSITION_UNCERTAIN | Flags.HOMING):
+        self._require_motion_allowed(status.errors)
+        if status.flags & (MiscFlags.POSITION_UNCERTAIN | MiscFlags.HOMING):
             raise DeviceError(f"the Tic at {self._port} does not know its zero; home it first, and wait until it is "
                               "homed")
         self._enter_normal_operation()
         units = max(round(speed * self._steps / tic.MOTION.speed_unit), 1)
-        self._send_and_verify(Command.SET_MAX_SPEED, units, Variable.MAX_SPEED)
+        self._send_and_verify(TicCommand.SET_MAX_SPEED, units, VariableOffset.MAX_SPEED)
         target = round(position * self._steps)
-        self._send_unless_halted(Command.SET_TARGET_POSITION, target, halts)
+        self._send_unless_halted(TicCommand.SET_TARGET_POSITION, target, halts)
         status = self._read_status()
         if status.target != target and halts == self._halts:
             raise DeviceError(f"the Tic at {self._port} did not accept its target; check the cable, and crc")
 
     def position(self) -> StageSample:
         """Return the commanded position, m, and restart the command timeout."""
-        self._require_start()
+        self._require_started()
         status = self._read_status()
         requested = time.monotonic()
-        motion = tic.parse_motion_state(self._read_block(Command.GET_VARIABLE, Variable.CURRENT_POSITION,
+        motion = tic.parse_motion_state(self._read_block(TicCommand.GET_VARIABLE, VariableOffset.CURRENT_POSITION,
                                                          tic.BlockLength.MOTION_STATE))
         now = time.monotonic()
         if motion is None:
-            raise self._make_answer_error()
-        uncertain = bool(status.flags & Flags.POSITION_UNCERTAIN)
-        self._is_homing = self._is_homing and (uncertain or bool(status.flags & Flags.HOMING))
-        if status.errors & Errors.COMMAND_TIMEOUT:
+            raise self._make_invalid_answer_error()
+        uncertain = bool(status.flags & MiscFlags.POSITION_UNCERTAIN)
+        self._is_homing = self._is_homing and (uncertain or bool(status.flags & MiscFlags.HOMING))
+        if status.errors & ErrorFlags.COMMAND_TIMEOUT:
             # The timeout is no fault of a motor at rest. Clearing the error while a target is set would let a Tic
             # without safe start resume its motion; a target velocity of 0 prevents that.
             self._timed_out = self._timed_out or self._is_homing or self._goal not in (None, motion.position)
-            self._send_command(Command.SET_TARGET_VELOCITY, 0)
+            self._send_command(TicCommand.SET_TARGET_VELOCITY, 0)
         else:
-            self._send_command(Command.RESET_COMMAND_TIMEOUT)
-        homing = bool(status.flags & Flags.HOMING)
+            self._send_command(TicCommand.RESET_COMMAND_TIMEOUT)
+        homing = bool(status.flags & MiscFlags.HOMING)
         if homing and now > self._homing_until:
             self.halt()
             raise DeviceError(f"the homing of the Tic at {self._port} does not end; check the reverse limit switch and "
                               "the homing speeds")
-        is_approaching_target = (status.planning == Planning.POSITION and status.target != motion.position
-                                 and status.state == State.NORMAL)
+        is_approaching_target = (status.planning == PlanningMode.POSITION and status.target != motion.position
+                                 and status.state == OperationState.NORMAL)
         bits = SampleStatus.GOOD
-        if status.errors & ~(Errors.SAFE_START | Errors.COMMAND_TIMEOUT) or self._timed_out:
+        if status.errors & ~(ErrorFlags.SAFE_START | ErrorFlags.COMMAND_TIMEOUT) or self._timed_out:
             bits |= SampleStatus.FAULT
-        if status.flags & (Flags.FORWARD_LIMIT | Flags.REVERSE_LIMIT):
+        if status.flags & (MiscFlags.FORWARD_LIMIT | MiscFlags.REVERSE_LIMIT):
             bits |= SampleStatus.LIMIT
         self._sequence += 1
         homed = not homing and not uncertain
@@ -241,7 +253,7 @@ class TicStage(Stage):
                            int(bits), now, requested)
 
     def halt(self) -> None:
-        """Set the target velocity to zero."""
+        """Set the target velocity to zero, so that the motor decelerates to rest."""
         self._halts += 1
         self._goal, self._is_homing = None, False
         line, writing = self._line, self._writing
@@ -249,7 +261,7 @@ class TicStage(Stage):
             return
         has_lock = writing.acquire(timeout=0.1)
         try:
-            line.write(self._encode_command(Command.SET_TARGET_VELOCITY, 0))
+            line.write(self._encode_command(TicCommand.SET_TARGET_VELOCITY, 0))
         except Exception:
             # A halt must not raise: the Tic's timeout stops the motor, and `position` reports the error.
             return
@@ -276,80 +288,81 @@ class TicStage(Stage):
 
     def _enter_normal_operation(self) -> None:
         """Bring the Tic to normal operation without a target; raises the error that prevents it."""
-        self._require_start()
+        self._require_started()
         status = self._read_status()
-        self._require_movable(status.errors)
+        self._require_motion_allowed(status.errors)
         self._timed_out = False
-        if status.state == State.NORMAL:
-            self._send_command(Command.RESET_COMMAND_TIMEOUT)
+        if status.state == OperationState.NORMAL:
+            self._send_command(TicCommand.RESET_COMMAND_TIMEOUT)
             return
-        self._send_command(Command.SET_TARGET_VELOCITY, 0)
+        self._send_command(TicCommand.SET_TARGET_VELOCITY, 0)
         end = time.monotonic() + TIMING.wake
-        while status.state != State.NORMAL:
+        while status.state != OperationState.NORMAL:
             if time.monotonic() > end:
-                self._require_movable(status.errors)
+                self._require_motion_allowed(status.errors)
                 raise DeviceError(f"the Tic at {self._port} stays in the state {status.state.name} (error status "
                                   f"{status.errors.value:#x}); check it in the Tic Control Center")
-            self._send_command(Command.EXIT_SAFE_START)
+            self._send_command(TicCommand.EXIT_SAFE_START)
             status = self._read_status()
 
-    def _require_movable(self, errors: Errors) -> None:
-        """Raise the most serious error that keeps the motor from moving."""
+    def _require_motion_allowed(self, errors: ErrorFlags) -> None:
+        """Raise a DeviceError with the remedy for the most serious of the errors that keep the motor from moving."""
         for error, remedy in _REMEDIES.items():
             if errors & error:
                 raise DeviceError(f"the Tic at {self._port} {remedy}")
 
-    def _read_status(self) -> tic.Status:
+    def _read_status(self) -> tic.TicStatus:
         """Read the status of the Tic."""
-        status = tic.parse_status(self._read_block(Command.GET_VARIABLE, Variable.STATUS, tic.BlockLength.STATUS))
+        block = self._read_block(TicCommand.GET_VARIABLE, VariableOffset.STATUS, tic.BlockLength.STATUS)
+        status = tic.parse_status(block)
         if status is None:
-            raise self._make_answer_error()
+            raise self._make_invalid_answer_error()
         return status
 
-    def _make_answer_error(self) -> DeviceError:
+    def _make_invalid_answer_error(self) -> DeviceError:
         return DeviceError(f"the device at {self._port} is no Tic, or its baud rate is not {self._baud}; check the "
                            "baud rate and the device")
 
-    def _read_setting(self, setting: Setting, size: int) -> int:
-        """Read a setting of `size` bytes."""
-        return int.from_bytes(self._read_block(Command.GET_SETTING, setting, size), "little")
+    def _read_setting(self, setting: SettingOffset, size: int) -> int:
+        """Read a setting of the Tic, an unsigned number of `size` bytes."""
+        return int.from_bytes(self._read_block(TicCommand.GET_SETTING, setting, size), "little")
 
-    def _send_and_verify(self, command: Command, value: int, variable: Variable) -> None:
+    def _send_and_verify(self, command: TicCommand, value: int, variable: VariableOffset) -> None:
         """Send a number and check by reading that the Tic has accepted it."""
         self._send_command(command, value)
-        if int.from_bytes(self._read_block(Command.GET_VARIABLE, variable, 4), "little") != value:
+        if int.from_bytes(self._read_block(TicCommand.GET_VARIABLE, variable, 4), "little") != value:
             raise DeviceError(f"the Tic at {self._port} answers but does not accept commands; check crc")
 
-    def _read_block(self, command: Command, offset: int, size: int) -> bytes:
+    def _read_block(self, command: TicCommand, offset: int, size: int) -> bytes:
         """Read a block of variables or settings, and verify its checksum."""
-        line = self._require_start()
+        line = self._require_started()
         line.read()  # discards an answer that arrived after its timeout
         self._send_command(command, offset, size)
         message = line.read_exactly(size + self._response_crc, TIMING.answer)
-        if self._response_crc and tic.crc7(message[:-1]) != message[-1]:
+        if self._response_crc and tic.compute_crc7(message[:-1]) != message[-1]:
             raise DeviceError(f"an answer of the Tic at {self._port} has a wrong checksum; check the cable, and that "
                               "response_crc is switched on in the Tic Control Center")
         return message[:size]
 
-    def _encode_command(self, command: Command, value: int = 0, length: int = 0) -> bytes:
-        return tic.encode(command, value, length, self._device, self._crc)
+    def _encode_command(self, command: TicCommand, value: int = 0, length: int = 0) -> bytes:
+        return tic.encode_command(command, value, length, self._device, self._crc)
 
-    def _send_command(self, command: Command, value: int = 0, length: int = 0) -> None:
-        line, writing = self._require_start(), self._writing
+    def _send_command(self, command: TicCommand, value: int = 0, length: int = 0) -> None:
+        line, writing = self._require_started(), self._writing
         assert writing is not None
         with writing:
             line.write(self._encode_command(command, value, length))
 
-    def _send_unless_halted(self, command: Command, value: int, halts: int) -> None:
+    def _send_unless_halted(self, command: TicCommand, value: int, halts: int) -> None:
         """Send a motion command, unless `halt` was called after its count was `halts`."""
-        line, writing = self._require_start(), self._writing
+        line, writing = self._require_started(), self._writing
         assert writing is not None
         with writing:
             if halts == self._halts:
-                self._goal, self._is_homing = (None, True) if command == Command.GO_HOME else (value, False)
+                self._goal, self._is_homing = (None, True) if command == TicCommand.GO_HOME else (value, False)
                 line.write(self._encode_command(command, value))
 
-    def _require_start(self) -> SerialLine:
+    def _require_started(self) -> SerialLine:
         line = self._line
         if line is None:
             raise DeviceError("the Tic is not started; start it first")

@@ -10,11 +10,11 @@ from urllib.parse import urlsplit
 from tissue_sim.errors import InputError
 
 
-class LineClosedError(OSError):
+class WebSocketClosedError(OSError):
     """The other end has closed the connection, or is not a WebSocket server."""
 
 
-class WebSocketLine:
+class WebSocketConnection:
     """A connection to a WebSocket server, for one thread. The constructor opens the connection.
 
     Args:
@@ -23,7 +23,7 @@ class WebSocketLine:
 
     Raises:
         OSError: No server listens at the address, or the server does not answer.
-        LineClosedError: The server is not a WebSocket server.
+        WebSocketClosedError: The server is not a WebSocket server.
     """
 
     def __init__(self, address: str, timeout: float):
@@ -31,7 +31,7 @@ class WebSocketLine:
         from websockets.protocol import State
         from websockets.uri import parse_uri
 
-        host, port = check_address(address)
+        host, port = parse_address(address)
         self._open = State.OPEN
         self._socket = socket.create_connection((host, port), timeout)
         try:
@@ -44,10 +44,10 @@ class WebSocketLine:
             end = time.monotonic() + timeout
             while self._protocol.state is not self._open:
                 if self._protocol.handshake_exc is not None:
-                    raise LineClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
+                    raise WebSocketClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
                 remaining = end - time.monotonic()
                 if remaining <= 0:
-                    raise TimeoutError("no answer to the handshake")
+                    raise TimeoutError("the server sent no answer to the WebSocket handshake in time")
                 self._receive_once(remaining)
         except BaseException:
             self._socket.close()
@@ -92,7 +92,7 @@ class WebSocketLine:
 
     def _require_open(self) -> None:
         if self._protocol.state is not self._open:
-            raise LineClosedError("the server has closed the connection")
+            raise WebSocketClosedError("the server has closed the connection")
 
     def _receive_once(self, timeout: float) -> None:
         """Receive data once, waiting up to `timeout` seconds, and send the protocol's replies."""
@@ -106,9 +106,9 @@ class WebSocketLine:
         if not data:
             # After the handshake, messages received before the end are returned first; the next call reports the end.
             if self._protocol.handshake_exc is not None:
-                raise LineClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
+                raise WebSocketClosedError(f"the server is not a WebSocket server: {self._protocol.handshake_exc}")
             if not self._protocol.events:
-                raise LineClosedError("the server has closed the connection")
+                raise WebSocketClosedError("the server has closed the connection")
 
     def _send_queued_data(self, timeout: float) -> None:
         """Send all queued data."""
@@ -131,7 +131,7 @@ class WebSocketLine:
         return messages
 
 
-def check_address(address: str) -> tuple[str, int]:
+def parse_address(address: str) -> tuple[str, int]:
     """Return host and port of an address.
 
     Raises:
@@ -143,5 +143,6 @@ def check_address(address: str) -> tuple[str, int]:
     except ValueError:
         port = None
     if parts.scheme != "ws" or not parts.hostname or port is None:
-            raise InputError(f"must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got {address!r}", field="address")
+            raise InputError(f"the address must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got {address!r}",
+                             field="address")
     return parts.hostname, port

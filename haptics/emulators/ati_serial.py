@@ -13,7 +13,7 @@ from typing import Any
 
 from haptics.devices.ati_serial import MODES
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
-from haptics.devices.settings import read_choices, read_settings
+from haptics.devices.settings import read_settings, read_word_settings
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols.ati_serial import (
@@ -23,10 +23,10 @@ from haptics.protocols.ati_serial import (
     ONE_RECORD,
     PROMPT,
     RESET,
-    Record,
+    AtiSerialRecord,
     compute_transmission_time,
-    encode_ascii,
-    encode_binary,
+    encode_ascii_record,
+    encode_binary_record,
 )
 from tissue_sim.errors import InputError
 
@@ -65,11 +65,11 @@ class AtiSerialEmulator(TerminalEmulator):
         super().__init__(faults or Faults())
         for field, value in (("counts_per_N", counts_per_N), ("counts_per_Nm", counts_per_Nm), ("baud", baud)):
             if not value > 0:
-                raise InputError(f"must be above 0; got {value:g}", field=field)
+                raise InputError(f"counts per unit and baud rate must be above 0; got {value:g}", field=field)
         self._sensor, self._baud, self._mode_at_start, self._padded = sensor, baud, mode, padded
         self._scale = (counts_per_N,) * 3 + (counts_per_Nm,) * 3
         self.records = 0
-        self._power_on()
+        self._set_power_on_state()
 
     @property
     def address(self) -> str:
@@ -83,17 +83,17 @@ class AtiSerialEmulator(TerminalEmulator):
                 "padded_fields": self._padded, "counts_per_N": self._scale[0], "counts_per_Nm": self._scale[-1],
                 "records": self.records}
 
-    def begin(self) -> None:
+    def start_backing_device(self) -> None:
         """Start the sensor and set the state of the controller after power-on."""
         self._sensor.start()
-        self._power_on()
+        self._set_power_on_state()
 
-    def end(self) -> None:
+    def stop_backing_device(self) -> None:
         """Stop the sensor."""
         self._sensor.stop()
 
-    def _power_on(self) -> None:
-        """Set the state at power-on."""
+    def _set_power_on_state(self) -> None:
+        """Set all variables of the emulated controller to their values after power-on."""
         self._mode, self._streams, self._command = self._mode_at_start, False, b""
         self._biases: deque[tuple[int, ...]] = deque(maxlen=_BIAS_LEVELS)
         #: Loads to average.
@@ -112,7 +112,7 @@ class AtiSerialEmulator(TerminalEmulator):
         for value in data:
             byte = bytes([value])
             if byte == RESET:
-                self._power_on()
+                self._set_power_on_state()
                 self._queue_message(b"ATI stand-alone controller (emulated)" + _END + PROMPT)
             elif byte == ONE_RECORD:
                 self._queue_message(self._encode_next_record())
@@ -184,13 +184,15 @@ class AtiSerialEmulator(TerminalEmulator):
         self._queue_message(command + _END + _END + PROMPT)
 
     def _encode_next_record(self) -> bytes:
-        """Return the bytes of the next record."""
+        """Measure, and return the bytes of the next record in the selected mode."""
         counts = self._measure_counts()
         bias = self._biases[-1] if self._biases else (0,) * 6
         biased = [count - zero for count, zero in zip(counts, bias, strict=True)]
         clipped = tuple(min(max(count, FORMAT.lowest_count), FORMAT.highest_count) for count in biased)
-        record = Record(int(self._faulty or list(clipped) != biased), clipped)
-        return encode_binary(record) if self._mode == "binary" else encode_ascii(record, self._padded) + _END
+        record = AtiSerialRecord(int(self._faulty or list(clipped) != biased), clipped)
+        if self._mode == "binary":
+            return encode_binary_record(record)
+        return encode_ascii_record(record, self._padded) + _END
 
     def _measure_counts(self) -> tuple[int, ...]:
         """Return the averaged counts without bias, and update the error flag."""
@@ -209,7 +211,7 @@ class AtiSerialEmulator(TerminalEmulator):
 
 def emulate_ati_serial(bench: Bench, text: str, faults: Faults) -> AtiSerialEmulator:
     """Make an emulator from ``ati-serial:counts_per_N=100,counts_per_Nm=4000,baud=9600,mode=ascii,padded=1``."""
-    words, rest = read_choices(text, mode=MODES)
+    words, rest = read_word_settings(text, mode=MODES)
     given = read_settings(rest, counts_per_N=100.0, counts_per_Nm=4000.0, baud=9600, padded=1)
     return AtiSerialEmulator(bench.sensor, given["counts_per_N"], given["counts_per_Nm"], int(given["baud"]),
                              words["mode"], bool(given["padded"]), faults)

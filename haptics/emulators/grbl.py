@@ -13,7 +13,7 @@ from haptics.devices.settings import read_settings
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.terminal import TerminalEmulator
 from haptics.protocols import grbl
-from haptics.protocols.grbl import Setting
+from haptics.protocols.grbl import GrblSetting
 from tissue_sim.errors import InputError
 
 #: Version and date reported by ``$I``.
@@ -53,22 +53,23 @@ class GrblEmulator(TerminalEmulator):
                                             11: 0.01, 12: 0.002, 13: 0, 20: 1, 21: 1, 22: 1, 23: 0, 24: 25.0, 25: 500.0,
                                             26: 250, 27: 1.0, 30: 1000, 31: 0, 32: 0}
         for number in range(3):
-            self._settings |= {Setting.STEPS_PER_MM + number: 800.0, Setting.MAX_RATE + number: limits.speed * 60e3,
-                               Setting.ACCELERATION + number: 500.0,
-                               Setting.TRAVEL + number: limits.highest * 1e3 + 1.0}
+            self._settings |= {GrblSetting.STEPS_PER_MM + number: 800.0,
+                               GrblSetting.MAX_RATE + number: limits.speed * 60e3,
+                               GrblSetting.ACCELERATION + number: 500.0,
+                               GrblSetting.TRAVEL + number: limits.highest * 1e3 + 1.0}
         self._settings |= settings or {}
-        #: Alarm requested by `alarm`; None: none.
+        #: Alarm requested by `cause_alarm`; None: none.
         self._pending_alarm: int | None = None
         self.most_queued = 0.0
-        self._power_up()
+        self._set_power_on_state()
 
-    def _power_up(self) -> None:
-        """Set the state at power-on."""
+    def _set_power_on_state(self) -> None:
+        """Set all variables of the emulated controller to their values after power-on."""
         #: Received characters of an incomplete line.
         self._text = bytearray()
         #: Complete lines that wait for the end of homing or of a critical alarm.
         self._waiting: list[str] = []
-        self._alarm, self._critical = bool(self._settings[Setting.HOMING]), False
+        self._alarm, self._critical = bool(self._settings[GrblSetting.HOMING]), False
         self._homing = self._held = False
         #: Queued motions: target of the stage, m, and speed, m/s. The first one is in progress if `_begun` is True.
         self._motions: list[tuple[float, float]] = []
@@ -82,17 +83,17 @@ class GrblEmulator(TerminalEmulator):
         return (f"grbl:{self.path},axis={self._axis},highest_mm={limits.highest * 1e3:g},"
                 f"top_speed_mm_s={limits.speed * 1e3:g}")
 
-    def alarm(self, number: int) -> None:
+    def cause_alarm(self, number: int) -> None:
         """Cause an alarm, such as 1 for a limit switch; callable from any thread."""
         self._pending_alarm = number
 
-    def begin(self) -> None:
+    def start_backing_device(self) -> None:
         """Set the state after power-on, start the stage and home it."""
-        self._power_up()
+        self._set_power_on_state()
         self._stage.start()
         self._stage.home()
 
-    def end(self) -> None:
+    def stop_backing_device(self) -> None:
         """Stop the stage."""
         self._stage.stop()
 
@@ -102,7 +103,7 @@ class GrblEmulator(TerminalEmulator):
                 "most_queued_s": self.most_queued}
 
     @property
-    def queued(self) -> float:
+    def queued_duration(self) -> float:
         """Duration of the queued motions, including the remainder of the present one, s."""
         position, seconds = self._stage.position().position, 0.0
         for target, speed in list(self._motions):
@@ -120,7 +121,7 @@ class GrblEmulator(TerminalEmulator):
             elif character in b"\r\n":
                 line, self._text = self._text.decode("ascii", "replace"), bytearray()
                 self._waiting.append("".join(line.split()).upper())
-                lines += self._execute_waiting()
+                lines += self._execute_waiting_lines()
             else:
                 self._text += character
         return self._encode_lines(lines)
@@ -135,7 +136,7 @@ class GrblEmulator(TerminalEmulator):
             lines += [f"ALARM:{number}", *(["[MSG:Reset to continue]"] if self._critical else [])]
         if self._homing and not self._stage.position().moving:
             self._homing = self._alarm = False
-            lines += ["ok", *self._execute_waiting()]
+            lines += ["ok", *self._execute_waiting_lines()]
         self._start_due_motion()
         return self._encode_lines(lines)
 
@@ -177,7 +178,7 @@ class GrblEmulator(TerminalEmulator):
             return [*([f"ALARM:{alarm}"] if alarm else []), _BANNER, *([_LOCKED] if self._alarm else [])]
         return []
 
-    def _execute_waiting(self) -> list[str]:
+    def _execute_waiting_lines(self) -> list[str]:
         """Execute the waiting lines and return the answers; homing and critical alarms defer them."""
         answers: list[str] = []
         while self._waiting and not self._homing and not self._critical:
@@ -189,7 +190,7 @@ class GrblEmulator(TerminalEmulator):
         if line.startswith("$J="):
             return [self._queue_jog(line)]
         if line == "$H":
-            if not self._settings[Setting.HOMING]:
+            if not self._settings[GrblSetting.HOMING]:
                 return ["error:5"]
             if self._motions or self._held:
                 return ["error:8"]
@@ -232,16 +233,16 @@ class GrblEmulator(TerminalEmulator):
         if target is None:
             return "ok"  # a jog of an axis without a stage
         if jog.relative:
-            target += self._to_machine(start)
+            target += self._to_machine_coordinate(start)
         elif not jog.machine:
             target += self._work_offset
         number = grbl.AXES.index(self._axis)
-        travel = self._settings[Setting.TRAVEL + number]
-        if self._settings[Setting.SOFT_LIMITS] and not -travel - 1e-6 <= target <= 1e-6:
+        travel = self._settings[GrblSetting.TRAVEL + number]
+        if self._settings[GrblSetting.SOFT_LIMITS] and not -travel - 1e-6 <= target <= 1e-6:
             return "error:15"
         limits = self._stage.limits
-        goal = min(max(self._to_stage(target), limits.lowest), limits.highest)
-        feed = min(max(jog.feed, grbl.LEAST_FEED), self._settings[Setting.MAX_RATE + number])
+        goal = min(max(self._to_stage_position(target), limits.lowest), limits.highest)
+        feed = min(max(jog.feed, grbl.LEAST_FEED), self._settings[GrblSetting.MAX_RATE + number])
         speed = min(feed / 60e3, limits.speed)
         if goal == start:
             return "ok"
@@ -253,25 +254,25 @@ class GrblEmulator(TerminalEmulator):
         else:
             self._motions.append((goal, speed))
         self._start_due_motion()
-        self.most_queued = max(self.most_queued, self.queued)
+        self.most_queued = max(self.most_queued, self.queued_duration)
         return "ok"
 
-    def _axis_frame(self) -> tuple[float, float]:
+    def _get_zero_and_direction(self) -> tuple[float, float]:
         """Return the machine coordinate of the stage's zero, mm, and the direction of its positive end, 1 or -1."""
         number = grbl.AXES.index(self._axis)
-        pull_off, travel = self._settings[Setting.PULL_OFF], self._settings[Setting.TRAVEL + number]
-        if int(self._settings[Setting.HOMING_DIRECTION]) >> number & 1:
+        pull_off, travel = self._settings[GrblSetting.PULL_OFF], self._settings[GrblSetting.TRAVEL + number]
+        if int(self._settings[GrblSetting.HOMING_DIRECTION]) >> number & 1:
             return pull_off - travel, 1.0
         return -pull_off, -1.0
 
-    def _to_machine(self, position: float) -> float:
+    def _to_machine_coordinate(self, position: float) -> float:
         """Convert a position of the stage, m, to a machine coordinate, mm."""
-        zero, sign = self._axis_frame()
+        zero, sign = self._get_zero_and_direction()
         return zero + sign * position * 1e3
 
-    def _to_stage(self, coordinate: float) -> float:
+    def _to_stage_position(self, coordinate: float) -> float:
         """Convert a machine coordinate, mm, to a position of the stage, m."""
-        zero, sign = self._axis_frame()
+        zero, sign = self._get_zero_and_direction()
         return sign * (coordinate - zero) * 1e-3
 
     def _make_status_report(self) -> str:
@@ -279,7 +280,7 @@ class GrblEmulator(TerminalEmulator):
         sample = self._stage.position()
         number = grbl.AXES.index(self._axis)
         machine = [0.0, 0.0, 0.0]
-        machine[number] = self._to_machine(sample.position)
+        machine[number] = self._to_machine_coordinate(sample.position)
         offset = [0.0, 0.0, 0.0]
         offset[number] = self._work_offset
         state = "Alarm" if self._alarm else "Hold" if self._held else "Jog" if self._motions else "Idle"
@@ -287,7 +288,7 @@ class GrblEmulator(TerminalEmulator):
         self._reports += 1
         work = tuple(coordinate - shift for coordinate, shift in zip(machine, offset, strict=True))
         in_machine_coordinates = bool(int(self._settings[10]) & 1)
-        return grbl.format_report(grbl.Report(
+        return grbl.format_report(grbl.StatusReport(
             state, 0 if state == "Hold" else None, tuple(machine) if in_machine_coordinates else None,
             None if in_machine_coordinates else work, tuple(offset) if has_offset else None,
             self._axis if self._critical else "", self._motions[0][1] * 60e3 if self._motions else 0.0))
@@ -302,7 +303,8 @@ def emulate_grbl(bench: Bench, text: str, faults: Faults) -> GrblEmulator:
         if setting is None:
             own.append(part)
         elif setting[1] < 0:
-            raise InputError(f"must be 0 or more; got {value}. Grbl answers error:4 to negative values", field=name)
+            raise InputError(f"a setting of Grbl must be 0 or more; got {value}. Grbl answers error:4 to negative "
+                             "values", field=name)
 
         else:
             numbers[setting[0]] = setting[1]

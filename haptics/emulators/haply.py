@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 from haptics.devices.contracts import Bench, DeviceError, Motion
 from haptics.devices.motions import HandMotion, SineMotion
 from haptics.devices.settings import read_settings
-from haptics.devices.virtual.faults import Faults, FaultyLine
+from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import Emulator
-from haptics.protocols.haply import HapticState, encode_state, read_force
+from haptics.protocols.haply import HaplyDeviceState, decode_force_message, encode_state_message
 from tissue_sim.pose import Vector
 
 if TYPE_CHECKING:
@@ -140,23 +140,23 @@ class HaplyEmulator(Emulator):
             self._simulated = 0.0
             first = self._hand.pose(0.0)
             self._zero = first.position if first is not None else (0.0, 0.0, 0.0)
-            self._set_force((0.0, 0.0, 0.0))
-        line = FaultyLine(self._faults, self._began)
+            self._apply_force_to_hand((0.0, 0.0, 0.0))
+        line = FaultyMessageQueue(self._faults, self._began)
         with contextlib.suppress(ConnectionClosed):
-            connection.send(encode_state(self._simulate_hand(config=_CONFIG), self.force, session=1))
+            connection.send(encode_state_message(self._simulate_hand(config=_CONFIG), self.force, session=1))
             while not self._ending.is_set():
                 message = None
                 with contextlib.suppress(TimeoutError):
                     message = connection.recv(timeout=0.1 * TIMES.wait if self._faults.delay else TIMES.wait)
                 now = time.monotonic()
-                if message is not None and not line.is_silent(now):
-                    line.put(self._answer_message(message).encode(), now)
+                if message is not None and not line.is_disconnected(now):
+                    line.put_message(self._answer_message(message).encode(), now)
                 else:
                     self._simulate_hand()
-                for each in line.take_due(now):
+                for each in line.take_due_messages(now):
                     connection.send(each.decode(errors="replace"))
         with self._lock:
-            self._set_force((0.0, 0.0, 0.0))
+            self._apply_force_to_hand((0.0, 0.0, 0.0))
 
     def _answer_message(self, message: str | bytes) -> str:
         """Apply the force of a message and return the answer."""
@@ -165,15 +165,15 @@ class HaplyEmulator(Emulator):
         with self._lock:
             self._last_message = time.monotonic()
             try:
-                force = read_force(message, state.device_id)
+                force = decode_force_message(message, state.device_id)
             except ValueError:
                 self.refused += 1
                 force = None
             if force is not None:
-                self._set_force(force)
-        return encode_state(state, self.force)
+                self._apply_force_to_hand(force)
+        return encode_state_message(state, self.force)
 
-    def _simulate_hand(self, config: dict[str, Any] | None = None) -> HapticState:
+    def _simulate_hand(self, config: dict[str, Any] | None = None) -> HaplyDeviceState:
         """Simulate the hand until now and return its state."""
         with self._lock:
             now = time.monotonic()
@@ -183,14 +183,14 @@ class HaplyEmulator(Emulator):
                 self._simulated = min(self._simulated + TIMES.step, goal)
                 pose = self._hand.pose(self._simulated)
                 if self._simulated >= release and any(self.force):
-                    self._set_force((0.0, 0.0, 0.0))
+                    self._apply_force_to_hand((0.0, 0.0, 0.0))
             pose = pose or self._hand.pose(self._simulated)
             position = pose.position if pose is not None else self._zero
             x, y, z = (a + b - c for a, b, c in zip(START, position, self._zero, strict=True))
-            return HapticState("049D", (x, y, z), self._hand.velocity, (1.0, 0.0, 0.0, 0.0), config or {}, _STATUS)
+            return HaplyDeviceState("049D", (x, y, z), self._hand.velocity, (1.0, 0.0, 0.0, 0.0), config or {}, _STATUS)
 
-    def _set_force(self, force: Vector) -> None:
-        """Apply a force to the hand, N."""
+    def _apply_force_to_hand(self, force: Vector) -> None:
+        """Apply a force in the frame of the device to the simulated hand, N."""
         self.force = force
         self.largest_force = max(self.largest_force, sum(part * part for part in force) ** 0.5)
         self._hand.render((*force, 0.0, 0.0, 0.0))

@@ -14,13 +14,13 @@ from typing import Any
 
 from haptics.devices.contracts import Bench, DeviceError, ForceSensor, SampleStatus
 from haptics.devices.settings import read_settings
-from haptics.devices.virtual.faults import Faults, FaultyLine
+from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.emulators.emulator import Emulator
 from haptics.protocols import rdt
-from haptics.protocols.rdt import Record, Settings
+from haptics.protocols.rdt import BoxSettings, RdtRecord
 
 
-class StatusWord(IntEnum):
+class AxiaStatusWord(IntEnum):
     """Status words of an Axia with an error."""
 
     #: A gage is out of range.
@@ -54,7 +54,7 @@ class RdtEmulator(Emulator):
     name = "rdt"
 
     def __init__(self, sensor: ForceSensor, host: str = "127.0.0.1", port: int = 0, http_port: int = 0,
-                 settings: Settings | None = None, faults: Faults | None = None):
+                 settings: BoxSettings | None = None, faults: Faults | None = None):
         self._sensor, self._faults = sensor, faults or Faults()
         self._host, self._ports = host, (port, http_port)
         self._settings = settings
@@ -76,9 +76,9 @@ class RdtEmulator(Emulator):
         if self._threads:
             return
         self._sensor.start()
-        settings = self._settings or Settings(1e6, 1e6, rate=self._sensor.rate, product="tissue_sim emulator",
-                                              calibration="FT00000")
-        self._force, self._torque = settings.newtons, settings.newton_metres
+        settings = self._settings or BoxSettings(1e6, 1e6, rate=self._sensor.rate, product="tissue_sim emulator",
+                                                 calibration="FT00000")
+        self._force, self._torque = settings.newtons_per_count, settings.newton_metres_per_count
         try:
             self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
             self._socket.bind((self._host, self._ports[0]))
@@ -91,29 +91,29 @@ class RdtEmulator(Emulator):
         self._ports = self._socket.getsockname()[1], self._pages.server_address[1]
         self._socket.settimeout(0.0)
         self._ending.clear()
-        self._threads = [threading.Thread(target=self._run_thread, name="RDT emulator", daemon=True),
+        self._threads = [threading.Thread(target=self._run_stream, name="RDT emulator", daemon=True),
                          threading.Thread(target=self._pages.serve_forever, args=(0.05,), name="RDT page", daemon=True)]
         for thread in self._threads:
             thread.start()
 
-    def _run_thread(self) -> None:
+    def _run_stream(self) -> None:
         """Answer requests and send records until the end; the body of the thread."""
         began = time.monotonic()
-        line = FaultyLine(self._faults, began)
+        line = FaultyMessageQueue(self._faults, began)
         client, size, remaining, number = None, 1, 0, 0
         bias = [0] * 6
-        pending: list[Record] = []
+        pending: list[RdtRecord] = []
         while not self._ending.wait(0.5e-3):
             samples = self._sensor.read()
-            counts = [self._convert_to_counts(sample.values) for sample in samples]
+            counts = [self._convert_sample_to_counts(sample.values) for sample in samples]
             for request, sender in self._receive_requests(line):
-                if request.command in (rdt.Command.REAL_TIME, rdt.Command.BUFFERED):
+                if request.command in (rdt.RdtCommand.REAL_TIME, rdt.RdtCommand.BUFFERED):
                     client, number, remaining = sender, 0, request.count or -1
-                    size = rdt.DATAGRAM.max_records if request.command == rdt.Command.BUFFERED else 1
+                    size = rdt.DATAGRAM.max_records if request.command == rdt.RdtCommand.BUFFERED else 1
                     pending.clear()
-                elif request.command == rdt.Command.STOP:
+                elif request.command == rdt.RdtCommand.STOP:
                     client = None
-                elif request.command == rdt.Command.BIAS and counts:
+                elif request.command == rdt.RdtCommand.BIAS and counts:
                     bias = list(counts[-1])
             if client is None:
                 continue
@@ -122,31 +122,32 @@ class RdtEmulator(Emulator):
                 if remaining == 0:
                     break
                 number, remaining = number + 1, remaining - 1
-                pending.append(Record(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF, _encode_status(sample.status),
-                                      _clip_counts(count - zero for count, zero in zip(each, bias, strict=True))))
+                pending.append(RdtRecord(number & 0xFFFFFFFF, sample.sequence & 0xFFFFFFFF,
+                                         _encode_status(sample.status),
+                                         _clip_counts(count - zero for count, zero in zip(each, bias, strict=True))))
                 if len(pending) == size or remaining == 0:
-                    line.put(rdt.pack_records(pending), now)
+                    line.put_message(rdt.pack_records(pending), now)
                     pending = []
-            for datagram in line.take_due(now):
+            for datagram in line.take_due_messages(now):
                 # Like a box, the emulator ignores a client that has closed its port, and a full send buffer.
                 with contextlib.suppress(OSError):
                     self._socket.sendto(datagram, client)
                     self.sent += 1
 
-    def _receive_requests(self, line: FaultyLine) -> list[tuple[rdt.Request, Any]]:
+    def _receive_requests(self, line: FaultyMessageQueue) -> list[tuple[rdt.RdtRequest, Any]]:
         """Return the waiting requests, each with the address of its sender."""
-        requests: list[tuple[rdt.Request, Any]] = []
+        requests: list[tuple[rdt.RdtRequest, Any]] = []
         while True:
             try:
                 data, sender = self._socket.recvfrom(1024)
             except OSError:
                 return requests
             request = rdt.unpack_request(data)
-            if request is not None and not line.is_silent(time.monotonic()):
+            if request is not None and not line.is_disconnected(time.monotonic()):
                 self.requests += 1
                 requests.append((request, sender))
 
-    def _convert_to_counts(self, values: Sequence[float]) -> list[int]:
+    def _convert_sample_to_counts(self, values: Sequence[float]) -> list[int]:
         """Return the six counts of a sample."""
         by_name = dict(zip(self._sensor.channels, values, strict=True))
         return [round(by_name.get(name, 0.0) / (self._force if name[0] == "F" else self._torque))
@@ -174,7 +175,7 @@ class RdtEmulator(Emulator):
 def _make_page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
     """Return the HTTP handler that serves the settings page only."""
 
-    class Pages(BaseHTTPRequestHandler):
+    class SettingsPageHandler(BaseHTTPRequestHandler):
         timeout = 5.0
 
         def do_GET(self) -> None:
@@ -189,7 +190,7 @@ def _make_page_handler(page: bytes) -> type[BaseHTTPRequestHandler]:
         def log_message(self, format: str, *args: Any) -> None:
             return
 
-    return Pages
+    return SettingsPageHandler
 
 
 def _clip_counts(counts: Iterable[int]) -> rdt.Wrench:
@@ -200,8 +201,8 @@ def _clip_counts(counts: Iterable[int]) -> rdt.Wrench:
 
 def _encode_status(status: int) -> int:
     """Return the status word of an Axia for bits of `SampleStatus`."""
-    return ((StatusWord.SATURATED if status & SampleStatus.SATURATED else 0)
-            | (StatusWord.FAULTY if status & SampleStatus.FAULT else 0))
+    return ((AxiaStatusWord.SATURATED if status & SampleStatus.SATURATED else 0)
+            | (AxiaStatusWord.FAULTY if status & SampleStatus.FAULT else 0))
 
 
 def _describe_listen_failure(host: str, ports: tuple[int, int], error: OSError) -> str:

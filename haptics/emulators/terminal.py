@@ -11,7 +11,7 @@ import time
 from abc import abstractmethod
 
 from haptics.devices.contracts import DeviceError
-from haptics.devices.virtual.faults import Faults, FaultyLine
+from haptics.devices.virtual.faults import Faults, FaultyMessageQueue
 from haptics.emulators.emulator import Emulator
 
 #: Longest wait for received bytes before `TerminalEmulator.take_due_messages` is called again, s.
@@ -36,11 +36,11 @@ class TerminalEmulator(Emulator):
         self.path = ""
 
     @abstractmethod
-    def begin(self) -> None:
+    def start_backing_device(self) -> None:
         """Start the device that backs the emulator; called before the terminal opens."""
 
     @abstractmethod
-    def end(self) -> None:
+    def stop_backing_device(self) -> None:
         """Stop the device that backs the emulator."""
 
     @abstractmethod
@@ -63,19 +63,19 @@ class TerminalEmulator(Emulator):
             raise DeviceError("Windows has no pseudo-terminals; start the emulator on Linux or macOS")
         import tty
 
-        self.begin()
+        self.start_backing_device()
         self._master, self._slave = os.openpty()
         # The open slave keeps the terminal alive while no client is connected.
         tty.setraw(self._slave)
         self.path = os.ttyname(self._slave)
         os.set_blocking(self._master, False)
         self._ending.clear()
-        self._thread = threading.Thread(target=self._run, name=f"{self.name} emulator", daemon=True)
+        self._thread = threading.Thread(target=self._run_terminal, name=f"{self.name} emulator", daemon=True)
         self._thread.start()
 
-    def _run(self) -> None:
+    def _run_terminal(self) -> None:
         """Answer received bytes and send due messages until the end; the body of the thread."""
-        line = FaultyLine(self._faults, time.monotonic())
+        line = FaultyMessageQueue(self._faults, time.monotonic())
         while not self._ending.is_set():
             readable, _, _ = select.select([self._master], [], [], _POLL)
             now = time.monotonic()
@@ -83,11 +83,11 @@ class TerminalEmulator(Emulator):
             if readable:
                 with contextlib.suppress(BlockingIOError, OSError):
                     data = os.read(self._master, 65536)
-                    if not line.is_silent(now):
+                    if not line.is_disconnected(now):
                         messages = self.answer_bytes(data)
             for message in (*messages, *self.take_due_messages()):
-                line.put(message, now)
-            for message in line.take_due(now):
+                line.put_message(message, now)
+            for message in line.take_due_messages(now):
                 # If the client does not read, excess bytes are lost, as on a wire without flow control.
                 with contextlib.suppress(BlockingIOError):
                     os.write(self._master, message)
@@ -101,4 +101,4 @@ class TerminalEmulator(Emulator):
         self._thread = None
         os.close(self._master)
         os.close(self._slave)
-        self.end()
+        self.stop_backing_device()

@@ -50,10 +50,10 @@ class BroydenCorrection:
         self.rates = np.zeros((6, 6))
 
     def reset(self) -> None:
-        """Set the correction to zero."""
+        """Set all rates of the correction to zero, so that it no longer changes wrench and stiffness."""
         self.rates[:] = 0.0
 
-    def learn(self, missed: Screw, last: Pose, pose: Pose) -> None:
+    def apply_secant_update(self, missed: Screw, last: Pose, pose: Pose) -> None:
         """Update the correction with the difference of two models.
 
         Args:
@@ -68,7 +68,7 @@ class BroydenCorrection:
             residual = np.array(missed) - self.rates @ step
             self.rates += BROYDEN.relaxation / square * np.outer(residual, self._scale * scaled)
 
-    def wrench(self, model: Pose, pose: Pose) -> Screw:
+    def compute_omitted_wrench(self, model: Pose, pose: Pose) -> Screw:
         """Return the wrench that a model omits at another pose, N and N m.
 
         Args:
@@ -78,5 +78,5 @@ class BroydenCorrection:
         return cast("Screw", tuple((self.rates @ np.array(motion(model, pose))).tolist()))
 
     def corrected_stiffness(self, of_model: Matrix) -> Matrix:
-        """Return the stiffness of a model with the correction, shape (6, 6)."""
+        """Return the stiffness of a model, `of_model`, minus the learned rates: N/m, N, N m, shape (6, 6)."""
         return cast("Matrix", tuple(map(tuple, (np.array(of_model) - self.rates).tolist())))

@@ -22,7 +22,7 @@ from haptics.loop.slow_bulk import (
     KIND_CORRECTION,
     KIND_MODEL,
     KIND_STATE,
-    Started,
+    BulkReadyMessage,
     make_linearisation,
     make_untouched_state,
 )
@@ -46,12 +46,12 @@ class BulkLink(Protocol):
     """Source of linearised models of the bulk. Call `close` at the end."""
 
     @property
-    def surface(self) -> ContactSurface:
+    def contact_surface(self) -> ContactSurface:
         """Contact nodes and tool of the bulk; available after `start`."""
 
     @property
-    def alive(self) -> bool:
-        """Whether the bulk can still send models."""
+    def is_alive(self) -> bool:
+        """Whether the bulk, or its process, still runs and can send models."""
 
     def start(self) -> CondensedContact:
         """Create the bulk and return its model of the undeformed tissue.
@@ -61,13 +61,13 @@ class BulkLink(Protocol):
             RuntimeError: the process of the bulk ended.
         """
 
-    def send(self, state: ContactState) -> None:
-        """Send the state of the contact to the bulk without waiting."""
+    def send_state(self, state: ContactState) -> None:
+        """Send the state of the contact, at which the bulk is linearised next, without waiting for the model."""
 
-    def receive(self, now: float) -> CondensedContact | None:
+    def receive_model(self, now: float) -> CondensedContact | None:
         """Return a model received since the last call, or None, without waiting; `now` is the time, s."""
 
-    def exchange(self, state: ContactState) -> CondensedContact | None:
+    def exchange_state_for_model(self, state: ContactState) -> CondensedContact | None:
         """Send a state and block until the next model arrives, which may belong to an earlier state.
 
         Returns:
@@ -75,10 +75,10 @@ class BulkLink(Protocol):
         """
 
     def set_material(self, material: Material, number: int) -> None:
-        """Change the material of the bulk; models of the new material contain this number."""
+        """Change the material of the bulk; models of the new material have this `number` in their field `material`."""
 
     def snapshot(self) -> Snapshot | None:
-        """Return the tissue at the last model; None for a link without snapshots."""
+        """Return the deformed tissue, for a viewer, at the last model; None for a link without snapshots."""
 
     def close(self) -> None:
         """End the bulk and free its resources."""
@@ -97,18 +97,18 @@ class DelayedBulk:
         linearising: CPU time spent on models, s.
     """
 
-    alive = True
+    is_alive = True
 
     def __init__(self, linearisation: BulkLinearisation, delay: float, tangent: float | None = None):
-        self._bulk, self.surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
+        self._bulk, self.contact_surface, self._delay, self._epoch = linearisation, linearisation.surface, delay, 0
         self._predictive, self._now = PredictiveLinearisation(linearisation), 0.0
         self._tangent = tangent
         if tangent is not None:
-            linearisation.executor = self._finish_after_delay
+            linearisation.executor = self._compute_and_delay_finish
         self.linearising = 0.0
         self._coming: tuple[float, CondensedContact | None] | None = None
 
-    def _finish_after_delay(self, compute: Callable[[], None]) -> Callable[[], bool]:
+    def _compute_and_delay_finish(self, compute: Callable[[], None]) -> Callable[[], bool]:
         """Compute a tangent now and return a function that reports it as finished after the tangent's delay.
 
         After a reset the tangent belongs to a discarded specimen and is reported as finished at once.
@@ -124,12 +124,12 @@ class DelayedBulk:
         Raises:
             RuntimeError: the undeformed tissue has no linearisation.
         """
-        model = self._predictive.linearise(make_untouched_state(self.surface), 0.0, 0.0)
+        model = self._predictive.linearise(make_untouched_state(self.contact_surface), 0.0, 0.0)
         if model is None:
-            raise RuntimeError("the untouched tissue has no linearisation")
+            raise RuntimeError("the bulk must have a linearisation of the undeformed tissue; the solver returned none")
         return model
 
-    def send(self, state: ContactState) -> None:
+    def send_state(self, state: ContactState) -> None:
         """Linearise the bulk at a state, unless a model is in transit; the model arrives after the delay."""
         if state.epoch != self._epoch:
             # A model in transit belongs to the specimen before the reset.
@@ -141,20 +141,20 @@ class DelayedBulk:
             self._coming = state.time + self._delay, model
             self.linearising += time.process_time() - began
 
-    def receive(self, now: float) -> CondensedContact | None:
+    def receive_model(self, now: float) -> CondensedContact | None:
         """Return the model in transit if it has arrived at the time `now`, s, otherwise None."""
         if self._coming is None or now < self._coming[0] - 1e-9:
             return None
         model, self._coming = self._coming[1], None
         return model
 
-    def exchange(self, state: ContactState) -> CondensedContact | None:
-        """Return the model of a state, or of a state sent before and not yet received, without delay."""
-        self.send(state)
-        return self.receive(math.inf)
+    def exchange_state_for_model(self, state: ContactState) -> CondensedContact | None:
+        """Return a model at once: of an earlier state whose model was not yet received, otherwise of this state."""
+        self.send_state(state)
+        return self.receive_model(math.inf)
 
     def set_material(self, material: Material, number: int) -> None:
-        """Change the material of the bulk; later models contain this number."""
+        """Change the material of the bulk; later models have this `number` in their field `material`."""
         self._predictive.set_material(material, number)
 
     def snapshot(self) -> Snapshot | None:
@@ -189,16 +189,16 @@ class BulkProcess:
             [sys.executable, "-c", "from haptics.loop.slow_bulk import main; main()"], stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, env={**one, **os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
         assert process.stdin is not None and process.stdout is not None
-        self._write_orders(struct.pack("<Q", len(self._task)) + self._task)
-        self._write_orders(pickle.dumps(self._paths))
+        self._write_to_process(struct.pack("<Q", len(self._task)) + self._task)
+        self._write_to_process(pickle.dumps(self._paths))
         try:
-            started: Started | InputError = pickle.load(process.stdout)
+            started: BulkReadyMessage | InputError = pickle.load(process.stdout)
         except EOFError:
             raise RuntimeError("the process of the bulk ended during its start; see its printed errors") from None
         if isinstance(started, Exception):
             raise started
         self._surface = started.surface
-        size = 8 * packed_state_size(self.surface)
+        size = 8 * packed_state_size(self.contact_surface)
         self._states = SlotWriter(self._paths[0], KIND_STATE, SLOTS.count, size)
         self._models = SlotReader(self._paths[1], KIND_MODEL)
         self._corrections, self._corrected = SlotReader(self._paths[2], KIND_CORRECTION), 0
@@ -208,41 +208,41 @@ class BulkProcess:
         self._received, self._reading, self._piece, self._check = 0, 0, 0, 0
         self._model = started.model
         #: Buffer into which the next model is read, and buffer of the last model.
-        self._buffers = bytearray(self._models.size), bytearray(self._models.size)
-        self._write_orders(b"go\n")
+        self._buffers = bytearray(self._models.max_content_size), bytearray(self._models.max_content_size)
+        self._write_to_process(b"go\n")
         return started.model
 
     @property
-    def surface(self) -> ContactSurface:
+    def contact_surface(self) -> ContactSurface:
         """Contact nodes and tool of the bulk; available after `start`."""
         assert self._surface is not None
         return self._surface
 
     @property
-    def alive(self) -> bool:
+    def is_alive(self) -> bool:
         """Whether the process runs."""
         return self._process is not None and self._process.poll() is None
 
-    def send(self, state: ContactState) -> None:
+    def send_state(self, state: ContactState) -> None:
         """Write a state to the shared file of states, without waiting."""
         self._states.write(state.pack().tobytes())
 
-    def receive(self, now: float) -> CondensedContact | None:
+    def receive_model(self, now: float) -> CondensedContact | None:
         """Read the next piece of a model; return the model when it is complete, a newer correction, or None."""
         found = self._receive_model_piece() or self._receive_correction()
         if found is not None:
             self._model = found
         return found
 
-    def exchange(self, state: ContactState) -> CondensedContact | None:
+    def exchange_state_for_model(self, state: ContactState) -> CondensedContact | None:
         """Send a state, and poll for the next model for at most `BulkProcessSettings.longest_exchange`."""
         now = time.monotonic()
         deadline, sends = now + BULK_PROCESS.longest_exchange, now
-        while now < deadline and self.alive:
+        while now < deadline and self.is_alive:
             if now >= sends:
-                self.send(state)
+                self.send_state(state)
                 sends = now + BULK_PROCESS.resend_interval
-            if (model := self.receive(state.time)) is not None:
+            if (model := self.receive_model(state.time)) is not None:
                 return model
             time.sleep(BULK_PROCESS.polling_interval)
             now = time.monotonic()
@@ -259,25 +259,25 @@ class BulkProcess:
                 return None
             self._reading, self._piece = models.written, 0
             self._check = self._reading & 0xFFFFFFFF
-        length, checksum = models.head(self._reading)
+        length, checksum = models.read_slot_header(self._reading)
         end = min(self._piece + BULK_PROCESS.piece, length)
-        piece = models.part(self._reading, self._piece, end)
+        piece = models.read_content_range(self._reading, self._piece, end)
         self._buffers[0][self._piece:end] = piece
         self._check, self._piece = zlib.crc32(piece, self._check), end
         if end < length:
             return None
         number, self._reading = self._reading, 0
-        if self._check != checksum or models.head(number) != (length, checksum):
+        if self._check != checksum or models.read_slot_header(number) != (length, checksum):
             return None  # the slot was overwritten during reading: start again
         self._received, self._buffers = number, self._buffers[::-1]
         return CondensedContact.unpack(np.frombuffer(self._buffers[1], count=length // 8))
 
     def _receive_correction(self) -> CondensedContact | None:
-        """Return a model with a later state of the bulk and the tangent of the last complete model, or None."""
+        """Return a new correction, a model with a later state and the last complete tangent, or None."""
         corrections = self._corrections
         if corrections.written == self._corrected:
             return None
-        newest = corrections.newest()
+        newest = corrections.read_newest_content()
         if newest is None:
             return None
         self._corrected, content = newest
@@ -285,7 +285,7 @@ class BulkProcess:
 
     def set_material(self, material: Material, number: int) -> None:
         """Send a material and its number to the process."""
-        self._write_orders(pickle.dumps((number, material)))
+        self._write_to_process(pickle.dumps((number, material)))
 
     def snapshot(self) -> Snapshot | None:
         """Return the newest published snapshot, at first of the undeformed tissue; None if the bulk publishes none."""
@@ -319,7 +319,7 @@ class BulkProcess:
             remove_file(path)
         self._process = None
 
-    def _write_orders(self, content: bytes) -> None:
+    def _write_to_process(self, content: bytes) -> None:
         assert self._process is not None and self._process.stdin is not None
         self._process.stdin.write(content)
         self._process.stdin.flush()

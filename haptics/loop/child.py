@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 from haptics.devices.contracts import DeviceError, HapticDevice
 from haptics.loop.commands import COMMANDS
-from haptics.loop.loop import Loop, LoopReport, LoopSettings, mesh_of
+from haptics.loop.loop import Loop, LoopReport, LoopSettings, get_resolution_and_force_error
 from haptics.loop.ring import RingWriter
 from haptics.loop.shared_slots import remove_file
 from haptics.loop.snapshot_board import SnapshotBoard
@@ -29,7 +29,7 @@ _EXPECTED = (InputError, ConvergenceError, MissingBackendError, DeviceError)
 
 
 @dataclass(frozen=True)
-class LoopProcessTimes:
+class LoopProcessTimeouts:
     """Waiting times of the process of a loop and of its parent, s.
 
     Attributes:
@@ -43,10 +43,10 @@ class LoopProcessTimes:
 
 
 #: Times of every process of a loop.
-PROCESS_TIMES = LoopProcessTimes()
+PROCESS_TIMES = LoopProcessTimeouts()
 
 
-class LoopFiles(NamedTuple):
+class SharedLoopFiles(NamedTuple):
     """Shared files from which other processes read.
 
     Attributes:
@@ -58,7 +58,7 @@ class LoopFiles(NamedTuple):
     snapshots: Path
 
 
-class LoopParts(NamedTuple):
+class LoopComponents(NamedTuple):
     """Components of a loop that are sent to its process.
 
     Attributes:
@@ -74,7 +74,8 @@ class LoopParts(NamedTuple):
     settings: LoopSettings
 
 
-def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things: list[tuple[str, str, Any]]) -> None:
+def run_loop_child_process(connection: Connection, parts: LoopComponents, files: SharedLoopFiles,
+                           things: list[tuple[str, str, Any]]) -> None:
     """Run a loop in this process and communicate with the parent process.
 
     Messages to the parent are pairs (kind, content): ``doing`` with a sentence; ``pattern`` of the snapshots, if there
@@ -88,15 +89,15 @@ def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things
         files: shared files to write.
         things: plug-ins registered in the parent, to be registered here too.
     """
-    def remove_files() -> None:
+    def remove_shared_files() -> None:
         for path in files:
             remove_file(path)
 
     # The creation of the tissue does not read the connection, so it cannot notice the end of the parent.
-    follow_parent(PROCESS_TIMES.grace, remove_files)
+    follow_parent(PROCESS_TIMES.grace, remove_shared_files)
     try:
         register_all(things)
-        report = _run_loop(connection, parts, files)
+        report = _create_and_run_loop(connection, parts, files)
     except Exception as error:
         expected = isinstance(error, _EXPECTED)
         sentence = " ".join(str(error).split())
@@ -108,7 +109,7 @@ def run_child(connection: Connection, parts: LoopParts, files: LoopFiles, things
     _send_message(connection, "report", report)
 
 
-def _run_loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> LoopReport:
+def _create_and_run_loop(connection: Connection, parts: LoopComponents, files: SharedLoopFiles) -> LoopReport:
     settings = parts.settings
     with ExitStack() as stack:
         ring = stack.enter_context(RingWriter(files.ring, settings.capacity))
@@ -125,14 +126,14 @@ def _run_loop(connection: Connection, parts: LoopParts, files: LoopFiles) -> Loo
                 shown, snapshots = tissue, stack.enter_context(SnapshotBoard(files.snapshots, pattern))
                 _send_message(connection, "pattern", pattern)
         loop = Loop(tissue, parts.device, parts.rendering, settings, ring, snapshots=snapshots,
-                    listen=lambda loop: _run_commands(loop, connection, shown))
+                    listen=lambda loop: _execute_received_commands(loop, connection, shown))
         # Started last: a user must not hold a device during compilation.
         parts.device.start()
-        _send_message(connection, "ready", mesh_of(tissue))
+        _send_message(connection, "ready", get_resolution_and_force_error(tissue))
         return loop.run()
 
 
-def _run_commands(loop: Loop, connection: Connection, shown: ShownTissue | None) -> None:
+def _execute_received_commands(loop: Loop, connection: Connection, shown: ShownTissue | None) -> None:
     """Execute the commands that the parent has sent.
 
     Args:

@@ -11,7 +11,7 @@ COMMANDS: dict[str, Callable[..., None]] = {
     "pause": Loop.pause,
     "resume": Loop.resume,
     "reset": Loop.reset,
-    "advance": Loop.advance,
+    "advance": Loop.advance_paused_motion,
     "switch_device": Loop.switch_device,
     "aim": Loop.aim,
     "set_parameters": Loop.set_parameters,

@@ -44,7 +44,7 @@ class LinearisationError:
     d1**2 - d2**2 gives `growth` (Richardson's extrapolation). It describes the tissue between the poses of
     the two models, so the estimate is valid up to `LinearisationErrorSettings.validity` times the distance between
     these poses. Beyond, and before two models of the deformed tissue have come, the error is unknown. Two models of the
-    undeformed tissue are equal; their difference contains no information and must not be passed to `learn`.
+    undeformed tissue are equal; their difference contains no information and must not be passed to `update_estimate`.
 
     The tangent of a model may have been assembled at an earlier pose, at a distance D from that of the model. The
     stiffness of the model is then wrong by 2 growth D, and its force by 2 growth D distance more.
@@ -70,20 +70,20 @@ class LinearisationError:
 
     def __init__(self, radius: float, shear_modulus: float = 0.0):
         self.radius, self.short, self.shear_modulus = radius, ERROR_ESTIMATE.short * radius, shear_modulus
-        self.forget()
+        self.discard_estimate()
 
-    def forget(self) -> None:
-        """Discard the estimate: the error is unknown until the next call of `learn`."""
+    def discard_estimate(self) -> None:
+        """Discard the estimate: the error is unknown until the next call of `update_estimate`."""
         self.growth, self.reach, self.time = 0.0, 0.0, -math.inf
         self.base, self.interval = 0.0, 0.0
 
-    def change_modulus(self, shear_modulus: float) -> None:
-        """Adapt the estimate to another shear modulus, Pa; the estimate is scaled up, but never down."""
+    def rescale_for_shear_modulus(self, shear_modulus: float) -> None:
+        """Multiply the estimate by the ratio of the new shear modulus, Pa, to the old one, if the ratio is above 1."""
         factor = max(1.0, shear_modulus / self.shear_modulus) if self.shear_modulus > 0.0 else 1.0
         self.base, self.growth, self.shear_modulus = factor * self.base, factor * self.growth, shear_modulus
 
-    def learn(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0,
-              newer: float = 0.0) -> None:
+    def update_estimate(self, missed: float, distance: float, between: float, time: float, interval: float = 0.0,
+                        newer: float = 0.0) -> None:
         """Update the estimate with the difference of two successive models.
 
         Args:
@@ -101,8 +101,8 @@ class LinearisationError:
         self.reach, self.time = max(memory * self.reach, between), time
         self.base, self.interval = missed, interval
 
-    def _limited_growth(self, distance: float, depth: float | None) -> float:
-        """Growth with its lower limit, N/m2; see `at`."""
+    def _compute_growth_coefficient(self, distance: float, depth: float | None) -> float:
+        """Return `growth`, at least the curvature of a contact, N/m2; for the arguments see `estimate_force_error`."""
         if depth is None:
             return max(self.growth, self.shear_modulus)
         reached = min(max(depth, distance), self.radius)
@@ -110,11 +110,12 @@ class LinearisationError:
             return self.growth
         return max(self.growth, 2.0 * self.shear_modulus * math.sqrt(self.radius / reached))
 
-    def is_valid(self, distance: float) -> bool:
+    def is_error_known(self, distance: float) -> bool:
         """Return whether the error at this distance, m, from the pose of a model is known."""
         return math.isfinite(self.time) and distance <= max(self.short, ERROR_ESTIMATE.validity * self.reach)
 
-    def at(self, distance: float, age: float = 0.0, depth: float | None = None, tangent: float = 0.0) -> float:
+    def estimate_force_error(self, distance: float, age: float = 0.0, depth: float | None = None,
+                             tangent: float = 0.0) -> float:
         """Return the estimated error of the force, N; infinite if it is unknown.
 
         Args:
@@ -123,7 +124,8 @@ class LinearisationError:
             depth: depth of the tool below the undeformed surface, m; None: unknown.
             tangent: distance of the pose of the model from the pose at which its tangent was assembled, m.
         """
-        if not self.is_valid(distance):
+        if not self.is_error_known(distance):
             return math.inf
         age_factor = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
-        return self.base * age_factor + self._limited_growth(distance, depth) * distance * (distance + 2.0 * tangent)
+        growth = self._compute_growth_coefficient(distance, depth)
+        return self.base * age_factor + growth * distance * (distance + 2.0 * tangent)

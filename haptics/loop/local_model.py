@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from haptics.loop.linearisation_error import ERROR_ESTIMATE
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose, Screw, Vector, added, motion, scaled
+from tissue_sim.public_names import OldName
 from tissue_sim.tool_force import ForceStatus, Matrix, Tissue, ToolForce, extrapolate_wrench, pose_of
 
 _NO_WRENCH: Screw = (0.0,) * 6
@@ -35,8 +36,8 @@ class LocalModel:
     stiffness_time: float | None = None
 
     @classmethod
-    def axial(cls, force: float, stiffness: float, depth: float, time: float,
-              error: float | None = 0.0) -> LocalModel:
+    def from_axial_force(cls, force: float, stiffness: float, depth: float, time: float,
+                         error: float | None = 0.0) -> LocalModel:
         """Create a model for motion along z only.
 
         Args:
@@ -49,9 +50,13 @@ class LocalModel:
         answer = ToolForce.axial(force, stiffness, ForceStatus.CONVERGED)
         return cls(answer.wrench, answer.stiffness_matrix, Pose.at_depth(depth), time, error)
 
-    def evaluate(self, pose: Pose) -> Screw:
+    axial = OldName("from_axial_force")
+
+    def evaluate_wrench(self, pose: Pose) -> Screw:
         """Return the wrench at a pose, N and N m."""
         return extrapolate_wrench(self.wrench, self.stiffness_matrix, motion(self.pose, pose))
+
+    evaluate = OldName("evaluate_wrench")
 
 
 #: Model with zero wrench, used before the first model and after a model that is too old.
@@ -98,18 +103,18 @@ class SlowSolver:
         converged = answer.status is ForceStatus.CONVERGED
         if self._last is not None and not converged:
             made = max(time - answer.age, last.time)
-        error = self._error(tool_pose, answer, last, ERROR_ESTIMATE.memory if converged else 1.0)
+        error = self._estimate_force_error(tool_pose, answer, last, ERROR_ESTIMATE.memory if converged else 1.0)
         evaluated = max(made - max(0.0, answer.stiffness_age - (time - made)), last.stiffness_time or -math.inf)
         self._before = self._last
         self._last = LocalModel(answer.wrench, answer.stiffness_matrix, tool_pose, made, error, min(made, evaluated))
         return self._last
 
-    def _error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
-        """Return the estimated error of a new model, N; None while it is unknown."""
+    def _estimate_force_error(self, pose: Pose, answer: ToolForce, last: LocalModel, memory: float) -> float | None:
+        """Return the estimated error of the force of a new model, N; None while it is unknown."""
         known = last.error
         if any(answer.wrench) or any(last.wrench):
             models = (last, self._before or last)
-            error = max(math.dist(model.evaluate(pose)[:3], answer.wrench[:3]) for model in models)
+            error = max(math.dist(model.evaluate_wrench(pose)[:3], answer.wrench[:3]) for model in models)
             known = error if known is None or self._last is None else max(error, memory * known)
         if known is None or answer.force_error is None:
             return known
@@ -165,7 +170,7 @@ class LocalModelBlend:
     def error(self) -> float:
         """Estimated error of the force, N: error of the model plus remaining offset; infinite if unknown."""
         error = self._model.error
-        return math.inf if error is None else error + _size(self.offset[:3])
+        return math.inf if error is None else error + _compute_norm(self.offset[:3])
 
     def publish(self, model: LocalModel) -> bool:
         """Replace the model by a new one.
@@ -174,7 +179,7 @@ class LocalModelBlend:
             Whether the new model is used. A model is refused, and the old one kept, if it contains a number that is not
             finite, if it is older than the present model, or if its time is in the future (it was made before a reset).
         """
-        wrench = model.evaluate(model.pose if self._pose is None else self._pose)
+        wrench = model.evaluate_wrench(model.pose if self._pose is None else self._pose)
         finite = math.isfinite(sum(wrench)) and math.isfinite(model.time) and math.isfinite(model.error or 0.0)
         if not (finite and self._published <= model.time <= self.time):
             self.refused += 1
@@ -196,7 +201,7 @@ class LocalModelBlend:
         """
         pose = pose_of(pose)
         if not (pose.is_finite and 0 < dt < math.inf):
-            return self._answer(ForceStatus.REFUSED)
+            return self._make_tool_force(ForceStatus.REFUSED)
         self.time += dt
         if self._pose is None:
             # At the first tick the whole wrench counts as a change of the model.
@@ -205,17 +210,18 @@ class LocalModelBlend:
         if self.age > self.oldest:
             self._switch_to_model(_NONE)
         if any(self.offset):
-            self.offset = _shorten(self.offset[:3], self.jump) + _shorten(self.offset[3:], self.torque_jump)
+            self.offset = (_shorten_vector(self.offset[:3], self.jump)
+                           + _shorten_vector(self.offset[3:], self.torque_jump))
         self._pose = pose
-        self._wrench = added(self._model.evaluate(pose), self.offset)
-        return self._answer(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
+        self._wrench = added(self._model.evaluate_wrench(pose), self.offset)
+        return self._make_tool_force(ForceStatus.LATE if math.isfinite(self._model.time) else ForceStatus.STOPPED)
 
     def _switch_to_model(self, model: LocalModel):
         self._model = model
         if self._pose is not None:
-            self.offset = added(self._wrench, scaled(-1.0, model.evaluate(self._pose)))
+            self.offset = added(self._wrench, scaled(-1.0, model.evaluate_wrench(self._pose)))
 
-    def _answer(self, status: ForceStatus) -> ToolForce:
+    def _make_tool_force(self, status: ForceStatus) -> ToolForce:
         model, age, error = self._model, self.age, self.error
         is_known = math.isfinite(error)
         stiffness_age = age if model.stiffness_time is None else self.time - model.stiffness_time
@@ -224,13 +230,13 @@ class LocalModelBlend:
                          force_error=error if is_known else None, error_age=age if is_known else 0.0)
 
 
-def _size(vector: Vector) -> float:
+def _compute_norm(vector: Vector) -> float:
     return math.hypot(*vector)
 
 
-def _shorten(vector: Vector, step: float) -> Vector:
-    """Shorten a vector by this length, at most to zero."""
-    size = _size(vector)
+def _shorten_vector(vector: Vector, step: float) -> Vector:
+    """Return the vector with its length reduced by `step`, in the same direction; zero if the vector is shorter."""
+    size = _compute_norm(vector)
     if size <= step:
         return (0.0, 0.0, 0.0)
     # Divide first: along an axis the direction is exactly 1.

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.real_time import RealTimeFeature, real_time
+from haptics.loop.real_time import RealTimeFeature, request_real_time_features
 from haptics.loop.ring import CAPACITY, PAUSED, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard
-from haptics.loop.ticker import Quantiles, Ticker, TimeHistogram
+from haptics.loop.ticker import Ticker, TimeHistogram, TimeQuantiles
 from haptics.safety.force_release import RELEASE, ForceRelease
 from haptics.safety.rendering import ForceRendering, RenderFlag
 from tissue_sim.errors import InputError
@@ -100,8 +100,8 @@ class LoopReport:
     ticks: int
     late: int
     missed: int
-    lateness: Quantiles
-    compute_time: Quantiles
+    lateness: TimeQuantiles
+    compute_time: TimeQuantiles
     statuses: dict[str, int]
     flagged: dict[str, int]
     largest_force: float
@@ -126,12 +126,12 @@ class LoopReport:
         }
 
 
-def mesh_of(tissue: Tissue) -> tuple[str, float | None]:
+def get_resolution_and_force_error(tissue: Tissue) -> tuple[str, float | None]:
     """Return the resolution of a tissue and the largest known relative error of its force, if it states them."""
     return getattr(tissue, "resolution", ""), getattr(tissue, "force_error", None)
 
 
-def _to_microseconds(times: Quantiles) -> dict[str, float]:
+def _to_microseconds(times: TimeQuantiles) -> dict[str, float]:
     return {"p50": times.p50 * 1e6, "p99": times.p99 * 1e6, "p99.9": times.p999 * 1e6, "max": times.maximum * 1e6}
 
 
@@ -164,7 +164,7 @@ class Loop:
         self._tissue, self._device, self._rendering = tissue, device, rendering
         #: Requested force limit, N; the limit of the device may be lower.
         self._force_limit = rendering.limits.force
-        self._limit_force_to(device)
+        self._apply_device_force_limit(device)
         self._settings, self._ring, self._listen = settings, ring, listen
         #: Work of the tissue between two ticks, if it has any.
         self._prepare: Callable[[], None] | None = getattr(tissue, "prepare", None)
@@ -204,18 +204,19 @@ class Loop:
             ticker.missed, ticker.lateness.quantiles, self._compute_time.quantiles,
             {status.name.lower(): self._statuses[status] for status in ForceStatus},
             {_FLAGS[flag]: count for flag, count in self._flagged.items()},
-            self._largest_force, features, peak_memory(), self._device.describe(), *mesh_of(self._tissue))
+            self._largest_force, features, read_peak_memory(), self._device.describe(),
+            *get_resolution_and_force_error(self._tissue))
 
     def _run_ticks(self) -> tuple[RealTimeFeature, ...]:
-        """Run all ticks and return the real-time features of the system."""
+        """Run all ticks, and return the real-time features that were requested, obtained or refused."""
         settings, ticker, ring = self._settings, self._ticker, self._ring
         last = math.inf if settings.seconds is None else round(settings.seconds / settings.period)
         listen_every = max(round(LISTEN_EVERY / settings.period), 1)
         shown, every, next_snapshot, next_listen = self._shown, settings.ticks_between_snapshots, 0, listen_every
-        with real_time(settings.real_time) as features:
+        with request_real_time_features(settings.real_time) as features:
             ticker.start()
             while ticker.number < last and not self._ended_by:
-                lateness = ticker.wait()
+                lateness = ticker.wait_for_deadline()
                 self._execute_tick(lateness * 1e-9, ring)
                 if self._prepare is not None:
                     self._prepare()
@@ -231,7 +232,7 @@ class Loop:
 
     def _execute_tick(self, lateness: float, ring: RingWriter) -> None:
         ticker = self._ticker
-        now = ticker.elapsed
+        now = ticker.elapsed_time
         passed, self._now = now - self._now, now
         dt = passed * 1e-9
         pose = None
@@ -246,8 +247,8 @@ class Loop:
         rendered = self._rendering.render(answer, dt)
         wrench = rendered.wrench
         self._device.render(wrench)
-        spent = ticker.elapsed - now
-        self._compute_time.add(spent)
+        spent = ticker.elapsed_time - now
+        self._compute_time.add_time(spent)
         self._statuses[answer.status] += 1
         flags = rendered.flags | PAUSED * (not moves)
         if flags:
@@ -256,15 +257,15 @@ class Loop:
         force = math.hypot(wrench[0], wrench[1], wrench[2])
         if force > self._largest_force:
             self._largest_force = force
-        ring.append(ticker.number, now * 1e-9, pose, tool, wrench, answer, spent * 1e-9, lateness, ticker.late,
-                    ticker.missed, flags)
+        ring.append_tick(ticker.number, now * 1e-9, pose, tool, wrench, answer, spent * 1e-9, lateness, ticker.late,
+                         ticker.missed, flags)
 
     def pause(self) -> None:
-        """Stop the motion; the rendering receives no pose, so that the force fades to zero."""
+        """Stop the clock of the motion; the loop continues without a pose, so that the force fades to zero."""
         self._paused = True
 
     def resume(self) -> None:
-        """Continue the motion after a pause."""
+        """Continue the motion, and its clock, after a pause."""
         self._paused = False
 
     def reset(self) -> None:
@@ -273,13 +274,13 @@ class Loop:
         Raises:
             InputError: the tissue cannot be reset.
         """
-        self._require_method("reset")()
+        self._get_tissue_method("reset")()
         self._rendering.reset()
         self._release.reset()
         self._motion = 0
 
-    def advance(self, seconds: float) -> None:
-        """Continue the motion of a paused loop for this time, s."""
+    def advance_paused_motion(self, seconds: float) -> None:
+        """Let the motion of a paused loop continue for this time, s; the loop then stays paused."""
         self._advance += round(seconds * 1e9)
 
     def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
@@ -294,19 +295,19 @@ class Loop:
             InputError: the tissue cannot be reset.
             DeviceError: the device is missing.
         """
-        reset = self._require_method("reset") if restart else None
+        reset = self._get_tissue_method("reset") if restart else None
         device.start()
         self._device.stop()
         if self._tool is not None and not restart:
-            device.take_over(self._tool)
+            device.continue_from_pose(self._tool)
         self._device, self._motion = device, 0
-        self._limit_force_to(device)
+        self._apply_device_force_limit(device)
         if reset is not None:
             reset()
             self._rendering.reset()
             self._release.reset()
 
-    def _limit_force_to(self, device: HapticDevice) -> None:
+    def _apply_device_force_limit(self, device: HapticDevice) -> None:
         """Set the force limit to the smaller of the requested limit and the limit of the device."""
         self._rendering.limits.force = min(self._force_limit, device.largest_force)
 
@@ -329,21 +330,21 @@ class Loop:
         Raises:
             InputError: the tissue has no such parameter or refuses the value.
         """
-        self._require_method("set_parameters")(**values)
+        self._get_tissue_method("set_parameters")(**values)
 
     def stop(self, ended_by: str = "stop") -> None:
-        """End the loop after this tick."""
+        """End the loop after this tick; `ended_by` is the reason in the report."""
         self._ended_by = ended_by
 
-    def _require_method(self, name: str) -> Callable[..., None]:
+    def _get_tissue_method(self, name: str) -> Callable[..., None]:
         method = getattr(self._tissue, name, None)
         if method is None:
-            raise InputError(f"this tissue ({type(self._tissue).__name__}) has no {name}; use a tissue with this "
-                             "method")
+            raise InputError(f"this tissue ({type(self._tissue).__name__}) has no method {name}; use a tissue with "
+                             "this method")
         return method
 
 
-def peak_memory() -> int | None:
+def read_peak_memory() -> int | None:
     """Return the peak memory of this process, bytes; None if the platform does not report it."""
     # On Linux `resource` also counts the memory of the parent process at the start.
     with suppress(OSError):

@@ -59,9 +59,9 @@ class ModelTransition:
         self.offset: Screw = _NO_WRENCH
         self.free = pose
         self._correction.reset()
-        self.estimate.forget()
+        self.estimate.discard_estimate()
 
-    def distance(self, model: CondensedContact, pose: Pose) -> float:
+    def compute_distance_from_model(self, model: CondensedContact, pose: Pose) -> float:
         """Return the distance of a pose from the pose of a model, m.
 
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
@@ -80,7 +80,8 @@ class ModelTransition:
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
-    def take_over(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose, after: ContactStep) -> None:
+    def switch_to_new_model(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose,
+                            after: ContactStep) -> None:
         """Continue the wrench of the old model; the difference to the new model becomes an offset.
 
         Args:
@@ -90,22 +91,23 @@ class ModelTransition:
             pose: present pose of the tool.
             after: step at this pose on the new model.
         """
-        new, correction = self._newest, self._correction
+        new, correction = self._newest_model, self._correction
         if new.material != old.material:
-            self.settle()
+            self.clear_offset_and_correction()
             return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
-        missed, expected = added(after.wrench, scaled(-1.0, extrapolated)), correction.wrench(old.pose, pose)
+        missed = added(after.wrench, scaled(-1.0, extrapolated))
+        expected = correction.compute_omitted_wrench(old.pose, pose)
         if any(after.wrench):
-            correction.learn(missed, old.pose, new.pose)
-            self.learn(added(expected, scaled(-1.0, missed)), old, last)
+            correction.apply_secant_update(missed, old.pose, new.pose)
+            self.update_error_estimate(added(expected, scaled(-1.0, missed)), old, last)
         else:
             correction.reset()
-        for part in (expected, scaled(-1.0, missed), scaled(-1.0, correction.wrench(new.pose, pose))):
+        for part in (expected, scaled(-1.0, missed), scaled(-1.0, correction.compute_omitted_wrench(new.pose, pose))):
             self.offset = added(self.offset, part)
 
-    def learn(self, missed: Screw, old: CondensedContact, pose: Pose) -> None:
+    def update_error_estimate(self, missed: Screw, old: CondensedContact, pose: Pose) -> None:
         """Update the error estimate with the difference of the newest model and the model before.
 
         Models of undeformed tissue and models of different materials do not change the estimate.
@@ -115,35 +117,38 @@ class ModelTransition:
             old: the model before.
             pose: pose of the tool.
         """
-        new = self._newest
+        new = self._newest_model
         if new.has_contact and new.material == old.material:
-            self.estimate.learn(self._size(missed), self.distance(old, pose), self.distance(old, new.pose), new.time,
-                                new.time - old.time, self.distance(new, pose))
+            self.estimate.update_estimate(
+                self._convert_to_equivalent_force(missed), self.compute_distance_from_model(old, pose),
+                self.compute_distance_from_model(old, new.pose), new.time, new.time - old.time,
+                self.compute_distance_from_model(new, pose))
 
-    def _size(self, wrench: Screw) -> float:
-        """Return the force of a wrench, or its torque divided by the contact radius if larger, N."""
+    def _convert_to_equivalent_force(self, wrench: Screw) -> float:
+        """Return the larger of two magnitudes, N: force of a wrench, and its torque divided by the contact radius."""
         return max(math.hypot(*wrench[:3]), math.hypot(*wrench[3:]) / self._stepper.surface.radius)
 
-    def settle(self) -> None:
-        """Use the wrench of the newest model without offset and correction."""
+    def clear_offset_and_correction(self) -> None:
+        """Set offset and Broyden correction to zero, so that the wrench of the newest model is used unchanged."""
         self.offset = _NO_WRENCH
         self._correction.reset()
 
     def reduce_offset(self) -> None:
-        """Reduce the offset by at most one step of `TransitionSettings`."""
+        """Move the offset toward zero, by at most the force and torque steps of `TransitionSettings`."""
         if any(self.offset):
             force, torque = self.offset[:3], self.offset[3:]
-            self.offset = _shorten(force, TRANSITION.force_step) + _shorten(torque, TRANSITION.torque_step)
+            self.offset = (_shorten_vector(force, TRANSITION.force_step)
+                           + _shorten_vector(torque, TRANSITION.torque_step))
 
-    def answer(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
-        """Return wrench and stiffness of a step on the newest model with offset and Broyden correction."""
+    def compute_wrench_and_stiffness(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
+        """Return wrench, N and N m, and stiffness, shape (6, 6), of a step with Broyden correction and offset."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
-            wrench = added(wrench, self._correction.wrench(self._newest.pose, pose))
+            wrench = added(wrench, self._correction.compute_omitted_wrench(self._newest_model.pose, pose))
             stiffness = self._correction.corrected_stiffness(stiffness)
         return added(wrench, self.offset), stiffness
 
-    def error(self, step: ContactStep, pose: Pose, age: float) -> tuple[float, float]:
+    def estimate_wrench_error(self, step: ContactStep, pose: Pose, age: float) -> tuple[float, float]:
         """Return the estimated error of the wrench of a step, and the error that decides its status, N.
 
         Both are errors of the force, or of the torque divided by the contact radius if larger. The first is infinite
@@ -159,10 +164,10 @@ class ModelTransition:
         is_loaded = any(step.wrench)
         if not (is_loaded or self.is_near_surface(pose)):
             return math.inf, math.inf
-        distance = self.distance(self._newest, pose) if is_loaded else 0.0
-        offset = self._size(self.offset)
+        distance = self.compute_distance_from_model(self._newest_model, pose) if is_loaded else 0.0
+        offset = self._convert_to_equivalent_force(self.offset)
         depth = self._stepper.surface.start.position[2] - pose.position[2]
-        error = self.estimate.at(distance, age, depth, self._tangent_distance) + offset
+        error = self.estimate.estimate_force_error(distance, age, depth, self._tangent_distance) + offset
         return error, offset if math.isinf(error) and distance <= self.estimate.short else error
 
     @property
@@ -171,7 +176,7 @@ class ModelTransition:
 
         A tangent that was assembled in the air is that of the pose of the touch.
         """
-        model = self._newest
+        model = self._newest_model
         if not model.has_contact:
             return 0.0
         distance = self._stepper.distance(motion(model.tangent_pose, model.pose))
@@ -180,13 +185,13 @@ class ModelTransition:
         return distance
 
     @property
-    def _newest(self) -> CondensedContact:
+    def _newest_model(self) -> CondensedContact:
         assert self._stepper.model is not None
         return self._stepper.model
 
 
-def _shorten(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
-    """Shorten a vector by this length, at most to zero."""
+def _shorten_vector(vector: tuple[float, float, float], step: float) -> tuple[float, float, float]:
+    """Return the vector with its length reduced by `step`, in the same direction; zero if the vector is shorter."""
     size = math.hypot(*vector)
     factor = max(0.0, 1.0 - step / size) if size else 0.0
     x, y, z = vector

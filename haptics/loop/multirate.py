@@ -106,9 +106,9 @@ class MultiRateTissue(KernelOwner):
         self._holds = model.experiment.friction == "bonded"
         self._reduced = ReducedForce(model.material.reduced_effects(plate=model.experiment.tool.is_plate))
         self._untouched = self._reduced.history
-        self._begin()
+        self._reset_state()
 
-    def _begin(self) -> None:
+    def _reset_state(self) -> None:
         self._time, self._ticks, self.error, self._left = 0.0, 0, math.inf, 1.0
         self._answer = _AT_REST
         self._step: ContactStep | None = None
@@ -134,7 +134,7 @@ class MultiRateTissue(KernelOwner):
         if self._stepper is not None:
             return
         self._first = self._link.start()
-        surface = self._link.surface
+        surface = self._link.contact_surface
         self._stepper = CondensedStepper(surface)
         self._stepper.set_model(self._first)
         self._transition = ModelTransition(self._stepper, self.model.material.mu0)
@@ -142,13 +142,13 @@ class MultiRateTissue(KernelOwner):
         # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
         for depth in MULTIRATE.touch_depths:
             self._stepper.step(replace(surface.start, position=(x, y, z - depth * surface.radius)))
-        self._rest()
+        self._place_tool_above_tissue()
 
-    def _rest(self) -> None:
-        """Place the tool in the air above the undeformed tissue."""
+    def _place_tool_above_tissue(self) -> None:
+        """Place the tool without contact at its start pose, and reset frame and model transition."""
         assert self._stepper is not None
         self._stepper.place_in_air()
-        start = self._link.surface.start
+        start = self._link.contact_surface.start
         self._frame = TouchFrame(start, start)
         self._transition.reset(start)
 
@@ -185,7 +185,7 @@ class MultiRateTissue(KernelOwner):
         self._ticks += 1
         if not self._prepared:
             self.prepare()
-        inside = self._advance(pose, dt)
+        inside = self._register_pose(pose, dt)
         if inside is None and self._holds:
             self._answer = self._step_in_air(pose, began)
         else:
@@ -193,10 +193,10 @@ class MultiRateTissue(KernelOwner):
         self._prepared = False
         return self._answer
 
-    def _advance(self, pose: Pose, dt: float) -> float | None:
+    def _register_pose(self, pose: Pose, dt: float) -> float | None:
         """Register the pose of a step, and begin the contact if it is the first touch; see `TouchState.advance`."""
         assert self._stepper is not None
-        start, touched = self._link.surface.start, self._touch.has_touched
+        start, touched = self._link.contact_surface.start, self._touch.has_touched
         height = start.position[2]
         inside = self._touch.advance(pose.position[2] - height, dt)
         if inside is not None and not touched:
@@ -213,10 +213,10 @@ class MultiRateTissue(KernelOwner):
     def _step_in_air(self, pose: Pose, began: float) -> ToolForce:
         """Return the zero force of a bonded tool before its first touch; the bulk stays at rest."""
         assert self._stepper is not None
-        self._known, start = None, self._link.surface.start
+        self._known, start = None, self._link.contact_surface.start
         if self._ticks % MULTIRATE.ticks_between_states == 0:
-            self._link.send(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
-        status = ForceStatus.CONVERGED if self._link.alive else ForceStatus.LATE
+            self._link.send_state(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
+        status = ForceStatus.CONVERGED if self._link.is_alive else ForceStatus.LATE
         return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
                          compute_time=clock.perf_counter() - began)
 
@@ -227,7 +227,7 @@ class MultiRateTissue(KernelOwner):
         before, step = self._step, stepper.step(here)
         known, self._known, self._step, transition = self._known, None, step, self._transition
         if known is not None and before is not None:
-            transition.take_over(before, known, self._poses[-1][1] if self._poses else here, here, step)
+            transition.switch_to_new_model(before, known, self._poses[-1][1] if self._poses else here, here, step)
         if self._poses and stepper.distance(motion(self._poses[-1][1], here)) > transition.estimate.short:
             self._poses.clear()  # the tool jumped: its speed is unknown
         self._poses.append((self._time, here))
@@ -240,7 +240,7 @@ class MultiRateTissue(KernelOwner):
                 self._step = step = self._exchange_models(step, here)
         elif known is not None or self._ticks % MULTIRATE.ticks_between_states == 0:
             earlier, there = self._poses[0]
-            self._link.send(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
+            self._link.send_state(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
         return self._make_tool_force(step, here, pose, dt, began)
 
@@ -250,7 +250,7 @@ class MultiRateTissue(KernelOwner):
         self._prepared, stepper = True, self._stepper
         if stepper is None or stepper.model is None:
             return
-        model = self._link.receive(self._time)
+        model = self._link.receive_model(self._time)
         if model is not None and model.epoch == self._epoch:
             self._known = stepper.model
             self._set_model_and_times(model)
@@ -267,7 +267,7 @@ class MultiRateTissue(KernelOwner):
         model, transition = self._stepper.model, self._transition
         return (not (step.converged and self._settled) or model.material != self._material
                 or self._time - self._made > MULTIRATE.recent
-                or transition.distance(model, pose) > MULTIRATE.near * transition.estimate.short)
+                or transition.compute_distance_from_model(model, pose) > MULTIRATE.near * transition.estimate.short)
 
     def _exchange_models(self, step: ContactStep, pose: Pose) -> ContactStep:
         """Exchange states and models with the bulk until the force at a pose converges; return the last step."""
@@ -277,7 +277,7 @@ class MultiRateTissue(KernelOwner):
         for _ in range(MULTIRATE.max_exchanges):
             old = stepper.model
             # The clock is simulated: the pose must not be extrapolated by the wall time of a model.
-            model = self._link.exchange(
+            model = self._link.exchange_state_for_model(
                 stepper.state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
             if model is None:
                 break
@@ -286,12 +286,12 @@ class MultiRateTissue(KernelOwner):
             self._set_model_and_times(model)
             before, step = step, stepper.step(pose)
             missed = math.dist(before.wrench[:3], step.wrench[:3])
-            self._transition.learn(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
+            self._transition.update_error_estimate(added(step.wrench, scaled(-1.0, before.wrench)), old, pose)
             if (model.time >= self._time and model.material == self._material and step.converged
                     and missed <= max(MULTIRATE.force_floor, MULTIRATE.force_tolerance * math.hypot(*step.wrench[:3]))):
                 self._settled = True
                 break
-        self._transition.settle()
+        self._transition.clear_offset_and_correction()
         return step
 
     def _make_tool_force(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
@@ -307,12 +307,12 @@ class MultiRateTissue(KernelOwner):
         stepper, transition = self._stepper, self._transition
         assert stepper is not None and stepper.model is not None
         model = stepper.model
-        wrench, stiffness = transition.answer(step, here)
+        wrench, stiffness = transition.compute_wrench_and_stiffness(step, here)
         age = self._time - self._made
-        self.error, judged = transition.error(step, here, age)
+        self.error, judged = transition.estimate_wrench_error(step, here, age)
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
-        good = (step.converged and self._settled and self._link.alive and age <= self.oldest
+        good = (step.converged and self._settled and self._link.is_alive and age <= self.oldest
                 and not stepper.may_leave_model(here) and is_known_well(wrench, judged))
         self._left = self._reduced.commit(pose.depth, dt)
         if self._left != 1.0:
@@ -327,15 +327,15 @@ class MultiRateTissue(KernelOwner):
 
     @exclusive
     def reset(self) -> None:
-        """Restore the undeformed tissue before the first touch."""
+        """Restore the undeformed tissue, in the state before the first touch of the tool."""
         self._epoch += 1
-        self._begin()
+        self._reset_state()
         self._reduced.history = self._untouched
         if self._stepper is not None:
-            self._rest()
+            self._place_tool_above_tissue()
             self._stepper.set_model(self._first)
-            start = self._link.surface.start
-            self._link.send(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
+            start = self._link.contact_surface.start
+            self._link.send_state(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
 
     @exclusive
     def set_parameters(self, **values: float) -> None:
@@ -362,13 +362,14 @@ class MultiRateTissue(KernelOwner):
             raise InputError(f"the process of the bulk has ended ({error}). Create another MultiRateTissue",
                              field="material") from None
         self._material += 1
-        self._transition.estimate.change_modulus(material.mu0)
+        self._transition.estimate.rescale_for_shear_modulus(material.mu0)
         self.model = replace(self.model, material=material)
         history = self._reduced.history
         self._reduced = ReducedForce(material.reduced_effects(plate=self.model.experiment.tool.is_plate))
         self._reduced.history = history
 
     def snapshot(self) -> Snapshot:
-        """Return the tissue at one of the last models, in the frame of the bulk."""
+        """Return the deformed tissue, for a viewer, at one of the last models, in the frame of the bulk."""
         self.warm_up()
-        return self._link.snapshot() or Snapshot(self._link.surface.start, self._link.surface.datum, None)
+        surface = self._link.contact_surface
+        return self._link.snapshot() or Snapshot(surface.start, surface.datum, None)

@@ -47,11 +47,11 @@ class BulkProcessSettings:
         piece: bytes of a model that are read in one tick. A larger piece delivers the model earlier and takes more of
             the tick.
         end_timeout: time that the process has to end before it is killed, s.
-        longest_exchange: longest wall time that `BulkLink.exchange` blocks, s.
-        polling_interval: polling interval of `BulkLink.exchange`, s. A longer interval uses less CPU time and delays
-            the model.
-        resend_interval: time after which `BulkLink.exchange` sends the state again, s, so that a bulk without a
-            linearisation tries again.
+        longest_exchange: longest wall time that `BulkLink.exchange_state_for_model` blocks, s.
+        polling_interval: polling interval of `BulkLink.exchange_state_for_model`, s. A longer interval uses less CPU
+            time and delays the model.
+        resend_interval: time after which `BulkLink.exchange_state_for_model` sends the state again, s, so that a bulk
+            without a linearisation tries again.
         idle_sleep: sleep of the process when no new state is available, s. A longer sleep uses less CPU time and
             delays the model.
         surface_interval: time between two publications of the surface, s. A longer interval uses less CPU time.

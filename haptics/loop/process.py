@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from haptics.devices.contracts import HapticDevice
-from haptics.loop.child import PROCESS_TIMES, LoopFiles, LoopParts, run_child
+from haptics.loop.child import PROCESS_TIMES, LoopComponents, SharedLoopFiles, run_loop_child_process
 from haptics.loop.commands import COMMANDS
 from haptics.loop.loop import LoopReport, LoopSettings
 from haptics.loop.ring import RingReader
@@ -23,6 +23,7 @@ from haptics.loop.snapshot_board import SnapshotReader
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.child_process import start_with_one_thread, start_without_ctrl_c
 from tissue_sim.errors import InputError, nearest
+from tissue_sim.public_names import OldName
 from tissue_sim.registry import registered
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import Tissue
@@ -66,12 +67,12 @@ class LoopProcess:
                  settings: LoopSettings | None = None, *, ring_path: str | Path | None = None):
         self.ring_path = find_unused_path("ring") if ring_path is None else Path(ring_path)
         self.snapshot_path = self.ring_path.with_name(f"{self.ring_path.name}.snapshots")
-        self._files = LoopFiles(self.ring_path, self.snapshot_path)
+        self._files = SharedLoopFiles(self.ring_path, self.snapshot_path)
         for path in self._files:
             if path.exists():
                 raise InputError("exists already; remove the file or choose another name", file=path)
         self.message, self.report, self.patience = "not started", None, PATIENCE
-        self._parts = LoopParts(make_tissue, device, rendering, settings or LoopSettings())
+        self._parts = LoopComponents(make_tissue, device, rendering, settings or LoopSettings())
         self._process: multiprocessing.process.BaseProcess | None = None
         self._connection: Connection | None = None
         self._lock = threading.RLock()
@@ -91,7 +92,7 @@ class LoopProcess:
             raise InputError("this loop was started before; create another LoopProcess")
         context = multiprocessing.get_context("spawn")  # Taichi and threads do not work after a fork
         self._connection, far_end = context.Pipe()
-        process = context.Process(target=run_child, args=(far_end, self._parts, self._files, registered()),
+        process = context.Process(target=run_loop_child_process, args=(far_end, self._parts, self._files, registered()),
                                   name="tissue-sim loop", daemon=True)
         try:
             with start_without_ctrl_c(), start_with_one_thread():
@@ -142,12 +143,12 @@ class LoopProcess:
 
     @property
     def alive(self) -> bool:
-        """Whether the process runs."""
+        """Whether the process of the loop runs."""
         return self._process is not None and self._process.is_alive()
 
     @property
     def pid(self) -> int | None:
-        """Process id; None before the start."""
+        """Process id of the process of the loop; None before the start."""
         return None if self._process is None else self._process.pid
 
     @property
@@ -156,37 +157,41 @@ class LoopProcess:
         return None if self._process is None else self._process.exitcode
 
     def ring(self) -> RingReader:
-        """Return a reader of the ring of a loop that is ready; the caller closes the reader."""
+        """Open and return a reader of the ring of ticks of a loop that is ready; the caller closes the reader."""
         return RingReader(self.ring_path)
 
     def snapshots(self) -> SnapshotReader | None:
-        """Return a reader of the snapshots of a loop that is ready, or None; the caller closes the reader."""
+        """Open and return a reader of the snapshots of a ready loop, or None; the caller closes the reader."""
         return None if self.pattern is None else SnapshotReader(self.snapshot_path, self.pattern)
 
     def pause(self) -> None:
-        """Stop the motion and let the force fade to zero; raises the errors of `ask`."""
-        self.ask("pause")
+        """Stop the motion and let the force fade to zero; raises the errors of `execute_command`."""
+        self.execute_command("pause")
 
     def resume(self) -> None:
-        """Continue the motion after a pause; raises the errors of `ask`."""
-        self.ask("resume")
+        """Continue the motion after a pause; raises the errors of `execute_command`."""
+        self.execute_command("resume")
 
     def reset(self) -> None:
-        """Restart the motion with undeformed tissue and zero force; raises the errors of `ask`."""
-        self.ask("reset")
+        """Restart the motion with undeformed tissue and zero force; raises the errors of `execute_command`."""
+        self.execute_command("reset")
 
-    def advance(self, seconds: float) -> None:
-        """Continue the motion of a paused loop for this time, s; raises the errors of `ask`."""
-        self.ask("advance", seconds=seconds)
+    def advance_paused_motion(self, seconds: float) -> None:
+        """Continue the motion of a paused loop for this time, s; raises the errors of `execute_command`."""
+        self.execute_command("advance", seconds=seconds)
+
+    advance = OldName("advance_paused_motion")
 
     def switch_device(self, device: HapticDevice, restart: bool = False) -> None:
-        """Replace the device or motion by another one, which starts from its beginning; raises the errors of `ask`.
+        """Replace the device or motion by another one, which starts from its beginning.
+
+        Raises the errors of `execute_command`.
 
         Args:
             device: new device or motion, not started.
             restart: whether to continue with undeformed tissue and zero force.
         """
-        self.ask("switch_device", device=device, restart=restart)
+        self.execute_command("switch_device", device=device, restart=restart)
 
     def follow(self, device: HapticDevice, anew: bool = False) -> None:
         """Replace the device: deprecated name of `switch_device`."""
@@ -196,13 +201,13 @@ class LoopProcess:
         self.switch_device(device, restart=anew)
 
     def aim(self, depth: float, across: tuple[float, float] | None = None) -> None:
-        """Set the target of a `HandMotion` or of an actuated device, m; raises the errors of `ask`.
+        """Set the target of a `HandMotion` or of an actuated device, m; raises the errors of `execute_command`.
 
         Args:
             depth: target depth, m.
             across: target position across the axis, m; None: unchanged.
         """
-        self.ask("aim", depth=depth, across=across)
+        self.execute_command("aim", depth=depth, across=across)
 
     def set_parameters(self, **values: float) -> None:
         """Change parameters of the tissue between two ticks.
@@ -211,9 +216,9 @@ class LoopProcess:
             InputError: the tissue refuses a value; the loop continues unchanged.
             LoopError: the process has ended or does not answer.
         """
-        self.ask("set_parameters", **values)
+        self.execute_command("set_parameters", **values)
 
-    def ask(self, command: str, **values: Any) -> None:
+    def execute_command(self, command: str, **values: Any) -> None:
         """Send one of `haptics.loop.commands.COMMANDS` with its arguments, and wait until it is executed.
 
         Raises:
@@ -237,6 +242,8 @@ class LoopProcess:
             if self._answers and self._answers[0]:
                 raise InputError(self._answers[0])
 
+    ask = OldName("execute_command")
+
     def wait(self, timeout: float | None = None) -> LoopReport | None:
         """Wait for the end of the loop.
 
@@ -256,7 +263,7 @@ class LoopProcess:
             if remaining <= 0 and until is not None:
                 return None
             self._read_messages(min(remaining, 0.5))
-        self._end_process(PATIENCE)
+        self._join_or_kill_process(PATIENCE)
         return self.report
 
     def stop(self) -> LoopReport | None:
@@ -266,9 +273,9 @@ class LoopProcess:
             while connection is not None and not self._ready and connection.poll():
                 self._read_messages(0.0)
             if self._ready and self.report is None:
-                self.ask("stop")
+                self.execute_command("stop")
                 self.wait(PATIENCE)
-        self._end_process(0.0 if self.report is None and self._failure is None else PATIENCE)
+        self._join_or_kill_process(0.0 if self.report is None and self._failure is None else PATIENCE)
         return self.report
 
     def __enter__(self) -> LoopProcess:
@@ -287,7 +294,7 @@ class LoopProcess:
         """
         process, connection = self._process, self._connection
         if process is None or connection is None:
-            raise LoopError("the loop was not started")
+            raise LoopError("the loop was not started; call start first")
         with self._lock:
             if self.report is not None:
                 return
@@ -297,9 +304,9 @@ class LoopProcess:
                         self._handle_message(*connection.recv())
                 except (EOFError, OSError):
                     process.join(PATIENCE)
-                    self._failure = LoopError(self._describe_end())
+                    self._failure = LoopError(self._describe_unexpected_end())
             if self._failure is not None:
-                self._remove_files()
+                self._remove_shared_files()
                 raise self._failure
 
     def _handle_message(self, kind: str, content: Any) -> None:
@@ -320,7 +327,7 @@ class LoopProcess:
             problem, of_input = content
             self.message, self._failure = problem, InputError(problem) if of_input else LoopError(problem)
 
-    def _describe_end(self) -> str:
+    def _describe_unexpected_end(self) -> str:
         """Return a sentence about the unexpected end of the process, and store it as the message."""
         code = self.exit_code
         how = f"was killed by signal {-code}" if code is not None and code < 0 else f"ended with code {code}"
@@ -330,8 +337,8 @@ class LoopProcess:
         self.message = f"the process of the loop {how}; before that: {self.message}"
         return self.message
 
-    def _end_process(self, patience: float) -> None:
-        """Wait for the end of the process for this time, s, then terminate it."""
+    def _join_or_kill_process(self, patience: float) -> None:
+        """Wait `patience` s for the end of the process, terminate or kill it if necessary, and remove its files."""
         process, connection = self._process, self._connection
         if process is None or connection is None:
             return
@@ -341,8 +348,8 @@ class LoopProcess:
                 enforce()
                 process.join(PATIENCE)
         connection.close()
-        self._remove_files()
+        self._remove_shared_files()
 
-    def _remove_files(self) -> None:
+    def _remove_shared_files(self) -> None:
         for path in self._files:
             remove_file(path)

@@ -17,8 +17,8 @@ PRIORITY = 10
 _PR_SET_TIMERSLACK = 29
 
 
-class MemoryLock(IntFlag):
-    """Flags of ``mlockall`` (Linux, mman.h)."""
+class MemoryLockFlags(IntFlag):
+    """Flags of the system call ``mlockall``, which keeps pages of this process in memory (Linux, mman.h)."""
 
     #: Lock present pages in memory.
     CURRENT = 1
@@ -44,7 +44,7 @@ class RealTimeFeature:
 
 
 @contextmanager
-def real_time(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
+def request_real_time_features(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[RealTimeFeature, ...]]:
     """Request real-time features for this thread and process; all are released at the end of the block.
 
     Call it after memory is allocated and kernels are compiled. A refused feature raises no exception; the yielded
@@ -68,7 +68,7 @@ def real_time(wanted: bool = True, priority: int = PRIORITY) -> Iterator[tuple[R
         yield tuple(features)
 
 
-def claim_fifo(undo: ExitStack, priority: int) -> str:
+def request_fifo_scheduling(undo: ExitStack, priority: int) -> str:
     """Request SCHED_FIFO scheduling until `undo` is closed; return the reason of a refusal, or an empty string."""
     if not hasattr(os, "sched_setscheduler"):
         return f"not available on {sys.platform}; other processes may delay ticks"
@@ -87,7 +87,7 @@ def _lock_memory(undo: ExitStack, _: int) -> str:
     if not sys.platform.startswith("linux"):
         return f"not available on {sys.platform}; swapping of memory may delay the loop"
     libc = ctypes.CDLL(None, use_errno=True)
-    if libc.mlockall(MemoryLock.CURRENT | MemoryLock.FUTURE | MemoryLock.ON_FAULT) != 0:
+    if libc.mlockall(MemoryLockFlags.CURRENT | MemoryLockFlags.FUTURE | MemoryLockFlags.ON_FAULT) != 0:
         return (f"{os.strerror(ctypes.get_errno())}; 'ulimit -l' shows how many kB may be locked: add 'USER - memlock "
                 "unlimited' to /etc/security/limits.d/memlock.conf and log in again (in a container: --ulimit "
                 "memlock=-1)")
@@ -106,7 +106,7 @@ def _reduce_timer_slack(undo: ExitStack, _: int) -> str:
     return ""
 
 
-def _disable_collection(undo: ExitStack, _: int) -> str:
+def _disable_garbage_collection(undo: ExitStack, _: int) -> str:
     """Collect garbage once, then disable the collection of reference cycles; never refused."""
     gc.collect()
     gc.freeze()
@@ -119,8 +119,8 @@ def _disable_collection(undo: ExitStack, _: int) -> str:
 
 #: Features in the order of their requests; memory is locked after the garbage collection has freed it.
 _FEATURES: dict[str, Callable[[ExitStack, int], str]] = {
-    "no garbage collection": _disable_collection,
+    "no garbage collection": _disable_garbage_collection,
     "locked memory": _lock_memory,
     "timer slack": _reduce_timer_slack,
-    "SCHED_FIFO": claim_fifo,
+    "SCHED_FIFO": request_fifo_scheduling,
 }

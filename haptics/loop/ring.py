@@ -67,8 +67,8 @@ _UNKNOWN = (math.nan,) * 7
 
 
 @dataclass(frozen=True, eq=False)
-class Ticks:
-    """Ticks read from a ring.
+class TickBatch:
+    """Ticks that one call of `RingReader.since` has read, with the argument of the next call.
 
     Attributes:
         records: ticks in the order of writing, dtype `TICK`, shape (n,).
@@ -96,8 +96,8 @@ class RingWriter(SlotWriter):
         super().__init__(path, _KIND, capacity, TICK.itemsize)
         self._record = bytearray(TICK.itemsize)
 
-    def append(self, tick: int, time: float, device: Pose | None, tool: Pose, wrench: Screw, answer: ToolForce,
-               compute_time: float, lateness: float, late: int, missed: int, flags: int) -> int:
+    def append_tick(self, tick: int, time: float, device: Pose | None, tool: Pose, wrench: Screw, answer: ToolForce,
+                    compute_time: float, lateness: float, late: int, missed: int, flags: int) -> int:
         """Add a tick and return the number of ticks added so far.
 
         Args:
@@ -146,13 +146,13 @@ class RingReader(SlotReader):
 
     def latest(self) -> np.void | None:
         """Return the newest tick, a record of dtype `TICK`; None before the first tick."""
-        newest = self.newest()
+        newest = self.read_newest_content()
         return None if newest is None else _read_tick_records(newest[1])[0]
 
-    def since(self, number: int = 0) -> Ticks:
-        """Return the ticks written after this number of ticks; 0: all ticks in the ring."""
-        contents, newest, lost = self.after(number)
-        return Ticks(_read_tick_records(*contents), newest, lost)
+    def since(self, number: int = 0) -> TickBatch:
+        """Return the ticks after the first `number` ticks of the loop; 0: all ticks that the ring still holds."""
+        contents, newest, lost = self.read_contents_after(number)
+        return TickBatch(_read_tick_records(*contents), newest, lost)
 
 
 def _read_tick_records(*contents: bytes) -> np.ndarray:

@@ -76,7 +76,7 @@ def get_runtime_folder() -> Path:
 
 
 def find_unused_path(ending: str) -> Path:
-    """Return an unused path in `get_runtime_folder` with this file name extension."""
+    """Return the path of a new file in `get_runtime_folder` with the file name extension `ending`; creates no file."""
     return get_runtime_folder() / f"{os.getpid()}-{secrets.token_hex(4)}.{ending}"
 
 
@@ -102,7 +102,7 @@ class SlotWriter:
         total = SLOTS.head_size + count * self._stride
         empty = HEAD.pack(kind, SLOTS.version, self._stride, count, os.getpid()).ljust(total, b"\0")
         try:
-            _create_atomically(self.path, empty)
+            _create_file_atomically(self.path, empty)
             with self.path.open("r+b") as stream:
                 self._map = mmap.mmap(stream.fileno(), total)
         except FileExistsError:
@@ -176,7 +176,7 @@ class SlotReader:
 
     @property
     def written(self) -> int:
-        """Number of the newest slot; 0 before the first."""
+        """Number of the newest written content, counted from 1; 0 before the first."""
         return self._numbers[0]
 
     @property
@@ -185,7 +185,7 @@ class SlotReader:
         return self._numbers[1] != 0
 
     def read(self, number: int) -> bytes | None:
-        """Return the content of a number; None if it is overwritten, incomplete or not yet written."""
+        """Return the content with this number; None if it is overwritten, incomplete or not yet written."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         copy = self._map[offset:offset + self._stride]
         found, length, checksum = _SLOT.unpack_from(copy)
@@ -193,25 +193,25 @@ class SlotReader:
         return content if found == number and checksum == _compute_checksum(content, number) else None
 
     @property
-    def size(self) -> int:
+    def max_content_size(self) -> int:
         """Maximum size of the content of a slot, bytes."""
         return self._stride - _SLOT.size
 
-    def head(self, number: int) -> tuple[int, int]:
-        """Return length (bytes) and checksum of the content of a number; (0, -1) if it is overwritten."""
+    def read_slot_header(self, number: int) -> tuple[int, int]:
+        """Return length, bytes, and checksum of the content with this number; (0, -1) if it is overwritten."""
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride
         found, length, checksum = _SLOT.unpack_from(self._map, offset)
-        return (length, checksum) if found == number and length <= self.size else (0, -1)
+        return (length, checksum) if found == number and length <= self.max_content_size else (0, -1)
 
-    def part(self, number: int, start: int, end: int) -> bytes:
+    def read_content_range(self, number: int, start: int, end: int) -> bytes:
         """Return the bytes from `start` to `end` of the content of a number, without a check.
 
-        The caller checks all parts together with the CRC-32 from `head`, whose start value is the number.
+        The caller checks all parts together with the CRC-32 from `read_slot_header`, whose start value is the number.
         """
         offset = SLOTS.head_size + (number - 1) % self.count * self._stride + _SLOT.size
         return self._map[offset + start:offset + end]
 
-    def newest(self) -> tuple[int, bytes] | None:
+    def read_newest_content(self) -> tuple[int, bytes] | None:
         """Return number and content of the newest slot; None before the first.
 
         Raises:
@@ -224,9 +224,10 @@ class SlotReader:
             content = self.read(number)
             if content is not None:
                 return number, content
-        raise InputError("holds no complete record", file=self.path)
+        raise InputError("must hold a complete record; found none in repeated reads. Start the loop that writes the "
+                         "file again", file=self.path)
 
-    def after(self, number: int) -> tuple[list[bytes], int, int]:
+    def read_contents_after(self, number: int) -> tuple[list[bytes], int, int]:
         """Read all slots after a number.
 
         Args:
@@ -275,7 +276,7 @@ def _compute_checksum(content, number: int) -> int:
     return zlib.crc32(content, number & 0xFFFFFFFF)
 
 
-def _create_atomically(path: Path, content: bytes) -> None:
+def _create_file_atomically(path: Path, content: bytes) -> None:
     """Create a file with access for this user only, which appears with its complete content.
 
     The content fills the file, so that a full disk causes an error here and not in a tick.

@@ -45,7 +45,7 @@ KIND_MODEL = b"tsBULK\0\0"
 KIND_CORRECTION = b"tsCORR\0\0"
 
 
-class Started(NamedTuple):
+class BulkReadyMessage(NamedTuple):
     """Message to the parent when the bulk is ready.
 
     Attributes:
@@ -71,36 +71,37 @@ def make_linearisation(model: Model, solver: str, resolution: str, mesh: Any) ->
     return LINEARISATIONS.find(solver, "solver")(model, resolution=resolution, mesh=mesh)
 
 
-def start_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
-    """Start a computation in a thread and return a function that tells whether it is finished."""
+def start_computation_in_thread(compute: Callable[[], None]) -> Callable[[], bool]:
+    """Start a computation in a thread, and return a function that returns True once the computation has finished."""
     thread = threading.Thread(target=compute, daemon=True)
     thread.start()
     return lambda: not thread.is_alive()
 
 
 def make_untouched_state(surface: ContactSurface) -> ContactState:
-    """Return the state of a tool without contact on undeformed tissue."""
+    """Return the contact state of undeformed tissue whose tool is at its start pose without contact."""
     zeros, count = np.zeros((len(surface.places), 3)), len(surface.places)
     return ContactState(0, 0, 0.0, surface.start, 0.0, surface.start, zeros, zeros, np.zeros((3, count)), False)
 
 
-def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
+def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     """Create the bulk, notify the parent, and linearise until the input ends.
 
     Args:
         task: packed call that creates the linearisation.
         orders: input: first the paths of states, models, corrections and surface, then changes of the material, each a
             pair (number, material).
-        answers: output: a `Started`, or the error that prevented the start.
+        answers: output: a `BulkReadyMessage`, or the error that prevented the start.
     """
     paths = states_path, models_path, corrections_path, surface_path = pickle.load(orders)
     try:
         bulk = run_packed(task)
         predictive = PredictiveLinearisation(bulk)
         first = predictive.linearise(make_untouched_state(bulk.surface), 0.0, 0.0)
-        bulk.executor = start_in_thread
+        bulk.executor = start_computation_in_thread
         if first is None:
-            raise InputError("the untouched tissue has no linearisation", field="specimen")
+            raise InputError("the bulk must have a linearisation of the undeformed tissue; the solver returned none",
+                             field="specimen")
     except (InputError, ConvergenceError, MissingBackendError) as error:
         pickle.dump(error, answers)
         answers.flush()
@@ -110,18 +111,18 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
     with (SlotWriter(models_path, KIND_MODEL, SLOTS.count, whole) as models,
           SlotWriter(corrections_path, KIND_CORRECTION, SLOTS.count, part) as corrections,
           SnapshotBoard(surface_path, pattern) as board):
-        pickle.dump(Started(bulk.surface, first, pattern), answers)
+        pickle.dump(BulkReadyMessage(bulk.surface, first, pattern), answers)
         answers.flush()
         orders.readline()  # wait until the parent has opened the files
         materials: deque[tuple[int, Material]] = deque()
         threading.Thread(target=_receive_materials, args=(orders, materials, paths), daemon=True).start()
         with SlotReader(states_path, KIND_STATE) as states:
-            _run_linearisation(bulk, predictive, states, (models, corrections), board, materials)
+            _run_linearisation_loop(bulk, predictive, states, (models, corrections), board, materials)
 
 
-def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisation, states: SlotReader,
-                       writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
-                       materials: deque[tuple[int, Material]]) -> None:
+def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinearisation, states: SlotReader,
+                            writers: tuple[SlotWriter, SlotWriter], board: SnapshotBoard,
+                            materials: deque[tuple[int, Material]]) -> None:
     """Linearise the bulk at each new state and publish the models; never returns."""
     models, corrections = writers
     seen, lead, shown, changed, serves = 0, 0.0, 0.0, time.monotonic(), 0.0
@@ -133,7 +134,7 @@ def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisat
             except InputError as refused:
                 # No model will have this number, so the status in the parent is LATE until the next change.
                 print(f"the bulk keeps its material: {refused}", file=sys.stderr, flush=True)
-        newest = states.newest() if states.written != seen else None
+        newest = states.read_newest_content() if states.written != seen else None
         if newest is None:
             time.sleep(BULK_PROCESS.idle_sleep)
             continue
@@ -170,14 +171,14 @@ def _receive_materials(orders: BinaryIO, materials: deque[tuple[int, Material]],
 
 
 def main() -> None:
-    """Run the task that is sent through the standard input."""
+    """Entry point of the process of a bulk: read the task from the standard input and run `run_bulk_process`."""
     orders = sys.stdin.buffer
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "wb")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # printed text must not mix with the binary output
     if hasattr(os, "nice"):
         os.nice(BULK_PROCESS.niceness)  # the loop has priority on computers with few cores
     size, = struct.unpack("<Q", orders.read(8))
-    serve(orders.read(size), orders, answers)
+    run_bulk_process(orders.read(size), orders, answers)
 
 
 if __name__ == "__main__":

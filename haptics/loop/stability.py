@@ -29,13 +29,13 @@ class OscillationCriteria:
     largest: float = 0.05
 
 
-#: Criteria of `simulate_depths` and `measure_oscillation`.
+#: Criteria of `simulate_device_depths` and `measure_oscillation_amplitude`.
 OSCILLATION = OscillationCriteria()
 
 
 
-def simulate_depths(tissue: Tissue, device: HapticDevice, rendering: ForceRendering, seconds: float,
-                    tick: float = 1e-3) -> np.ndarray:
+def simulate_device_depths(tissue: Tissue, device: HapticDevice, rendering: ForceRendering, seconds: float,
+                           tick: float = 1e-3) -> np.ndarray:
     """Simulate a loop without delays and return the depth of the device at each tick.
 
     The simulation ends early if the device is more than 50 mm from its start. An unknown pose is replaced by the
@@ -65,14 +65,14 @@ def simulate_depths(tissue: Tissue, device: HapticDevice, rendering: ForceRender
     return np.array(depths)
 
 
-def measure_oscillation(depths: np.ndarray, tick: float = 1e-3) -> float:
+def measure_oscillation_amplitude(depths: np.ndarray, tick: float = 1e-3) -> float:
     """Return the peak-to-peak amplitude of a sustained oscillation in the last half second, m.
 
     An oscillation is sustained (growing, or a limit cycle) if its amplitude exceeds 0.05 mm and has not decreased by a
     tenth from the half second before. The hand must hold still, because its own motion counts as oscillation.
 
     Args:
-        depths: depths from `simulate_depths`, m, for at least two windows or until the device was unstable.
+        depths: depths from `simulate_device_depths`, m, for at least two windows or until the device was unstable.
         tick: period of the loop, s.
 
     Returns:

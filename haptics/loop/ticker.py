@@ -53,8 +53,8 @@ _LINEAR = 1 << BINS.fineness
 
 
 @dataclass(frozen=True)
-class Quantiles:
-    """Quantiles of a time, s. The maximum is exact, the others have an error of at most 2 %.
+class TimeQuantiles:
+    """TimeQuantiles of a time, s. The maximum is exact, the others have an error of at most 2 %.
 
     Attributes:
         p50: median.
@@ -74,15 +74,15 @@ class TimeHistogram:
 
     def __init__(self):
         self.count, self._maximum = 0, 0
-        self._bins = array("Q", bytes(8 * (_bin_index(1 << BINS.largest) + 1)))
+        self._bins = array("Q", bytes(8 * (_find_bin_index(1 << BINS.largest) + 1)))
 
-    def add(self, nanoseconds: int) -> None:
+    def add_time(self, nanoseconds: int) -> None:
         """Add a time, ns; a negative time counts as zero."""
         nanoseconds = max(nanoseconds, 0)
         self.count += 1
         if nanoseconds > self._maximum:
             self._maximum = nanoseconds
-        self._bins[_bin_index(min(nanoseconds, 1 << BINS.largest))] += 1
+        self._bins[_find_bin_index(min(nanoseconds, 1 << BINS.largest))] += 1
 
     def quantile(self, share: float) -> float:
         """Return the time, s, that a fraction `share` (0 to 1) of all times does not exceed; 0 without times."""
@@ -90,27 +90,27 @@ class TimeHistogram:
             return 0.0
         rank = max(math.ceil(share * self.count), 1)
         index = next(index for index, below in enumerate(accumulate(self._bins)) if below >= rank)
-        return min(_middle_of_bin(index), self._maximum) / 1e9
+        return min(_compute_bin_midpoint(index), self._maximum) / 1e9
 
     @property
     def maximum(self) -> float:
-        """Longest time, s, exact."""
+        """Longest added time, s, without the rounding of the bins."""
         return self._maximum / 1e9
 
     @property
-    def quantiles(self) -> Quantiles:
-        """Median, 99 % and 99.9 % quantile and maximum, s."""
-        return Quantiles(self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), self.maximum)
+    def quantiles(self) -> TimeQuantiles:
+        """Median, 99 % quantile, 99.9 % quantile and maximum of the added times, s."""
+        return TimeQuantiles(self.quantile(0.5), self.quantile(0.99), self.quantile(0.999), self.maximum)
 
 
-def _bin_index(nanoseconds: int) -> int:
-    """Return the bin of a time: bins of 1 ns up to `_LINEAR` ns, then as many bins per doubling."""
+def _find_bin_index(nanoseconds: int) -> int:
+    """Return the index of the bin of a time, ns: bins of 1 ns up to `_LINEAR` ns, then `_LINEAR` bins per doubling."""
     doublings = max(nanoseconds.bit_length() - BINS.fineness - 1, 0)
     return doublings * _LINEAR + (nanoseconds >> doublings)
 
 
-def _middle_of_bin(index: int) -> float:
-    """Return the middle of a bin, ns."""
+def _compute_bin_midpoint(index: int) -> float:
+    """Return the time at the middle of a bin with this index, ns."""
     doublings = max(index // _LINEAR - 1, 0)
     return (index - doublings * _LINEAR + 0.5 * (doublings > 0)) * (1 << doublings)
 
@@ -164,8 +164,8 @@ class Ticker:
         self._start = self._counted = self._clock()
         self._owed = 0
 
-    def wait(self) -> int:
-        """Wait for the next deadline and return the lateness, ns."""
+    def wait_for_deadline(self) -> int:
+        """Wait for the next deadline, and return the time by which this call ends after the deadline, ns."""
         clock = self._clock
         deadline = self._start + (self.number + 1) * self._period
         now = clock()
@@ -185,10 +185,10 @@ class Ticker:
         self.number += 1 + passed
         self.ticks += 1
         self.late += lateness > self._late
-        self.lateness.add(lateness)
+        self.lateness.add_time(lateness)
         return lateness
 
     @property
-    def elapsed(self) -> int:
+    def elapsed_time(self) -> int:
         """Time since the start, ns."""
         return self._clock() - self._start

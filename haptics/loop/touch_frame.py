@@ -48,7 +48,7 @@ def interpolate_touch_pose(before: Pose | None, pose: Pose, height: float) -> Po
 
 
 def _apply_motion(start: Pose, end: Pose, other: Pose) -> Pose:
-    """Apply the translation and rotation from `start` to `end` to another pose."""
+    """Return the pose `other` moved by the translation and rotation from `start` to `end`."""
     x, y, z, *rotation = motion(start, end)
     a, b, c = other.position
     moved = Pose((a + x, b + y, c + z), other.orientation)

@@ -46,7 +46,7 @@ class AtiCalibration:
     volts: tuple[float, float]
     rows: str
 
-    def wrench(self, volts: Row) -> Row:
+    def compute_wrench(self, volts: Row) -> Row:
         """Return forces, N, and torques, N m, for six differences of voltage, V."""
         return tuple(sum(factor * volt for factor, volt in zip(row, volts, strict=True)) for row in self.matrix)
 
@@ -62,11 +62,11 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
         InputError: The file is damaged, is no calibration file, or lacks an element; the message names the cause.
     """
     if len(text) > MAX_SIZE:
-        raise InputError("must be smaller than 1 MB to be a calibration file; give the .cal file of the sensor",
+        raise InputError("a calibration file must be smaller than 1 MB; give the .cal file of the sensor",
                          file=name)
     data = text if isinstance(text, bytes) else text.encode("utf-8", "replace")
     if b"<!ENTITY" in data:
-        raise InputError("must not define entities to be a calibration file; give the .cal file of the sensor",
+        raise InputError("a calibration file must not define XML entities; give the .cal file of the sensor",
                          file=name)
     try:
         root = ElementTree.fromstring(text)
@@ -80,12 +80,12 @@ def read_calibration(text: str | bytes, name: str = "the calibration file") -> A
     if calibration is None:
         raise InputError("has no Calibration; copy the .cal file from the sensor's disc again", file=name)
     if sensor.get("NumGages", "6").strip() != "6":
-        raise InputError(f"must be of a sensor with six gages; got {sensor.get('NumGages')} gages. Give the file of "
-                         "another sensor", file=name)
+        raise InputError(f"the calibration must be of a sensor with six gages; got {sensor.get('NumGages')} gages. "
+                         "Give the file of another sensor", file=name)
     force = _read_unit(calibration, "ForceUnits", FORCE_UNITS, name)
     torque = _read_unit(calibration, "TorqueUnits", TORQUE_UNITS, name)
     rows = "UserAxis" if calibration.find("UserAxis") is not None else "Axis"
-    matrix, reach = _read_rows(calibration, rows, name)
+    matrix, reach = _read_matrix_rows(calibration, rows, name)
     if rows == "Axis":
         matrix = _move_torques(calibration, matrix, name)
     units = (force,) * 3 + (torque,) * 3
@@ -121,7 +121,7 @@ def _parse_numbers(text: str | None, count: int, quantity: str, name: str) -> Ro
     return numbers
 
 
-def _read_rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
+def _read_matrix_rows(calibration: ElementTree.Element, tag: str, name: str) -> tuple[tuple[Row, ...], Row]:
     """Return the six rows and the largest value of each component, in the units of the file."""
     elements: dict[str, ElementTree.Element] = {}
     for element in calibration.findall(tag):
@@ -172,12 +172,13 @@ def _move_torques(calibration: ElementTree.Element, matrix: tuple[Row, ...], nam
     lever = FORCE_UNITS[force] * LENGTH_UNITS[lengths.strip()] / TORQUE_UNITS[torque.replace("N m", "N-m")]
     fx, fy, fz, tx, ty, tz = matrix
 
-    def subtract(torques: Row, offset_1: float, force_1: Row, offset_2: float, force_2: Row) -> Row:
-        """Return torques - lever (offset_1 force_1 - offset_2 force_2)."""
+    def subtract_lever_torque(torques: Row, offset_1: float, force_1: Row, offset_2: float, force_2: Row) -> Row:
+        """Return torques minus the moment of two forces: torques - lever (offset_1 force_1 - offset_2 force_2)."""
         return tuple(value - lever * (offset_1 * a - offset_2 * b)
                      for value, a, b in zip(torques, force_1, force_2, strict=True))
 
-    return fx, fy, fz, subtract(tx, y, fz, z, fy), subtract(ty, z, fx, x, fz), subtract(tz, x, fy, y, fx)
+    return (fx, fy, fz, subtract_lever_torque(tx, y, fz, z, fy), subtract_lever_torque(ty, z, fx, x, fz),
+            subtract_lever_torque(tz, x, fy, y, fx))
 
 
 def _read_output_span(calibration: ElementTree.Element, name: str) -> tuple[float, float]:

@@ -20,7 +20,7 @@ CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
 
 
 @dataclass(frozen=True)
-class RecordFormat:
+class RecordLimitsAndLengths:
     """Range and lengths of the records on the line.
 
     Attributes:
@@ -41,7 +41,7 @@ class RecordFormat:
 
 
 #: Format of every sensor of this kind.
-FORMAT = RecordFormat()
+FORMAT = RecordLimitsAndLengths()
 #: End of an answer.
 PROMPT = b">"
 #: End of a command.
@@ -59,31 +59,31 @@ _PADDED = re.compile(rf"[0-9](?:,(?=.{{{FORMAT.padded_width}}}(?:,|\Z)) *{_COUNT
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class AtiSerialRecord:
     """One sample.
 
     Attributes:
         flag: 0, or an error: saturation, or a disconnected sensor.
-        counts: Counts of `CHANNELS`, `RecordFormat.lowest_count` to `RecordFormat.highest_count`.
+        counts: Counts of `CHANNELS`, `RecordLimitsAndLengths.lowest_count` to `RecordLimitsAndLengths.highest_count`.
     """
 
     flag: int
     counts: tuple[int, ...]
 
 
-def encode_ascii(record: Record, padded: bool = True) -> bytes:
+def encode_ascii_record(record: AtiSerialRecord, padded: bool = True) -> bytes:
     """Return a record as a line without its ending."""
     width = FORMAT.padded_width if padded else 0
     return ",".join([str(record.flag), *(f"{count:{width}d}" for count in record.counts)]).encode("ascii")
 
 
-def decode_ascii(line: bytes, padded: bool | None = None) -> Record | None:
+def decode_ascii_record(line: bytes, padded: bool | None = None) -> AtiSerialRecord | None:
     """Return the record in a line without its ending; None: the line is no record.
 
-    Accepts exactly the lines that `encode_ascii` writes, so most transmission errors are detected. Without a checksum
-    these errors are undetectable: a digit, sign or blank replaced by another one that leaves a valid number; the
-    beginning of one record joined to the end of another where the fields fit; without padding, a missing or additional
-    digit.
+    Accepts exactly the lines that `encode_ascii_record` writes, so most transmission errors are detected. Without a
+    checksum these errors are undetectable: a digit, sign or blank replaced by another one that leaves a valid number;
+    the beginning of one record joined to the end of another where the fields fit; without padding, a missing or
+    additional digit.
 
     Args:
         line: Bytes of the line.
@@ -98,28 +98,28 @@ def decode_ascii(line: bytes, padded: bool | None = None) -> Record | None:
         return None
     flag, *counts = (int(field) for field in text.split(","))
     is_in_range = all(FORMAT.lowest_count <= count <= FORMAT.highest_count for count in counts)
-    return Record(flag, tuple(counts)) if is_in_range else None
+    return AtiSerialRecord(flag, tuple(counts)) if is_in_range else None
 
 
-def is_padded(line: bytes) -> bool:
+def has_padded_fields(line: bytes) -> bool:
     """Return True if a line without its ending is a record with padded fields."""
-    return decode_ascii(line, padded=True) is not None
+    return decode_ascii_record(line, padded=True) is not None
 
 
-def encode_binary(record: Record) -> bytes:
+def encode_binary_record(record: AtiSerialRecord) -> bytes:
     """Return the 13 bytes of a record."""
     return _BINARY.pack(record.flag, *record.counts)
 
 
-def decode_binary(data: bytes) -> Record | None:
+def decode_binary_record(data: bytes) -> AtiSerialRecord | None:
     """Return the record in 13 bytes; None: the length is wrong. Transmission errors are undetectable."""
     if len(data) != FORMAT.binary_length:
         return None
     flag, *counts = _BINARY.unpack(data)
-    return Record(flag, tuple(counts))
+    return AtiSerialRecord(flag, tuple(counts))
 
 
-def is_at_end_of_range(record: Record) -> bool:
+def has_count_at_end_of_range(record: AtiSerialRecord) -> bool:
     """Return True if a count is the largest or the smallest one: the true value may be beyond it."""
     return any(count in (FORMAT.lowest_count, FORMAT.highest_count) for count in record.counts)
 

@@ -31,7 +31,7 @@ STATES = ("Idle", "Run", "Hold", "Jog", "Alarm", "Door", "Check", "Home", "Sleep
 LEAST_FEED = 1.0
 
 
-class Setting(IntEnum):
+class GrblSetting(IntEnum):
     """Numbers of settings ``$$``. For settings of an axis this is the number of X; those of Y and Z follow."""
 
     #: 1: reports are in inches.
@@ -100,7 +100,7 @@ _WORD = re.compile(r"([A-Z])(-?(?:\d+\.?\d*|\.\d+))")
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
+class StatusReport:
     """A status report; lengths in mm.
 
     Attributes:
@@ -123,7 +123,7 @@ class Report:
 
 
 @dataclass(frozen=True, slots=True)
-class Jog:
+class JogCommand:
     """A jog command, in millimetres; inches were converted.
 
     Attributes:
@@ -144,7 +144,7 @@ def encode_jog(axis: str, target: float, feed: float) -> bytes:
     return f"$J=G53G21G90{axis}{target:.4f}F{feed:.3f}\n".encode()
 
 
-def parse_jog(line: str) -> Jog | None:
+def parse_jog(line: str) -> JogCommand | None:
     """Return the jog of a line without its ending; None: Grbl would refuse the line with an error."""
     found = _JOG.fullmatch(line.replace(" ", "").upper())
     if not found:
@@ -167,14 +167,14 @@ def parse_jog(line: str) -> Jog | None:
             return None
     if not targets or not feed > 0:
         return None
-    return Jog(feed * scale, {axis: value * scale for axis, value in targets.items()}, relative, machine)
+    return JogCommand(feed * scale, {axis: value * scale for axis, value in targets.items()}, relative, machine)
 
 
 def _parse_numbers(text: str) -> tuple[float, ...]:
     return tuple(float(number) for number in text.split(","))
 
 
-def parse_report(line: str) -> Report | None:
+def parse_report(line: str) -> StatusReport | None:
     """Return the status report of a line; None: the line is no complete report."""
     found = _REPORT.fullmatch(line)
     if not found:
@@ -198,26 +198,26 @@ def parse_report(line: str) -> Report | None:
     numbers = _parse_numbers(coordinates)
     if offset is not None and len(offset) != len(numbers):
         return None
-    return Report(state, None if substate is None else int(substate), numbers if kind == "M" else None,
-                  numbers if kind == "W" else None, offset, pins, feed)
+    return StatusReport(state, None if substate is None else int(substate), numbers if kind == "M" else None,
+                        numbers if kind == "W" else None, offset, pins, feed)
 
 
-def format_report(report: Report) -> str:
+def format_report(report: StatusReport) -> str:
     """Return the line of a report; a feed rate is followed by a spindle speed of 0."""
-    def join(numbers: tuple[float, ...]) -> str:
+    def join_numbers(numbers: tuple[float, ...]) -> str:
         return ",".join(f"{number:.3f}" for number in numbers)
 
     parts = [report.state if report.substate is None else f"{report.state}:{report.substate}"]
     if report.machine is not None:
-        parts.append("MPos:" + join(report.machine))
+        parts.append("MPos:" + join_numbers(report.machine))
     elif report.work is not None:
-        parts.append("WPos:" + join(report.work))
+        parts.append("WPos:" + join_numbers(report.work))
     if report.feed is not None:
         parts.append(f"FS:{report.feed:.0f},0")
     if report.pins:
         parts.append("Pn:" + report.pins)
     if report.offset is not None:
-        parts.append("WCO:" + join(report.offset))
+        parts.append("WCO:" + join_numbers(report.offset))
     return f"<{'|'.join(parts)}>"
 
 
@@ -247,12 +247,12 @@ def parse_banner(line: str) -> str | None:
     return found[1] if found else None
 
 
-def error_text(number: int) -> str:
-    """Return cause and remedy of an error."""
+def describe_error(number: int) -> str:
+    """Return cause and remedy of an error of Grbl by its number."""
     return ERRORS.get(number, "the line of G-code cannot be executed")
 
 
-def alarm_text(number: int | None) -> str:
+def describe_alarm(number: int | None) -> str:
     """Return cause and remedy of an alarm; None: the alarm is older than the connection."""
     if number is None:
         return "its cause was reported before this program connected; home it"

@@ -49,7 +49,7 @@ _AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True, slots=True)
-class HapticState:
+class HaplyDeviceState:
     """State of one device in a message of the service.
 
     Attributes:
@@ -69,7 +69,7 @@ class HapticState:
     status: Mapping[str, Any] = field(default_factory=dict)
 
 
-def read_state(message: str | bytes, device_id: str | None = None) -> HapticState | None:
+def decode_device_state(message: str | bytes, device_id: str | None = None) -> HaplyDeviceState | None:
     """Return the state of a device in a message of the service.
 
     Args:
@@ -82,8 +82,8 @@ def read_state(message: str | bytes, device_id: str | None = None) -> HapticStat
     Raises:
         ValueError: The message is not a message of the service.
     """
-    content = _parse_object(message)
-    devices = _get_objects(content, DEVICES)
+    content = _parse_json_object(message)
+    devices = _get_object_list(content, DEVICES)
     for device in devices:
         name = device.get("device_id")
         if not isinstance(name, str) or not name:
@@ -92,27 +92,28 @@ def read_state(message: str | bytes, device_id: str | None = None) -> HapticStat
             break
     else:
         return None
-    state = _get_part(device, "state")
+    state = _get_nested_object(device, "state")
     velocity = None
     if "cursor_velocity" in state:
         velocity = _read_vector(state["cursor_velocity"], "cursor_velocity", _LIMITS.speed)
-    return HapticState(name, _read_vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance), velocity,
-                       _read_orientation(content), _get_part(device, "config", {}), _get_part(device, "status", {}))
+    return HaplyDeviceState(name, _read_vector(state.get("cursor_position"), "cursor_position", _LIMITS.distance),
+                            velocity, _read_orientation(content), _get_nested_object(device, "config", {}),
+                            _get_nested_object(device, "status", {}))
 
 
-def _parse_object(message: str | bytes) -> dict[str, Any]:
-    """Return the JSON object in a message."""
+def _parse_json_object(message: str | bytes) -> dict[str, Any]:
+    """Return the JSON object in a message; raises ValueError for another content."""
     try:
         content = json.loads(message)
     except (ValueError, RecursionError):
-        raise ValueError("not valid JSON") from None
+        raise ValueError("the message must be valid JSON") from None
     if not isinstance(content, dict):
-        raise ValueError("not a JSON object")
+        raise ValueError("the message must be a JSON object")
     return content
 
 
-def _get_objects(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
-    """Return a list of objects; empty if the key is absent."""
+def _get_object_list(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
+    """Return the list of JSON objects at a key; empty if the key is absent."""
     listed = content.get(key)
     if listed is None:
         return []
@@ -121,8 +122,8 @@ def _get_objects(content: Mapping[str, Any], key: str) -> list[dict[str, Any]]:
     return listed
 
 
-def _get_part(content: Mapping[str, Any], key: str, default: dict[str, Any] | None = None) -> dict[str, Any]:
-    """Return a nested object, or the default if the key is absent."""
+def _get_nested_object(content: Mapping[str, Any], key: str, default: dict[str, Any] | None = None) -> dict[str, Any]:
+    """Return the JSON object at a key, or the default if the key is absent."""
     part = content.get(key, default)
     if not isinstance(part, dict):
         raise ValueError(f"{key} must be an object")
@@ -130,7 +131,7 @@ def _get_part(content: Mapping[str, Any], key: str, default: dict[str, Any] | No
 
 
 def _require_finite(value: Any, name: str) -> float:
-    """Return a finite number."""
+    """Return a JSON value as a float; raises ValueError unless the value is a finite number."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{name} must be a number; got {json.dumps(value)[:20]}")
     try:
@@ -138,12 +139,12 @@ def _require_finite(value: Any, name: str) -> float:
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise ValueError(f"{name} must be finite")
+        raise ValueError(f"{name} must be finite; got {number}")
     return number
 
 
 def _read_vector(value: Any, name: str, largest: float) -> Vector:
-    """Return the x, y and z of an object, whose length must be at most `largest`."""
+    """Return x, y and z of a JSON object as a vector; raises ValueError if its length exceeds `largest`."""
     if not isinstance(value, dict):
         raise ValueError(f"{name} is missing")
     x, y, z = (_require_finite(value.get(axis), f"{name}.{axis}") for axis in _AXES)
@@ -155,8 +156,8 @@ def _read_vector(value: Any, name: str, largest: float) -> Vector:
 def _read_orientation(content: Mapping[str, Any]) -> Quaternion | None:
     """Return the orientation of the first active grip, normalised; None: no grip is active."""
     for kind in GRIPS:
-        for grip in _get_objects(content, kind):
-            quaternion = _get_part(grip, "state", {}).get("orientation")
+        for grip in _get_object_list(content, kind):
+            quaternion = _get_nested_object(grip, "state", {}).get("orientation")
             if not isinstance(quaternion, dict):
                 continue
             w, x, y, z = (_require_finite(quaternion.get(axis), f"orientation.{axis}") for axis in ("w", *_AXES))
@@ -166,7 +167,7 @@ def _read_orientation(content: Mapping[str, Any]) -> Quaternion | None:
     return None
 
 
-def encode_force(device_id: str, force: Vector, profile: str | None = None) -> str:
+def encode_force_message(device_id: str, force: Vector, profile: str | None = None) -> str:
     """Return the message that sets the force of a device until the next message.
 
     Args:
@@ -180,16 +181,16 @@ def encode_force(device_id: str, force: Vector, profile: str | None = None) -> s
     return json.dumps(message)
 
 
-def read_force(message: str | bytes, device_id: str) -> Vector | None:
+def decode_force_message(message: str | bytes, device_id: str) -> Vector | None:
     """Return the force that a client's message sets for a device, N; None: the message sets none.
 
     Raises:
         ValueError: The message is not a message of a client.
     """
-    for device in _get_objects(_parse_object(message), DEVICES):
+    for device in _get_object_list(_parse_json_object(message), DEVICES):
         if device.get("device_id") != device_id:
             continue
-        command = _get_part(device, "commands", {}).get("set_cursor_force")
+        command = _get_nested_object(device, "commands", {}).get("set_cursor_force")
         if command is not None:
             if not isinstance(command, dict):
                 raise ValueError("set_cursor_force must be an object")
@@ -197,7 +198,7 @@ def read_force(message: str | bytes, device_id: str) -> Vector | None:
     return None
 
 
-def encode_state(state: HapticState, force: Vector, session: int | None = None) -> str:
+def encode_state_message(state: HaplyDeviceState, force: Vector, session: int | None = None) -> str:
     """Return the service's message about a device, and about a grip if the orientation is known.
 
     Args:
@@ -205,15 +206,15 @@ def encode_state(state: HapticState, force: Vector, session: int | None = None) 
         force: Force that the device applies, N.
         session: Number of the session; in the first message only.
     """
-    def to_object(values: tuple[float, ...], axes: tuple[str, ...] = _AXES) -> dict[str, float]:
+    def to_json_object(values: tuple[float, ...], axes: tuple[str, ...] = _AXES) -> dict[str, float]:
         return dict(zip(axes, values, strict=True))
 
     device: dict[str, Any] = {"device_id": state.device_id}
     if state.config:
         device["config"] = dict(state.config)
-    device["state"] = {"cursor_position": to_object(state.position),
-                       "cursor_velocity": to_object(state.velocity or (0.0,) * 3),
-                       "current_cursor_force": to_object(force), "control_domain": "cartesian",
+    device["state"] = {"cursor_position": to_json_object(state.position),
+                       "cursor_velocity": to_json_object(state.velocity or (0.0,) * 3),
+                       "current_cursor_force": to_json_object(force), "control_domain": "cartesian",
                        "control_mode": "force" if any(force) else "idle"}
     device["status"] = dict(state.status)
     message: dict[str, Any] = {} if session is None else {"session_id": session}
@@ -222,5 +223,5 @@ def encode_state(state: HapticState, force: Vector, session: int | None = None) 
         message["wireless_verse_grip"] = [{
             "device_id": "61576",
             "state": {"buttons": {"a": False, "b": False, "c": False},
-                      "orientation": to_object(state.orientation, ("w", *_AXES))}}]
+                      "orientation": to_json_object(state.orientation, ("w", *_AXES))}}]
     return json.dumps(message)

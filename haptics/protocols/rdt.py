@@ -19,7 +19,7 @@ from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class Ports:
+class DefaultPorts:
     """Default ports of a box.
 
     Attributes:
@@ -32,7 +32,7 @@ class Ports:
 
 
 #: Ports of a box in its factory settings.
-PORTS = Ports()
+PORTS = DefaultPorts()
 #: Path of the settings page.
 SETTINGS_PATH = "/netftapi2.xml"
 #: Names of the six counts of a record.
@@ -62,7 +62,7 @@ _RECORD = struct.Struct(">III6i")
 RECORD_SIZE = _RECORD.size
 
 
-class StatusBit(IntFlag):
+class StatusWordBit(IntFlag):
     """Bits of the status word of a record; the other bits are in `describe_status`."""
 
     #: A threshold was passed; the sample is valid.
@@ -76,9 +76,9 @@ class StatusBit(IntFlag):
 
 
 #: Status bits for gages or wrench out of range.
-_OUT_OF_RANGE = int(StatusBit.SATURATED | StatusBit.GAGE_RANGE | StatusBit.WRENCH_RANGE)
+_OUT_OF_RANGE = int(StatusWordBit.SATURATED | StatusWordBit.GAGE_RANGE | StatusWordBit.WRENCH_RANGE)
 #: Mask of the status bits that mark an unreliable sample.
-_FAULTS = ~int(StatusBit.THRESHOLD)
+_FAULTS = ~int(StatusWordBit.THRESHOLD)
 #: Units that the configurations page of a box offers.
 _OFFERED = {"force": ("N", "kN", "lbf", "klbf", "kg"),
             "torque": ("N-m", "N-mm", "kN-m", "lbf-in", "lbf-ft", "kg-cm")}
@@ -89,8 +89,8 @@ _MEANINGS = {0: "its temperature is out of range", 1: "its supply voltage is out
              30: "force or torque is out of range"}
 
 
-class Command(IntEnum):
-    """Commands of a request."""
+class RdtCommand(IntEnum):
+    """Numbers of the commands that a request sends to the box."""
 
     STOP = 0x0000
     REAL_TIME = 0x0002
@@ -100,11 +100,11 @@ class Command(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Request:
+class RdtRequest:
     """A request of a client.
 
     Attributes:
-        command: Number of the command, see `Command`.
+        command: Number of the command, see `RdtCommand`.
         count: Number of samples to send; 0: without end.
     """
 
@@ -117,7 +117,7 @@ Wrench = tuple[int, int, int, int, int, int]
 
 
 @dataclass(frozen=True, slots=True)
-class Record:
+class RdtRecord:
     """One sample.
 
     Attributes:
@@ -133,39 +133,39 @@ class Record:
     counts: Wrench
 
 
-def pack_request(request: Request) -> bytes:
+def pack_request(request: RdtRequest) -> bytes:
     """Return the 8 bytes of a request."""
     return _REQUEST.pack(DATAGRAM.magic, request.command, request.count)
 
 
-def unpack_request(data: bytes) -> Request | None:
+def unpack_request(data: bytes) -> RdtRequest | None:
     """Return the request in a datagram; None: the bytes are no request."""
     if len(data) != _REQUEST.size:
         return None
     magic, command, count = _REQUEST.unpack(data)
-    return Request(command, count) if magic == DATAGRAM.magic else None
+    return RdtRequest(command, count) if magic == DATAGRAM.magic else None
 
 
-def pack_records(records: Iterable[Record]) -> bytes:
+def pack_records(records: Iterable[RdtRecord]) -> bytes:
     """Return the bytes of records, 36 each."""
     return b"".join(_RECORD.pack(record.sequence, record.sample, record.status, *record.counts) for record in records)
 
 
-def unpack_records(data: bytes) -> list[Record] | None:
+def unpack_records(data: bytes) -> list[RdtRecord] | None:
     """Return the records in a datagram; None: the bytes are no whole number of records, or too many."""
     count, rest = divmod(len(data), RECORD_SIZE)
     if rest or not 0 < count <= DATAGRAM.max_records:
         return None
-    return [Record(sequence, sample, status, (x, y, z, u, v, w))
+    return [RdtRecord(sequence, sample, status, (x, y, z, u, v, w))
             for sequence, sample, status, x, y, z, u, v, w in _RECORD.iter_unpack(data)]
 
 
-def is_out_of_range(status: int) -> bool:
+def has_exceeded_range(status: int) -> bool:
     """Return True if the status word reports a range that was exceeded: the true wrench may be larger."""
     return bool(status & _OUT_OF_RANGE)
 
 
-def is_fault(status: int) -> bool:
+def has_fault(status: int) -> bool:
     """Return True if the status word reports anything except a passed threshold: the sample is unreliable."""
     return bool(status & _FAULTS)
 
@@ -177,7 +177,7 @@ def describe_status(status: int) -> str:
 
 
 @dataclass(frozen=True)
-class Settings:
+class BoxSettings:
     """Units, scale and rate of a box.
 
     Attributes:
@@ -199,7 +199,7 @@ class Settings:
     calibration: str = ""
 
     @property
-    def newtons(self) -> float:
+    def newtons_per_count(self) -> float:
         """Force of one count, N.
 
         Raises:
@@ -208,23 +208,23 @@ class Settings:
         return _find_unit_value(self.force_unit, "force") / self.counts_per_force
 
     @property
-    def newton_metres(self) -> float:
-        """Torque of one count, N m. Raises as `newtons`."""
+    def newton_metres_per_count(self) -> float:
+        """Torque of one count, N m. Raises as `newtons_per_count`."""
         return _find_unit_value(self.torque_unit, "torque") / self.counts_per_torque
 
 
 def _find_unit_value(name: str, quantity: str) -> float:
-    """Return the SI value of a unit."""
+    """Return the size of a unit of force, N, or of torque, N m, by its name; `quantity` is "force" or "torque"."""
     known = FORCE_UNITS if quantity == "force" else TORQUE_UNITS
     try:
         return known[name.replace("·", "-")]
     except KeyError:
-        raise InputError(f"must be a known unit of {quantity}; got {name!r} from the box. Set the unit to one of "
-                         f"{', '.join(_OFFERED[quantity])} on the configurations page of the box",
-                         field=f"{quantity}_find_unit_value") from None
+        raise InputError(f"the unit of {quantity} must be a known unit; got {name!r} from the box. Set the unit to "
+                         f"one of {', '.join(_OFFERED[quantity])} on the configurations page of the box",
+                         field=f"{quantity}_unit") from None
 
 
-def read_settings_page(page: bytes) -> Settings:
+def read_settings_page(page: bytes) -> BoxSettings:
     """Return the settings in the page ``netftapi2.xml`` of a box.
 
     Raises:
@@ -236,25 +236,27 @@ def read_settings_page(page: bytes) -> Settings:
             raise ElementTree.ParseError("declarations")
         root = ElementTree.fromstring(page)
     except (ElementTree.ParseError, ValueError, LookupError):
-        raise InputError("must be the XML page of an ATI box; the page is no valid XML. Check the address",
+        raise InputError("the settings page must be the XML page of an ATI box; the page is no valid XML. Check the "
+                         "address",
                          field="settings") from None
     texts = {element.tag.rpartition("}")[2].lower(): (element.text or "").strip() for element in root.iter()
              if isinstance(element.tag, str)}
 
-    def positive(name: str) -> float:
-        """Return a positive number of the page."""
+    def read_positive_number(name: str) -> float:
+        """Return the positive number in the element `name` of the page."""
         with contextlib.suppress(KeyError, ValueError):
             if 0 < (value := float(texts[name])) < math.inf:
                 return value
         raise InputError(f"must be a positive number on the settings page; got {texts.get(name)!r}. Check that the "
                          "address is that of an ATI box", field=name)
 
-    return Settings(positive("cfgcpf"), positive("cfgcpt"), texts.get("scfgfu") or "N", texts.get("scfgtu") or "N-m",
-                    positive("comrdtrate") if "comrdtrate" in texts else None,
-                    texts.get("prodname", ""), texts.get("cfgcalsn") or texts.get("setserial", ""))
+    return BoxSettings(read_positive_number("cfgcpf"), read_positive_number("cfgcpt"), texts.get("scfgfu") or "N",
+                       texts.get("scfgtu") or "N-m",
+                       read_positive_number("comrdtrate") if "comrdtrate" in texts else None,
+                       texts.get("prodname", ""), texts.get("cfgcalsn") or texts.get("setserial", ""))
 
 
-def write_settings_page(settings: Settings) -> bytes:
+def write_settings_page(settings: BoxSettings) -> bytes:
     """Return a settings page with the fields that `read_settings_page` reads."""
     entries = {"prodname": settings.product or "RDT", "runstat": "0x00000000", "cfgcalsn": settings.calibration,
                "scfgfu": settings.force_unit, "scfgtu": settings.torque_unit,

@@ -22,7 +22,7 @@ class BlockLength(IntEnum):
 
 
 @dataclass(frozen=True)
-class MotionRange:
+class MotionUnitsAndLimits:
     """Units and limits of speeds and accelerations in commands, variables and settings.
 
     Attributes:
@@ -41,10 +41,10 @@ class MotionRange:
 
 
 #: Units and limits of every Tic.
-MOTION = MotionRange()
+MOTION = MotionUnitsAndLimits()
 
 
-class Command(IntEnum):
+class TicCommand(IntEnum):
     """First byte of a command of the compact protocol."""
 
     SET_TARGET_POSITION = 0xE0
@@ -73,18 +73,18 @@ class Command(IntEnum):
 
 
 #: Commands with a 32-bit argument, sent as 5 bytes of 7 bits.
-_WITH_32_BITS = frozenset({Command.SET_TARGET_POSITION, Command.SET_TARGET_VELOCITY, Command.SET_STARTING_SPEED,
-                           Command.SET_MAX_SPEED, Command.SET_MAX_DECELERATION, Command.SET_MAX_ACCELERATION,
-                           Command.HALT_AND_SET_POSITION})
+_WITH_32_BITS = frozenset({TicCommand.SET_TARGET_POSITION, TicCommand.SET_TARGET_VELOCITY,
+                           TicCommand.SET_STARTING_SPEED, TicCommand.SET_MAX_SPEED, TicCommand.SET_MAX_DECELERATION,
+                           TicCommand.SET_MAX_ACCELERATION, TicCommand.HALT_AND_SET_POSITION})
 #: Commands with a 7-bit argument.
-_WITH_7_BITS = frozenset({Command.SET_CURRENT_LIMIT, Command.SET_DECAY_MODE, Command.SET_STEP_MODE, Command.GO_HOME,
-                          Command.SET_AGC_OPTION})
+_WITH_7_BITS = frozenset({TicCommand.SET_CURRENT_LIMIT, TicCommand.SET_DECAY_MODE, TicCommand.SET_STEP_MODE,
+                          TicCommand.GO_HOME, TicCommand.SET_AGC_OPTION})
 #: Commands that read a block; the arguments are offset and length.
-_READS = frozenset({Command.GET_VARIABLE, Command.GET_VARIABLE_AND_CLEAR, Command.GET_SETTING})
+_READS = frozenset({TicCommand.GET_VARIABLE, TicCommand.GET_VARIABLE_AND_CLEAR, TicCommand.GET_SETTING})
 
 
-class State(IntEnum):
-    """Values of the variable "operation state"."""
+class OperationState(IntEnum):
+    """Operation state of a Tic: values of the variable "operation state" (section 7)."""
 
     RESET = 0
     DEENERGIZED = 2
@@ -94,8 +94,8 @@ class State(IntEnum):
     NORMAL = 10
 
 
-class Flags(IntFlag):
-    """Bits of the variable "misc flags 1"."""
+class MiscFlags(IntFlag):
+    """Flags of motor, homing and limit switches: bits of the variable "misc flags 1" (section 7)."""
 
     ENERGIZED = 1
     POSITION_UNCERTAIN = 2
@@ -104,7 +104,7 @@ class Flags(IntFlag):
     HOMING = 16
 
 
-class Errors(IntFlag):
+class ErrorFlags(IntFlag):
     """Bits of the variable "error status": errors that stop the motor."""
 
     DEENERGIZED = 1
@@ -118,8 +118,8 @@ class Errors(IntFlag):
     ERR_LINE_HIGH = 256
 
 
-class Planning(IntEnum):
-    """Values of the variable "planning mode"."""
+class PlanningMode(IntEnum):
+    """Quantity that the motor follows, position or velocity: values of the variable "planning mode" (section 7)."""
 
     OFF = 0
     POSITION = 1
@@ -134,8 +134,8 @@ class InputState(IntEnum):
     VELOCITY = 4
 
 
-class Variable(IntEnum):
-    """Offsets of variables (section 7). The block of `Status` begins at `STATUS`."""
+class VariableOffset(IntEnum):
+    """Offsets of variables (section 7). The block of `TicStatus` begins at `STATUS`."""
 
     STATUS = 0x00
     OPERATION_STATE = 0x00
@@ -156,8 +156,8 @@ class Variable(IntEnum):
     INPUT_STATE = 0x4C
 
 
-class Setting(IntEnum):
-    """Offsets of settings (section 6)."""
+class SettingOffset(IntEnum):
+    """Offsets of settings in the memory of a Tic, bytes (section 6)."""
 
     CONTROL_MODE = 0x01
     DISABLE_SAFE_START = 0x03
@@ -169,27 +169,27 @@ class Setting(IntEnum):
 
 
 class ControlMode(IntEnum):
-    """Values of `Setting.CONTROL_MODE`."""
+    """Values of `SettingOffset.CONTROL_MODE`."""
 
     SERIAL = 0  #: "Serial / I2C / USB": the motor follows commands
 
 
 class SoftErrorResponse(IntEnum):
-    """Values of `Setting.SOFT_ERROR_RESPONSE`."""
+    """Values of `SettingOffset.SOFT_ERROR_RESPONSE`."""
 
     GO_TO_POSITION = 3  #: "Go to position": the motor moves after an error
 
 
 class AnswerFormat(IntFlag):
-    """Bits of `Setting.CRC` about the answers of the Tic."""
+    """Bits of `SettingOffset.CRC` about the answers of the Tic."""
 
     CHECKED = 2    #: answers carry a checksum
     SEVEN_BIT = 4  #: answers consist of 7-bit bytes
 
 
 @dataclass(frozen=True, slots=True)
-class Status:
-    """The variables from `Variable.STATUS` on.
+class TicStatus:
+    """The variables from `VariableOffset.STATUS` on.
 
     Attributes:
         state: Operation state.
@@ -200,28 +200,28 @@ class Status:
         target: Target position, microsteps.
     """
 
-    state: State
-    flags: Flags
-    errors: Errors
+    state: OperationState
+    flags: MiscFlags
+    errors: ErrorFlags
     occurred: int
-    planning: Planning
+    planning: PlanningMode
     target: int
 
 
 @dataclass(frozen=True, slots=True)
 class MotionState:
-    """The variables from `Variable.CURRENT_POSITION` on.
+    """The variables from `VariableOffset.CURRENT_POSITION` on.
 
     Attributes:
         position: Commanded position, microsteps.
-        velocity: Velocity, in `MotionRange.speed_unit`.
+        velocity: Velocity, in `MotionUnitsAndLimits.speed_unit`.
     """
 
     position: int
     velocity: int
 
 
-def crc7(message: bytes) -> int:
+def compute_crc7(message: bytes) -> int:
     """Return the checksum of a message, 0 to 127: polynomial 0x91, least significant bit first (section 9)."""
     crc = 0
     for byte in message:
@@ -231,7 +231,8 @@ def crc7(message: bytes) -> int:
     return crc
 
 
-def encode(command: Command, value: int = 0, length: int = 0, device: int | None = None, crc: bool = False) -> bytes:
+def encode_command(command: TicCommand, value: int = 0, length: int = 0, device: int | None = None,
+                   crc: bool = False) -> bytes:
     """Return the bytes of a command.
 
     Args:
@@ -263,10 +264,10 @@ def encode(command: Command, value: int = 0, length: int = 0, device: int | None
     else:
         body = b""
     message = head + body
-    return message + bytes([crc7(message)]) if crc else message
+    return message + bytes([compute_crc7(message)]) if crc else message
 
 
-def _argument_size(command: Command) -> int:
+def _count_argument_bytes(command: TicCommand) -> int:
     """Return the number of bytes after the command byte, without the checksum."""
     return 5 if command in _WITH_32_BITS else 2 if command in _READS else 1 if command in _WITH_7_BITS else 0
 
@@ -281,7 +282,7 @@ class ReceivedCommand:
         length: Length of the block to read, bytes; 0 for other commands.
     """
 
-    command: Command
+    command: TicCommand
     value: int = 0
     length: int = 0
 
@@ -301,7 +302,7 @@ class CommandParser:
         self._device, self._crc, self._partial = device, crc, bytearray()
         self.bad_bytes = 0
 
-    def feed(self, data: bytes) -> list[ReceivedCommand]:
+    def extract_commands(self, data: bytes) -> list[ReceivedCommand]:
         """Return the commands for this device that `data` completes, in order; keeps an incomplete command."""
         commands = []
         for byte in data:
@@ -313,14 +314,14 @@ class CommandParser:
                 self._partial.append(byte)
             else:
                 self.bad_bytes += 1
-            if self._partial and self._is_complete():
+            if self._partial and self._is_message_complete():
                 message, self._partial = bytes(self._partial), bytearray()
                 command = self._decode_command(message)
                 if command is not None:
                     commands.append(command)
         return commands
 
-    def _parse_head(self) -> tuple[Command | None, int]:
+    def _parse_command_head(self) -> tuple[TicCommand | None, int]:
         """Return the command of the incomplete message and the length of its head; None: unknown (yet)."""
         if self._partial[0] != POLOLU_PREFIX:
             code, head = self._partial[0], 1
@@ -329,28 +330,28 @@ class CommandParser:
         else:
             code, head = self._partial[2] | 0x80, 3
         try:
-            return Command(code), head
+            return TicCommand(code), head
         except ValueError:
             return None, head
 
-    def _is_complete(self) -> bool:
+    def _is_message_complete(self) -> bool:
         """Return True if the message has all bytes of its command, or is no known command."""
-        command, head = self._parse_head()
+        command, head = self._parse_command_head()
         if command is None:
             return len(self._partial) >= head
-        return len(self._partial) == head + _argument_size(command) + self._crc
+        return len(self._partial) == head + _count_argument_bytes(command) + self._crc
 
     def _decode_command(self, message: bytes) -> ReceivedCommand | None:
         """Return the command of a complete message; None: invalid, or for another device."""
         self._partial = bytearray(message)
-        command, head = self._parse_head()
+        command, head = self._parse_command_head()
         self._partial = bytearray()
-        if command is None or (self._crc and crc7(message[:-1]) != message[-1]):
+        if command is None or (self._crc and compute_crc7(message[:-1]) != message[-1]):
             self.bad_bytes += len(message)
             return None
         if head == 3 and message[1] != self._device:
             return None
-        body = message[head:head + _argument_size(command)]
+        body = message[head:head + _count_argument_bytes(command)]
         if command in _WITH_32_BITS:
             four = bytes(byte | (body[0] >> bit & 1) << 7 for bit, byte in enumerate(body[1:]))
             return ReceivedCommand(command, int.from_bytes(four, "little"))
@@ -363,12 +364,12 @@ class CommandParser:
         return ReceivedCommand(command, body[0] if body else 0)
 
 
-def to_signed(value: int) -> int:
+def to_signed_32_bit(value: int) -> int:
     """Convert an unsigned 32-bit number to the signed number with the same bits (two's complement)."""
     return value - (1 << 32) if value & 0x80000000 else value
 
 
-def parse_status(block: bytes) -> Status | None:
+def parse_status(block: bytes) -> TicStatus | None:
     """Return the status in a block of `BlockLength.STATUS` bytes; None: the block is impossible for a Tic.
 
     Impossible blocks have another length, an unknown state or planning mode, or reserved bits set.
@@ -379,11 +380,11 @@ def parse_status(block: bytes) -> Status | None:
     if block[1] >> 5 or errors >> 9 or occurred >> 21:
         return None
     try:
-        state, planning = State(block[0]), Planning(block[9])
+        state, planning = OperationState(block[0]), PlanningMode(block[9])
     except ValueError:
         return None
-    return Status(state, Flags(block[1]), Errors(errors), occurred, planning,
-                  to_signed(int.from_bytes(block[10:14], "little")))
+    return TicStatus(state, MiscFlags(block[1]), ErrorFlags(errors), occurred, planning,
+                     to_signed_32_bit(int.from_bytes(block[10:14], "little")))
 
 
 def parse_motion_state(block: bytes) -> MotionState | None:
@@ -393,7 +394,7 @@ def parse_motion_state(block: bytes) -> MotionState | None:
     """
     if len(block) != BlockLength.MOTION_STATE:
         return None
-    velocity = to_signed(int.from_bytes(block[4:8], "little"))
+    velocity = to_signed_32_bit(int.from_bytes(block[4:8], "little"))
     if abs(velocity) > MOTION.top_speed:
         return None
-    return MotionState(to_signed(int.from_bytes(block[:4], "little")), velocity)
+    return MotionState(to_signed_32_bit(int.from_bytes(block[:4], "little")), velocity)

@@ -53,8 +53,8 @@ class SampleClock:
     fits: bool
 
     @classmethod
-    def fit(cls, numbers: Sequence[int] | np.ndarray, received: Sequence[float] | np.ndarray,
-            period: float) -> SampleClock:
+    def fit_to_arrivals(cls, numbers: Sequence[int] | np.ndarray, received: Sequence[float] | np.ndarray,
+                        period: float) -> SampleClock:
         """Fit the line to the arrivals of a run.
 
         Args:

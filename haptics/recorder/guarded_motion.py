@@ -57,7 +57,8 @@ class GuardedMotion:
                  sleep: Callable[[float], None] = time.sleep):
         self.sensor, self.stage, self.limits = bench.sensor, bench.stage, limits
         if axis not in bench.sensor.channels:
-            raise InputError(f"must be a channel of the sensor: {', '.join(bench.sensor.channels)}; got {axis!r}",
+            raise InputError(f"the axis must be a channel of the sensor: {', '.join(bench.sensor.channels)}; got "
+                             f"{axis!r}",
                              field="record.axis")
         self._axis, self._sign = bench.sensor.channels.index(axis), sign
         self._on_poll, self._stop_request, self.now, self._sleep = on_poll, stop_request, clock, sleep
@@ -111,7 +112,7 @@ class GuardedMotion:
         """Halt the stage from a second thread if the polls of this thread are late (dead-man's switch)."""
         ending = threading.Event()
 
-        def watch() -> None:
+        def halt_when_polls_are_late() -> None:
             while not ending.wait(0.2 * POLLING.timeout):
                 delay = self.now() - self._polled
                 if self._is_moving and delay > max(POLLING.timeout, self.limits.sensor_silence):
@@ -119,7 +120,7 @@ class GuardedMotion:
                         self.stage.halt()
                     self._late_by = delay
 
-        thread = threading.Thread(target=watch, name="dead man", daemon=True)
+        thread = threading.Thread(target=halt_when_polls_are_late, name="dead man", daemon=True)
         thread.start()
         try:
             yield
@@ -143,7 +144,7 @@ class GuardedMotion:
         if (self.limits.retracts and reason.allows_retraction and self.stage_sample is not None
                 and self.stage_sample.homed):
             try:
-                trouble = self._retract(*retraction())
+                trouble = self._retract_tool(*retraction())
             except BaseException as error:
                 trouble = str(error) or type(error).__name__
             if trouble is not None:
@@ -170,7 +171,7 @@ class GuardedMotion:
         except BaseException as error:
             return str(error) or type(error).__name__
 
-    def _retract(self, goal: float, speed: float) -> str | None:
+    def _retract_tool(self, goal: float, speed: float) -> str | None:
         """Move the tool out after a stop, as long as the force does not grow.
 
         A silent or saturated sensor does not prevent the retraction.
@@ -185,7 +186,7 @@ class GuardedMotion:
         assert self.stage_sample is not None
         goal = max(min(goal, self.stage_sample.position), self.limits.lowest)
         until = self.now() + 2 * abs(goal - self.stage_sample.position) / speed + _SETTINGS.start_delay
-        allowed = (max(abs(self.force) if self._recent else 0.0, self.limits.force)
+        allowed = (max(abs(self.last_force) if self._recent else 0.0, self.limits.force)
                    + _SETTINGS.force_growth * self.limits.force)
         self.stage.move(goal, speed)
         while self.now() < until:
@@ -207,7 +208,7 @@ class GuardedMotion:
             StoppedError: the guard or the user ended the motion; the stage was halted.
         """
         self._sleep(max(0.0, self._polled + POLLING.period - self.now()))
-        self._require_on_time()
+        self._require_polls_on_time()
         if (message := self._stop_request()) is not None:
             with contextlib.suppress(Exception):
                 self.stage.halt()
@@ -222,21 +223,21 @@ class GuardedMotion:
         # Store the samples before the check, so that the recording contains the samples that end the motion.
         self._on_poll(samples, forces, stage)
         assert self._guard is not None
-        if (reason := self._guard.check(now, samples, forces, stage, self._command)) is not None:
+        if (reason := self._guard.check_poll(now, samples, forces, stage, self._command)) is not None:
             # Halt here, before the slower handling of the error.
             with contextlib.suppress(Exception):
                 self.stage.halt()
             raise StoppedError(reason)
 
-    def _require_on_time(self) -> None:
+    def _require_polls_on_time(self) -> None:
         """Raise StoppedError if the watching thread halted the stage because a poll was late."""
         if self._late_by is not None:
             raise StoppedError(StopReason(
                 "program late", f"the program did not poll its devices for {self._late_by:.2g} s while the stage could "
                                 "move, and the stage was halted; close other programs on this computer"))
 
-    def mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
-        """Return the mean of the last forces, N; NaN if there are none.
+    def compute_mean_force(self, seconds: float = _SETTINGS.force_window) -> float:
+        """Return the mean force along the tool in the last time window, N; NaN without a sample.
 
         Args:
             seconds: length of the window, s, at most `GuardedMotionSettings.force_window`.
@@ -247,8 +248,8 @@ class GuardedMotion:
         return float(np.mean([force for at, force in self._recent if at >= since]))
 
     @property
-    def force(self) -> float:
-        """The last force, N; NaN if there is none."""
+    def last_force(self) -> float:
+        """Last measured force along the tool minus `zero`, N, with the sign of the plan; NaN without a sample."""
         return self._recent[-1][1] if self._recent else np.nan
 
     def move_to(self, position: float, speed: float, until: Callable[[], bool] = lambda: False) -> bool:
@@ -270,7 +271,7 @@ class GuardedMotion:
             raise StoppedError(StopReason(
                 "travel", f"the motion would go to {position * 1e3:.4g} mm, outside of its limits of "
                           f"{self.limits.lowest * 1e3:g} to {self.limits.highest * 1e3:g} mm; put the specimen nearer"))
-        self._require_on_time()
+        self._require_polls_on_time()
         start = self.stage_sample.position if self.stage_sample is not None else position
         tolerance = max(_SETTINGS.position_tolerance, 1e-3 * abs(position - start))
         # The stage is at rest: time since the last poll, such as a computation, does not count as a late poll.
@@ -308,8 +309,8 @@ class GuardedMotion:
                 self.poll()
             return future.result()
 
-    def poll_for(self, seconds: float) -> None:
-        """Poll the devices without a new command for a time, s."""
+    def poll_for_duration(self, seconds: float) -> None:
+        """Poll the devices for this time, s, without a new command to the stage."""
         until = self.now() + seconds
         while self.now() < until:
             self.poll()
@@ -349,8 +350,8 @@ class GuardedMotion:
         """
         self.zero = 0.0
         self.clear_forces()
-        self.poll_for(_SETTINGS.force_window)
-        before, allowed = self.mean_force(), change if self.tares else first
+        self.poll_for_duration(_SETTINGS.force_window)
+        before, allowed = self.compute_mean_force(), change if self.tares else first
         if not abs(before) <= allowed:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {before:.3g} N before it is zeroed, more than the allowed {allowed:.3g} N; "
@@ -361,8 +362,8 @@ class GuardedMotion:
         assert self._guard is not None
         self._guard.is_sensor_zeroed = True
         self.clear_forces()
-        self.poll_for(_SETTINGS.force_window)
-        self.zero = self.mean_force()
+        self.poll_for_duration(_SETTINGS.force_window)
+        self.zero = self.compute_mean_force()
         if not abs(self.zero) <= change:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {self.zero:.3g} N after its tare; let the sensor warm up"))
@@ -379,8 +380,8 @@ class GuardedMotion:
             StoppedError: the force is larger.
         """
         self.clear_forces()
-        self.poll_for(_SETTINGS.force_window)
-        offset = self.mean_force()
+        self.poll_for_duration(_SETTINGS.force_window)
+        offset = self.compute_mean_force()
         if not abs(offset) <= allowed:
             raise StoppedError(StopReason(
                 "zero", f"the sensor reads {offset:.3g} N above the specimen, where it was zeroed; its zero has moved, "

@@ -36,7 +36,7 @@ _SETTINGS = LagSettings()
 
 
 @dataclass(frozen=True)
-class Lag:
+class ForceLag:
     """Lag of the force behind the position.
 
     Attributes:
@@ -48,7 +48,7 @@ class Lag:
     interval: tuple[float, float]
 
 
-def measure_lag(recording: Recording) -> Lag:
+def measure_lag(recording: Recording) -> ForceLag:
     """Find the lag for which loading and unloading give the same force at the same depth.
 
     Profile likelihood of the lag: for each trial lag the force is fitted by a polynomial of the shifted depth; the lag
@@ -87,7 +87,7 @@ def measure_lag(recording: Recording) -> Lag:
     value = lags[best] + 0.5 * settings.step * (below - above) / (below - 2 * lowest + above)
     variance = lowest / (np.count_nonzero(is_loaded) - settings.degree - 2)
     half_width = float(np.sqrt(2 * settings.chi_square * variance / curvature))
-    return Lag(float(value), (float(value - half_width), float(value + half_width)))
+    return ForceLag(float(value), (float(value - half_width), float(value + half_width)))
 
 
 def _residual_sum_of_squares(time: np.ndarray, depth: np.ndarray, force: np.ndarray, is_loaded: np.ndarray,

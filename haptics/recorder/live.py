@@ -21,7 +21,7 @@ LIVE_FILE = "live.json"
 UPDATE_INTERVAL = 0.2
 
 
-class LiveFile:
+class LiveProgressFile:
     """Write the newest progress of a run to ``live.json``, and delete the file at the end.
 
     A separate thread writes the file: the thread that controls the motor must not wait for a disk.
@@ -36,14 +36,14 @@ class LiveFile:
 
     _progress: RunProgress | None
 
-    def show(self, progress: RunProgress) -> None:
+    def set_progress(self, progress: RunProgress) -> None:
         """Replace the progress that the thread writes next; return without waiting for the disk."""
         self._progress = progress
 
     @contextmanager
-    def publish(self) -> Iterator[None]:
+    def run_writing_thread(self) -> Iterator[None]:
         """Run the writing thread inside a ``with`` block; delete the file at the end of the block."""
-        thread = threading.Thread(target=self._write, name="live file", daemon=True)
+        thread = threading.Thread(target=self._write_newest_progress, name="live file", daemon=True)
         thread.start()
         try:
             yield
@@ -52,18 +52,18 @@ class LiveFile:
             thread.join()
             self._path.unlink(missing_ok=True)
 
-    def _write(self) -> None:
+    def _write_newest_progress(self) -> None:
         written = None
         while not self._ending.wait(UPDATE_INTERVAL):
             progress = self._progress
             if progress is not None and progress is not written:
                 # A failed display must not end a recording.
                 with contextlib.suppress(InputError):
-                    write_text(self._path, json.dumps(as_json(progress)))
+                    write_text(self._path, json.dumps(convert_progress_to_json(progress)))
                 written = progress
 
 
-def as_json(progress: RunProgress) -> dict[str, Any]:
+def convert_progress_to_json(progress: RunProgress) -> dict[str, Any]:
     """Return the JSON object of a progress: keys carry units, and unknown (NaN) numbers are omitted."""
     numbers = {"position_mm": 1e3 * progress.position, "depth_mm": 1e3 * progress.depth, "force_N": progress.force,
                "share": progress.fraction}

@@ -10,7 +10,7 @@ import numpy as np
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
 from haptics.recorder.clock import SampleClock
-from haptics.recorder.plan import Plan
+from haptics.recorder.plan import IndentationPlan
 from haptics.recorder.stage_path import StagePath, StagePoll, compute_position_tolerance
 from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import StopReason
@@ -60,7 +60,7 @@ class MotionRecord:
     polls: list[StagePoll] = field(default_factory=list)
     legs: list[tuple[float, str, int]] = field(default_factory=list)
 
-    def add(self, samples: Sequence[ForceSample], stage: StageSample) -> list[float]:
+    def append_poll(self, samples: Sequence[ForceSample], stage: StageSample) -> list[float]:
         """Append the force samples and the stage sample of one poll.
 
         Args:
@@ -70,32 +70,33 @@ class MotionRecord:
         Returns:
             Position of the stage at the arrival of each force sample, m, interpolated between the last two polls.
         """
-        self.polls.append(StagePoll(stage.earliest, stage.received, stage.position))
+        self.polls.append(StagePoll(stage.earliest_reading_time, stage.received, stage.position))
         before, now = self.polls[-2:] if len(self.polls) > 1 else (self.polls[-1], self.polls[-1])
         for sample in samples:
             self.numbers.append(sample.sequence)
             self.received.append(sample.received)
             self.wrenches.append(sample.values)
             self.statuses.append(sample.status)
-        return [float(np.interp(sample.received, (before.middle, now.middle + 1e-9), (before.position, now.position)))
+        return [float(np.interp(sample.received, (before.middle_time, now.middle_time + 1e-9),
+                                (before.position, now.position)))
                 for sample in samples]
 
     @property
     def gap_count(self) -> int:
-        """Number of interruptions in which force samples were lost."""
+        """Number of gaps in the sequence numbers, in which force samples were lost."""
         return sum(bool(status & SampleStatus.GAP) for status in self.statuses)
 
-    def fit_clock(self, period: float) -> SampleClock:
+    def fit_sample_clock(self, period: float) -> SampleClock:
         """Return the clock of the force samples.
 
         Args:
             period: sampling period that the sensor states, s.
         """
-        return SampleClock.fit(self.numbers, self.received, period)
+        return SampleClock.fit_to_arrivals(self.numbers, self.received, period)
 
 
-def build_recording(record: MotionRecord, plan: Plan, contact_point: float, zero: float, channels: Sequence[str],
-                    period: float) -> Recording:
+def build_recording(record: MotionRecord, plan: IndentationPlan, contact_point: float, zero: float,
+                    channels: Sequence[str], period: float) -> Recording:
     """Build the recording of a motion: force at its sampling times, stage position interpolated to the same times.
 
     Args:
@@ -114,17 +115,17 @@ def build_recording(record: MotionRecord, plan: Plan, contact_point: float, zero
     Raises:
         StoppedError: the stage position is uncertain in most samples.
     """
-    clock = record.fit_clock(period)
+    clock = record.fit_sample_clock(period)
     sampled_at = clock.compute_times(record.numbers)
     path = StagePath(record.polls, [leg[0] for leg in record.legs],
                      [plan.approach_speed, *(leg.speed for leg in plan.legs[:len(record.legs)])])
-    recorded = ((sampled_at >= max(record.legs[0][0], record.polls[0].middle))
-                & (sampled_at <= record.polls[-1].middle))
-    inside = recorded & path.is_known(sampled_at, plan.depth)
-    left_out = _describe_left_out(int(recorded.sum()), int(inside.sum()), plan.depth)
+    recorded = ((sampled_at >= max(record.legs[0][0], record.polls[0].middle_time))
+                & (sampled_at <= record.polls[-1].middle_time))
+    inside = recorded & path.is_position_known(sampled_at, plan.largest_depth)
+    left_out = _describe_left_out(int(recorded.sum()), int(inside.sum()), plan.largest_depth)
     time, wrench = sampled_at[inside], np.array(record.wrenches)[inside]
     leg = np.clip(np.searchsorted([leg[0] for leg in record.legs], time, side="right") - 1, 0, None)
-    values = {"time": time - time[0], "displacement": path.interpolate(time) - contact_point,
+    values = {"time": time - time[0], "displacement": path.interpolate_position(time) - contact_point,
               "force": plan.sign * wrench[:, list(channels).index(plan.axis)] - zero}
     if len(channels) > 1:
         values |= {name: wrench[:, number] for number, name in enumerate(channels)
@@ -158,8 +159,8 @@ def _describe_left_out(recorded: int, kept: int, depth: float) -> dict[str, Any]
     return {"left_out": {"samples": recorded - kept, "reason": reason}}
 
 
-def estimate_contact_point(record: MotionRecord, plan: Plan, halted: float, channels: Sequence[str], speed: float,
-                           period: float) -> tuple[float, dict[str, Any]]:
+def estimate_contact_point(record: MotionRecord, plan: IndentationPlan, halted: float, channels: Sequence[str],
+                           speed: float, period: float) -> tuple[float, dict[str, Any]]:
     """Estimate the contact point from the slow approach, which passes the contact point before the contact force.
 
     Three methods are tried in this order: the change point of `tissue_sim.recording.contact.find_contact`, also if its
@@ -177,14 +178,14 @@ def estimate_contact_point(record: MotionRecord, plan: Plan, halted: float, chan
         Position of the stage at the contact point, m, and metadata that names the method and its interval.
     """
     metadata: dict[str, Any] = {"contact_force_N": plan.contact_force, "touch_by": "force"}
-    sampled_at = record.fit_clock(period).compute_times(record.numbers)
+    sampled_at = record.fit_sample_clock(period).compute_times(record.numbers)
     path = StagePath(record.polls, [], [speed])
-    inside = np.flatnonzero(path.is_known(sampled_at, plan.depth))
+    inside = np.flatnonzero(path.is_position_known(sampled_at, plan.largest_depth))
     thinned = inside[:: max(1, inside.size // _SETTINGS.most_samples)]
     if thinned.size < _SETTINGS.fewest_samples:
         return halted, metadata
     force = plan.sign * np.array(record.wrenches)[thinned, list(channels).index(plan.axis)]
-    position = path.interpolate(sampled_at[thinned])
+    position = path.interpolate_position(sampled_at[thinned])
     found = find_contact(position, force, sampled_at[thinned])
     if found.status not in ("found", "unclear") or not position[0] < found.displacement < halted:
         # Without noise the change point has no likelihood to compare; a straight line needs none.

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from haptics.devices.contracts import Stage
-from haptics.safety.motion_guard import MotionLimits, require_stoppable
+from haptics.safety.motion_guard import MotionLimits, require_stoppable_motion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.segments import MotionLeg
 
@@ -32,7 +32,7 @@ POLLING = PollSettings()
 
 
 @dataclass(frozen=True)
-class Plan:
+class IndentationPlan:
     """One test on the bench: how contact is found, preconditioning, and the recorded motion.
 
     Attributes:
@@ -78,29 +78,32 @@ class Plan:
                              "'ramp 10mm @0.248mm/s; hold 60s; unload'", field=f"{self.name}.protocol")
         for name in ("contact_force", "approach_speed", "retract"):
             if not 0 < getattr(self, name) < math.inf:
-                raise InputError(f"must be positive and finite; got {getattr(self, name):g}", field=f"record.{name}")
+                raise InputError("contact force, speed and retraction must be positive and finite; got "
+                                 f"{getattr(self, name):g}", field=f"record.{name}")
         for name, least in (("replicates", 1), ("preconditioning", 0)):
             if getattr(self, name) < least:
-                raise InputError(f"must be at least {least}; got {getattr(self, name)}", field=f"record.{name}")
+                raise InputError(f"the number of motions must be at least {least}; got {getattr(self, name)}",
+                                 field=f"record.{name}")
         if self.sign not in (1, -1):
-            raise InputError(f"must be 1 or -1; got {self.sign}. Give -1 if the reading decreases when the tool is "
-                             "pushed", field="record.sign")
+            raise InputError(f"the sign of the reading must be 1 or -1; got {self.sign}. Give -1 if the reading "
+                             "decreases when the tool is pushed", field="record.sign")
         if not 0 <= self.rest < math.inf:
-            raise InputError(f"must be zero or more and finite; got {self.rest:g} s", field="record.rest")
+            raise InputError(f"the rest between motions must be zero or more and finite; got {self.rest:g} s",
+                             field="record.rest")
 
     @property
-    def depth(self) -> float:
+    def largest_depth(self) -> float:
         """Largest depth of the motion below the contact point, m."""
         return max(max(leg.start, leg.end) for leg in self.legs)
 
     @property
-    def highest(self) -> float:
+    def largest_height(self) -> float:
         """Largest height of the tool above the contact point during the test, m."""
         above = -min(min(leg.start, leg.end) for leg in self.legs)
         return max(above, 2 * self.retract if self.contact == "force" else 0.0)
 
     @property
-    def speed(self) -> float:
+    def largest_speed(self) -> float:
         """Largest speed of the recorded motion, m/s."""
         return max((leg.speed for leg in self.legs), default=0.0)
 
@@ -110,13 +113,14 @@ class Plan:
         return sum(leg.duration for leg in self.legs)
 
     @property
-    def title(self) -> str:
+    def motion_summary(self) -> str:
         """The motion in one line, such as ``"ramp to 10 mm at 0.248 mm/s, hold 60 s"``."""
         return ", ".join(f"hold {leg.duration:g} s" if not leg.speed else
                          f"{leg.segment.kind} to {leg.end * 1e3:g} mm at {leg.speed * 1e3:g} mm/s" for leg in self.legs)
 
 
-def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, period: float) -> float:
+def check_plans_against_limits(plans: Sequence[IndentationPlan], limits: MotionLimits, stage: Stage,
+                               period: float) -> float:
     """Check the plans of a run against its limits before anything moves.
 
     Args:
@@ -135,22 +139,24 @@ def check_plans(plans: Sequence[Plan], limits: MotionLimits, stage: Stage, perio
     reaction = max(limits.sensor_silence, 3 * period, 1.2 * POLLING.timeout) + 2 * POLLING.period + stage.runs_on
     total = 0.0
     if limits.lowest < stage.limits.lowest or limits.highest > stage.limits.highest:
-        raise InputError(f"must lie within the range of the stage, {stage.limits.lowest * 1e3:g} to "
-                         f"{stage.limits.highest * 1e3:g} mm; got {limits.lowest * 1e3:g} to "
+        raise InputError(f"the position limits must lie within the range of the stage, {stage.limits.lowest * 1e3:g} "
+                         f"to {stage.limits.highest * 1e3:g} mm; got {limits.lowest * 1e3:g} to "
                          f"{limits.highest * 1e3:g} mm. Reduce lowest_mm or highest_mm", field="limits")
     for plan in plans:
-        travel, allowed_travel = plan.depth + plan.highest, limits.highest - limits.lowest
+        travel, allowed_travel = plan.largest_depth + plan.largest_height, limits.highest - limits.lowest
         if travel > allowed_travel:
-            raise InputError(f"must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of [limits]; got "
-                             f"{travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
-        for speed, name in ((plan.speed, f"{plan.name}.protocol"), (plan.approach_speed, "record.approach_speed")):
+            raise InputError(f"the protocol must need at most {allowed_travel * 1e3:.4g} mm of travel, the range of "
+                             f"[limits]; got {travel * 1e3:.4g} mm", field=f"{plan.name}.protocol")
+        for speed, name in ((plan.largest_speed, f"{plan.name}.protocol"),
+                            (plan.approach_speed, "record.approach_speed")):
             fastest = min(limits.speed, stage.limits.speed)
             if speed > fastest:
                 raise InputError(f"speed must be at most {fastest * 1e3:g} mm/s; got {speed * 1e3:g} mm/s", field=name)
-            require_stoppable(limits, speed, reaction)
+            require_stoppable_motion(limits, speed, reaction)
         motions = plan.replicates + plan.preconditioning
         total += motions * (plan.duration + plan.rest + 2 * plan.retract / plan.approach_speed)
     if total > limits.duration:
-        raise InputError(f"must be at least {total:.4g} s, the duration of the plan; got {limits.duration:g} s",
+        raise InputError(f"the time limit must be at least {total:.4g} s, the duration of the plan; got "
+                         f"{limits.duration:g} s",
                          field="limits.duration")
     return total

@@ -13,7 +13,7 @@ import numpy as np
 from haptics.devices.contracts import Bench, DeviceError, ForceSample, StageSample
 from haptics.recorder.guarded_motion import GuardedMotion
 from haptics.recorder.motion_record import MotionRecord, build_recording, estimate_contact_point
-from haptics.recorder.plan import POLLING, Plan, check_plans
+from haptics.recorder.plan import POLLING, IndentationPlan, check_plans_against_limits
 from haptics.recorder.run_folder import PartialRecording, RunFolder
 from haptics.recorder.stopped import StoppedError
 from haptics.safety.motion_guard import MotionLimits, StopReason
@@ -81,11 +81,11 @@ class Recorder:
         InputError: the plan exceeds the limits; no device is started.
     """
 
-    def __init__(self, bench: Bench, plan: Plan, limits: MotionLimits, folder: RunFolder, *,
+    def __init__(self, bench: Bench, plan: IndentationPlan, limits: MotionLimits, folder: RunFolder, *,
                  about: dict[str, Any] | None = None, stop_request: Callable[[], str | None] = lambda: None,
                  on_progress: Callable[[RunProgress], None] = lambda progress: None,
                  clock: Callable[[], float] = time.monotonic, sleep: Callable[[float], None] = time.sleep):
-        self.seconds = check_plans([plan], limits, bench.stage, 1.0 / bench.sensor.rate)
+        self.seconds = check_plans_against_limits([plan], limits, bench.stage, 1.0 / bench.sensor.rate)
         self._motion = GuardedMotion(bench, limits, plan.axis, plan.sign, on_poll=self._store_samples,
                                      stop_request=stop_request, clock=clock, sleep=sleep)
         self._plan, self._limits, self._folder, self._about = plan, limits, folder, about or {}
@@ -108,16 +108,16 @@ class Recorder:
             DeviceError: a device does not start.
         """
         folder, plan, motion = self._folder, self._plan, self._motion
-        folder.update(state="running", limits=_convert_limits_to_json(self._limits), about=self._about)
+        folder.update_state(state="running", limits=_convert_limits_to_json(self._limits), about=self._about)
         try:
             with motion.run_devices(self._plan_retraction):
                 stage = motion.stage
                 # Some devices state their rate and their run-on time only after the start.
-                check_plans([plan], self._limits, stage, 1.0 / motion.sensor.rate)
-                folder.update(sensor=motion.sensor.describe(), stage=stage.describe(),
-                              stall="detected by the encoder" if stage.measures_position else
-                              "not detectable: the stage reports only the commanded position")
-                self._tare()
+                check_plans_against_limits([plan], self._limits, stage, 1.0 / motion.sensor.rate)
+                folder.update_state(sensor=motion.sensor.describe(), stage=stage.describe(),
+                                    stall="detected by the encoder" if stage.measures_position else
+                                    "not detectable: the stage reports only the commanded position")
+                self._tare_sensor()
                 self._phase = "home"
                 motion.home()
                 self._execute_plan(folder.list_missing_replicates(plan.name, plan.replicates))
@@ -131,7 +131,7 @@ class Recorder:
             if self._partial is not None:
                 self._partial.close()
                 self._partial = None
-        folder.update(state="waiting")
+        folder.update_state(state="waiting")
 
     def _plan_retraction(self) -> tuple[float, float]:
         """Return the position, m, and the speed, m/s, of a retraction after a stop."""
@@ -152,11 +152,12 @@ class Recorder:
         """
         motion = self._motion
         if self._record is not None:
-            positions = self._record.add(samples, stage)
+            positions = self._record.append_poll(samples, stage)
             if self._partial is not None:
-                started, contact_point = self._record.polls[0].middle, self._contact_point or 0.0
-                self._partial.add([(sample.received - started, 1e3 * (position - contact_point), force, self._phase)
-                                   for sample, position, force in zip(samples, positions, forces, strict=True)])
+                started, contact_point = self._record.polls[0].middle_time, self._contact_point or 0.0
+                self._partial.queue_rows([(sample.received - started, 1e3 * (position - contact_point), force,
+                                           self._phase)
+                                          for sample, position, force in zip(samples, positions, forces, strict=True)])
                 if self._partial.failure is not None:
                     raise StoppedError(StopReason("disk", self._partial.failure))
         depth = stage.position - self._contact_point if self._contact_point is not None else np.nan
@@ -164,7 +165,7 @@ class Recorder:
         elapsed = motion.now() - motion.started
         fraction = min(elapsed / self.seconds, 1.0) if self.seconds else 1.0
         self._on_progress(RunProgress(self._plan.name, self._phase, self._replicate, stage.position, depth,
-                                      motion.force, fraction))
+                                      motion.last_force, fraction))
 
     def _execute_plan(self, missing: Sequence[int]) -> None:
         """Find contact, precondition, and record the missing replicates."""
@@ -173,15 +174,15 @@ class Recorder:
             return
         if plan.contact == "force":
             motion.move_to(min(0.0, self._limits.highest), plan.approach_speed)
-        self._tare()
+        self._tare_sensor()
         if plan.contact == "force":
             self._find_contact()
             if plan.preconditioning or plan.touch == "once":
                 self._refine_contact_point()
         else:
-            self._contact_point = self._position
+            self._contact_point = self._last_position
         for cycle in range(plan.preconditioning):
-            self._move_along_legs(f"preconditioning {cycle + 1} of {plan.preconditioning}")
+            self._execute_recorded_motion(f"preconditioning {cycle + 1} of {plan.preconditioning}")
         for number in missing:
             self._replicate = number
             self._record_replicate(number)
@@ -189,12 +190,12 @@ class Recorder:
         self._move_above_contact()
 
     @property
-    def _position(self) -> float:
+    def _last_position(self) -> float:
         """Position of the stage at the last poll, m."""
         assert self._motion.stage_sample is not None
         return self._motion.stage_sample.position
 
-    def _tare(self) -> None:
+    def _tare_sensor(self) -> None:
         self._phase = "tare"
         self._motion.tare(self._limits.tare, self._plan.contact_force)
 
@@ -202,7 +203,7 @@ class Recorder:
         """Approach until contact, withdraw, and tare the sensor again in the withdrawn position."""
         self._contact_point = self._lower_until_contact(self._plan.approach_speed)
         self._move_above_contact(2.0)
-        self._tare()
+        self._tare_sensor()
 
     def _refine_contact_point(self) -> None:
         """Approach slowly, and estimate the contact point from the samples of the approach.
@@ -235,12 +236,12 @@ class Recorder:
         plan, motion = self._plan, self._motion
         self._phase = "approach"
         if not motion.move_to(self._limits.highest, speed,
-                              lambda: motion.mean_force(_CONTACT_SEARCH.window) >= plan.contact_force):
+                              lambda: motion.compute_mean_force(_CONTACT_SEARCH.window) >= plan.contact_force):
             raise StoppedError(StopReason(
                 "no contact", f"the force did not reach {plan.contact_force:g} N within the limits of the motion; put "
                               "the specimen nearer, or check the sign and the axis of the sensor"))
         motion.clear_forces()
-        return self._position
+        return self._last_position
 
     def _move_above_contact(self, factor: float = 1.0) -> None:
         """Move to the waiting position: above the contact point, or at it for contact ``"here"``.
@@ -253,7 +254,7 @@ class Recorder:
         above = factor * self._plan.retract if self._plan.contact == "force" else 0.0
         self._motion.move_to(self._contact_point - above, self._plan.approach_speed)
 
-    def _move_along_legs(self, description: str) -> None:
+    def _execute_recorded_motion(self, description: str) -> None:
         """Execute the motion of the plan once, and write the loading and its largest depth into the run file.
 
         Args:
@@ -263,7 +264,7 @@ class Recorder:
         plan, motion, contact_point = self._plan, self._motion, self._contact_point
         self._deepest = 0.0
         # Written before the motion: a program that dies during the motion has loaded the specimen.
-        entry = self._folder.record_loading(plan.name, description, plan.depth)
+        entry = self._folder.record_loading(plan.name, description, plan.largest_depth)
         try:
             motion.move_to(contact_point + plan.legs[0].start, plan.approach_speed)
             for leg in plan.legs:
@@ -273,7 +274,7 @@ class Recorder:
                 if leg.speed:
                     motion.move_to(contact_point + leg.end, leg.speed)
                 else:
-                    motion.poll_for(leg.duration)
+                    motion.poll_for_duration(leg.duration)
         finally:
             with contextlib.suppress(OSError, InputError):
                 self._folder.record_loading(plan.name, description, self._deepest, entry)
@@ -287,18 +288,18 @@ class Recorder:
         plan, motion, folder = self._plan, self._motion, self._folder
         self._phase = "rest"
         self._move_above_contact()
-        motion.poll_for(plan.rest)
+        motion.poll_for_duration(plan.rest)
         self._check_zero()
         if plan.contact == "force" and plan.touch == "each":
             self._refine_contact_point()
             self._phase = "rest"
-        name, started = f"{plan.name}_{number}", _local_time()
+        name, started = f"{plan.name}_{number}", _format_local_time()
         loadings, stops = folder.count_loadings(plan.name), folder.list_stops(plan.name)
         partial = self._partial = folder.open_partial(name, ["time [s]", "displacement [mm]", "force [N]", "segment"])
         record = self._record = MotionRecord()
         try:
-            self._move_along_legs(f"recording {number} of {plan.replicates}")
-            motion.poll_for(2 * POLLING.period)
+            self._execute_recorded_motion(f"recording {number} of {plan.replicates}")
+            motion.poll_for_duration(2 * POLLING.period)
         finally:
             self._record = None
         # Lost steps of the motor and a sensor without signal show here; the samples are then not saved as a recording.
@@ -307,17 +308,17 @@ class Recorder:
         self._check_zero()
         contact_point, zero, contact_metadata = self._contact_point or 0.0, motion.zero, self._contact_metadata
 
-        def save() -> None:
+        def save_recording() -> None:
             recording = build_recording(record, plan, contact_point, zero, motion.sensor.channels,
                                         1.0 / motion.sensor.rate)
             if not recording.force.max() >= plan.contact_force:
                 raise StoppedError(StopReason(
                     "no contact", f"the force stayed below {plan.contact_force:g} N in a motion to "
-                                  f"{plan.depth * 1e3:g} mm: the motor has lost steps, or the sensor does not feel the "
-                                  "tool"))
+                                  f"{plan.largest_depth * 1e3:g} mm: the motor has lost steps, or the sensor "
+                                  "does not feel the tool"))
             partial.close()
-            folder.save(name, recording.with_metadata(**plan.about, **self._about, **{
-                "name": name, "test": plan.name, "replicate": number, "started": started, "ended": _local_time(),
+            folder.save_recording(name, recording.with_metadata(**plan.about, **self._about, **{
+                "name": name, "test": plan.name, "replicate": number, "started": started, "ended": _format_local_time(),
                 "sensor": motion.sensor.describe(), "stage": motion.stage.describe(), "axis": plan.axis,
                 "sign": plan.sign, "zeroed": "above the specimen, before and after this recording"
                 if plan.contact == "force" else "with the specimen on the tool, after homing",
@@ -325,7 +326,7 @@ class Recorder:
                 "loadings_before": loadings, "stops_before": stops, **recording.metadata}))
 
         # Saving a long test takes seconds; the devices must be polled during this time.
-        motion.run_while_polling(save)
+        motion.run_while_polling(save_recording)
         self._partial = None
 
     def _check_zero(self) -> None:
@@ -342,6 +343,6 @@ def _convert_limits_to_json(limits: MotionLimits) -> dict[str, Any]:
             "on_stop": "retract" if limits.retracts else "stand"}
 
 
-def _local_time() -> str:
+def _format_local_time() -> str:
     """Return the local date and time with time zone (ISO 8601)."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")

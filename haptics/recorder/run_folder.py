@@ -85,7 +85,7 @@ class RunFolder:
         return state
 
     @property
-    def is_begun(self) -> bool:
+    def has_started_run(self) -> bool:
         """Whether a run was started in this folder."""
         return self.state["state"] != "new"
 
@@ -105,8 +105,8 @@ class RunFolder:
             os.close(self._lock)
             self._lock = None
 
-    def update(self, **entries: Any) -> None:
-        """Replace entries of the state, and write ``run.json``."""
+    def update_state(self, **entries: Any) -> None:
+        """Replace the given entries of the state of the run, and write the state to ``run.json``."""
         self.state |= entries
         write_text(self.folder / RUN_FILE, json.dumps(self.state, indent=2, ensure_ascii=False) + "\n")
 
@@ -120,9 +120,9 @@ class RunFolder:
             phase: activity that was stopped.
             replicate: number of the replicate; 0 outside of a replicate.
         """
-        self.update(state="stopped", stops=[*self.state["stops"], {
+        self.update_state(state="stopped", stops=[*self.state["stops"], {
             "cause": cause, "message": message, "test": test, "phase": phase, "replicate": replicate,
-            "at": _local_time()}])
+            "at": _format_local_time()}])
 
     def record_loading(self, test: str, description: str, depth: float, entry: int | None = None) -> int:
         """Write a loading of the specimen into the history.
@@ -137,12 +137,12 @@ class RunFolder:
             Number of the entry.
         """
         history = list(self.state["history"])
-        row = {"test": test, "what": description, "depth_mm": depth * 1e3, "at": _local_time()}
+        row = {"test": test, "what": description, "depth_mm": depth * 1e3, "at": _format_local_time()}
         if entry is None:
             history.append({**row, "planned": True})
         else:
             history[entry] = row
-        self.update(history=history)
+        self.update_state(history=history)
         return len(history) - 1 if entry is None else entry
 
     def count_loadings(self, test: str) -> int:
@@ -176,7 +176,7 @@ class RunFolder:
         """
         path = path.resolve()
         if path not in self._copies:
-            self.update()  # A folder with copies and without run.json would be refused later.
+            self.update_state()  # A folder with copies and without run.json would be refused later.
             used, number, name = set(self._copies.values()), 1, f"{COPIES_FOLDER}/{path.name}"
             while name in used:
                 number += 1
@@ -194,7 +194,7 @@ class RunFolder:
         """
         return PartialRecording(self.folder / f"{name}{PARTIAL_SUFFIX}", header)
 
-    def save(self, name: str, recording: Recording) -> Path:
+    def save_recording(self, name: str, recording: Recording) -> Path:
         """Write a complete recording, delete its partial file, and add the recording to the state.
 
         Args:
@@ -208,7 +208,8 @@ class RunFolder:
         write_recording(recording, path)
         (self.folder / f"{name}{PARTIAL_SUFFIX}").unlink(missing_ok=True)
         left_out = {name: recording.metadata["left_out"]} if "left_out" in recording.metadata else {}
-        self.update(done=[*self.state["done"], path.name], left_out={**self.state.get("left_out", {}), **left_out})
+        self.update_state(done=[*self.state["done"], path.name],
+                          left_out={**self.state.get("left_out", {}), **left_out})
         return path
 
 
@@ -238,10 +239,10 @@ class PartialRecording:
         self._waiting: queue.SimpleQueue[str | None] = queue.SimpleQueue()
         self._waiting.put(",".join(header) + "\n")
         self.failure: str | None = None
-        self._thread = threading.Thread(target=self._write, name="partial recording", daemon=True)
+        self._thread = threading.Thread(target=self._write_queued_rows, name="partial recording", daemon=True)
         self._thread.start()
 
-    def add(self, rows: Sequence[Sequence[Any]]) -> None:
+    def queue_rows(self, rows: Sequence[Sequence[Any]]) -> None:
         """Queue rows for writing.
 
         Args:
@@ -251,7 +252,7 @@ class PartialRecording:
             self._waiting.put("".join(",".join(cell if isinstance(cell, str) else f"{cell:.9g}" for cell in row) + "\n"
                                       for row in rows))
 
-    def _write(self) -> None:
+    def _write_queued_rows(self) -> None:
         ending = False
         try:
             while not ending:
@@ -278,7 +279,7 @@ class PartialRecording:
         os.close(self._file)
 
 
-def _local_time() -> str:
+def _format_local_time() -> str:
     """Return the local date and time with time zone (ISO 8601)."""
     return time.strftime("%Y-%m-%dT%H:%M:%S%z")
 

@@ -42,7 +42,7 @@ class StagePoll:
     position: float
 
     @property
-    def middle(self) -> float:
+    def middle_time(self) -> float:
         """Mean of the earliest and the latest time, s; the best estimate of the time of reading."""
         return 0.5 * (self.earliest + self.latest)
 
@@ -68,11 +68,12 @@ class StagePath:
     def __init__(self, polls: Sequence[StagePoll], changes: Sequence[float], speeds: Sequence[float]):
         self._earliest = np.array([poll.earliest for poll in polls])
         self._latest = np.array([poll.latest for poll in polls])
-        self._times = np.array([poll.middle for poll in polls])
+        self._times = np.array([poll.middle_time for poll in polls])
         self._positions = np.array([poll.position for poll in polls])
         self._changes = np.array(changes, dtype=float)
         self._speeds = np.array(speeds, dtype=float)
-        begun, ended, position = self._travel(self._earliest), self._travel(self._latest), self._positions
+        begun, ended = self._compute_largest_travel(self._earliest), self._compute_largest_travel(self._latest)
+        position = self._positions
         # Row i holds the bounds of the first i polls (before), and of the polls from i on (after), without s(t).
         none = np.array([np.inf])
         self._upper_before = np.minimum.accumulate(np.concatenate([none, position - begun]))
@@ -80,7 +81,7 @@ class StagePath:
         self._upper_after = np.minimum.accumulate(np.concatenate([none, (position + ended)[::-1]]))[::-1]
         self._lower_after = np.maximum.accumulate(np.concatenate([-none, (position - ended)[::-1]]))[::-1]
 
-    def _travel(self, times: np.ndarray) -> np.ndarray:
+    def _compute_largest_travel(self, times: np.ndarray) -> np.ndarray:
         """Return the largest possible travel since the first change, m, negative before it; shape of `times`."""
         if self._changes.size == 0:
             return self._speeds[0] * times
@@ -89,7 +90,7 @@ class StagePath:
         start = np.maximum(index - 1, 0)
         return knots[start] + self._speeds[index] * (times - self._changes[start])
 
-    def interpolate(self, times: np.ndarray) -> np.ndarray:
+    def interpolate_position(self, times: np.ndarray) -> np.ndarray:
         """Return the position of the stage, m, shape (n,).
 
         Args:
@@ -97,13 +98,13 @@ class StagePath:
         """
         return np.interp(times, self._times, self._positions)
 
-    def bound_error(self, times: np.ndarray) -> np.ndarray:
-        """Return a bound on the error of `interpolate`, m, shape (n,); infinite before and after all polls.
+    def bound_position_error(self, times: np.ndarray) -> np.ndarray:
+        """Return a bound on the error of `interpolate_position`, m, shape (n,); infinite before and after all polls.
 
         Args:
             times: s, shape (n,).
         """
-        travel, position = self._travel(times), self.interpolate(times)
+        travel, position = self._compute_largest_travel(times), self.interpolate_position(times)
         before = np.searchsorted(self._latest, times, side="right")
         after = np.searchsorted(self._earliest, times, side="left")
         upper = np.minimum(self._upper_before[before] + travel, self._upper_after[after] - travel)
@@ -111,14 +112,14 @@ class StagePath:
         outside = (times < self._times[0]) | (times > self._times[-1])
         return np.where(outside, np.inf, np.maximum(np.abs(upper - position), np.abs(position - lower)))
 
-    def is_known(self, times: np.ndarray, depth: float) -> np.ndarray:
+    def is_position_known(self, times: np.ndarray, depth: float) -> np.ndarray:
         """Return whether the position is known well enough to record a force, shape (n,).
 
         Args:
             times: s, shape (n,).
             depth: largest depth of the motion, m.
         """
-        return self.bound_error(times) <= compute_position_tolerance(depth)
+        return self.bound_position_error(times) <= compute_position_tolerance(depth)
 
 
 def compute_position_tolerance(depth: float) -> float:

@@ -33,7 +33,7 @@ class CouplingSettings:
 COUPLING = CouplingSettings()
 
 
-def is_stale(answer: ToolForce) -> bool:
+def has_stale_stiffness(answer: ToolForce) -> bool:
     """Return whether the stiffness of an answer is older than `CouplingSettings.longest_stiffness_age`."""
     return answer.stiffness_age > COUPLING.longest_stiffness_age
 
@@ -97,10 +97,10 @@ class VirtualCoupling:
 
     def __init__(self, stiffness: float, damping: float = 0.0, mass: float = 0.0):
         if not 0 < stiffness < math.inf:
-            raise InputError(f"must be positive and finite; got {stiffness:g} N/m", field="stiffness")
+            raise InputError(f"the stiffness must be positive and finite; got {stiffness:g} N/m", field="stiffness")
         for value, unit, field in ((damping, "N s/m", "damping"), (mass, "kg", "mass")):
             if not 0 <= value < math.inf:
-                raise InputError(f"must be zero or more and finite; got {value:g} {unit}", field=field)
+                raise InputError(f"damping and mass must be zero or more and finite; got {value:g} {unit}", field=field)
         self.stiffness, self.damping, self.mass = stiffness, damping, mass
         self.reset()
 
@@ -163,7 +163,7 @@ class VirtualCoupling:
         velocity = vx, vy, vz = (x - last_x) / dt, (y - last_y) / dt, (z - last_z) / dt
         px, py, pz = self.pose.position
         offset = (x - px, y - py, z - pz)
-        moved = (0.0, 0.0, 0.0) if answer is None else self._solve_motion(offset, velocity, answer, dt)
+        moved = (0.0, 0.0, 0.0) if answer is None else self._solve_proxy_motion(offset, velocity, answer, dt)
         self._motion = mx, my, mz = moved
         px, py, pz = px + mx, py + my, pz + mz
         self.pose = Pose((px, py, pz), device.orientation)
@@ -174,7 +174,7 @@ class VirtualCoupling:
         self.dissipated += (damping * vx * vx + damping * vy * vy + damping * vz * vz) * dt
         return self.pose
 
-    def _solve_motion(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
+    def _solve_proxy_motion(self, offset: Vector, velocity: Vector, answer: ToolForce, dt: float) -> Vector:
         """Solve the implicit step for the motion of the proxy.
 
         Args:
@@ -195,7 +195,7 @@ class VirtualCoupling:
         a, e, i = max(a, 0.0), max(e, 0.0), max(i, 0.0)
         if matrix is answer.stiffness_matrix:
             self._update_stiffness(answer, max(a, e, i))
-            if is_stale(answer):
+            if has_stale_stiffness(answer):
                 a = e = i = max(self._largest_stiffness, self._secant)
                 b = c = d = f = g = h = 0.0
         before_x, before_y, before_z = self._motion
@@ -226,7 +226,7 @@ class VirtualCoupling:
         """
         load, before, motion = answer.wrench[:3], self._load, math.hypot(*self._motion)
         self._load = load
-        if not is_stale(answer):
+        if not has_stale_stiffness(answer):
             self._largest_stiffness, self._secant = max(self._largest_stiffness, largest), 0.0
         elif before is not None and motion > COUPLING.smallest_motion:
             self._secant = max(self._secant, math.dist(load, before) / motion)

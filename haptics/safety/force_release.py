@@ -57,13 +57,13 @@ class ForceRelease:
 
     def __init__(self, patience: float = RELEASE.patience, ramp: float = RELEASE.ramp):
         if not patience > 0.0:
-            raise InputError(f"must be positive; got {patience:g} s", field="patience")
+            raise InputError(f"the time without equilibrium must be positive; got {patience:g} s", field="patience")
         self._watchdog = Watchdog(min(patience, RELEASE.longest_patience), ramp)
         self.reset()
 
     @property
     def gain(self) -> float:
-        """Factor of the force in the last step, 0 to 1."""
+        """Factor by which the last step multiplied the force, 0 to 1."""
         return self._watchdog.gain
 
     def reset(self) -> None:
@@ -80,7 +80,7 @@ class ForceRelease:
         """
         watchdog, last, self._last_step = self._watchdog, self._last_step, now
         if last is None and math.hypot(*answer.wrench[:3]) > RELEASE.largest_first_force:
-            watchdog.withdraw()
+            watchdog.withdraw_force()
         converged = answer.status is ForceStatus.CONVERGED
         has_equilibrium = converged or (answer.status is ForceStatus.LATE and answer.inertial and answer.age == 0.0)
         gain = watchdog.step(has_equilibrium, 0.0 if last is None else max(0.0, now - last))

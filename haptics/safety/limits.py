@@ -38,7 +38,7 @@ class ForceLimits:
         for value, unit, field in ((force, "N", "force"), (rate, "N per tick", "rate"), (torque, "N m", "torque"),
                                    (torque_rate, "N m per tick", "torque_rate")):
             if not 0 < value < inf:
-                raise InputError(f"must be positive and finite; got {value:g} {unit}", field=field)
+                raise InputError(f"a force limit must be positive and finite; got {value:g} {unit}", field=field)
         self.force, self.rate, self.torque, self.torque_rate = force, rate, torque, torque_rate
         self.reset()
 

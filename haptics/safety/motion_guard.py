@@ -79,9 +79,11 @@ class MotionLimits:
             if each.name in ("lowest", "highest", "retracts"):
                 continue
             if not 0 < value < math.inf:
-                raise InputError(f"must be positive and finite; got {value:g}", field=f"limits.{each.name}")
+                raise InputError(f"a limit of a run must be positive and finite; got {value:g}",
+                                 field=f"limits.{each.name}")
         if not -math.inf < self.lowest < self.highest < math.inf:
-            raise InputError(f"must be below limits.highest, {self.highest * 1e3:g} mm; got {self.lowest * 1e3:g} mm",
+            raise InputError(f"the lowest position must be below limits.highest, {self.highest * 1e3:g} mm; got "
+                             f"{self.lowest * 1e3:g} mm",
                              field="limits.lowest")
 
 
@@ -156,8 +158,8 @@ class MotionGuard:
         self._stage_samples: deque[StageSample] = deque()
         self.is_stage_homed = self.is_sensor_zeroed = False
 
-    def check(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
-              command: CommandedMotion | None) -> StopReason | None:
+    def check_poll(self, now: float, samples: Sequence[ForceSample], forces: Sequence[float], stage: StageSample,
+                   command: CommandedMotion | None) -> StopReason | None:
         """Check the samples of one poll.
 
         Args:
@@ -240,7 +242,7 @@ class MotionGuard:
             samples.popleft()
         first, last = samples[0], samples[-1]
         if last.received - first.received > 0.5 * window:
-            longest = last.received - first.earliest
+            longest = last.received - first.earliest_reading_time
             speed = abs(last.position - first.position) / longest
             allowed = (1 + _SETTINGS.speed_tolerance) * self.limits.speed + _SETTINGS.stall_distance / longest
             if speed > allowed:
@@ -256,15 +258,16 @@ class MotionGuard:
             return StopReason("stage astray", f"the stage is at {stage.position * 1e3:.4g} mm, off the commanded path "
                                               f"from {command.start * 1e3:.4g} to {command.goal * 1e3:.4g} mm; home it "
                                               "again")
-        behind = command.expected_travel(stage.earliest) - abs(stage.position - command.start)
-        if self._measures_position and command.speed and stage.earliest - command.started > _SETTINGS.stall_time and \
+        behind = command.expected_travel(stage.earliest_reading_time) - abs(stage.position - command.start)
+        is_stall_testable = stage.earliest_reading_time - command.started > _SETTINGS.stall_time
+        if self._measures_position and command.speed and is_stall_testable and \
                 behind > max(_SETTINGS.stall_distance, _SETTINGS.stall_time * command.speed):
             return StopReason("stage stalled", f"the stage is {behind * 1e3:.3g} mm behind its commanded position; "
                                                "remove what blocks it, and home it again")
         return None
 
 
-def require_stoppable(limits: MotionLimits, speed: float, seconds: float) -> None:
+def require_stoppable_motion(limits: MotionLimits, speed: float, seconds: float) -> None:
     """Refuse a motion whose force can increase by more than the margin before the stage stands.
 
     The force increase is speed * seconds * stiffness of the specimen.

@@ -39,7 +39,8 @@ class PassivityObserver:
 
     def __init__(self, held: bool = False, tolerance: float = 1e-3):
         if not 0 <= tolerance < math.inf:
-            raise InputError(f"must be zero or more and finite; got {tolerance:g}", field="tolerance")
+            raise InputError(f"the tolerance on the energy must be zero or more and finite; got {tolerance:g}",
+                             field="tolerance")
         self.held, self.tolerance = held, tolerance
         self.reset()
 
@@ -51,7 +52,7 @@ class PassivityObserver:
 
     @property
     def energy(self) -> float:
-        """Energy put in less energy returned, J."""
+        """Energy that the hand put in minus energy returned to the hand, J; negative for an active port."""
         return self.energy_in - self.energy_out
 
     @property
@@ -69,7 +70,7 @@ class PassivityObserver:
 
     way = OldName("displacement_to")
 
-    def work(self, wrench: Screw, displacement: Screw) -> float:
+    def compute_work(self, wrench: Screw, displacement: Screw) -> float:
         """Return the energy that the hand puts in between the last sample and a new one, J.
 
         Args:
@@ -82,6 +83,9 @@ class PassivityObserver:
             a, b, c, d, e, f = 0.5 * (a + g), 0.5 * (b + h), 0.5 * (c + i), 0.5 * (d + j), 0.5 * (e + k), 0.5 * (f + m)
         x, y, z, u, v, w = displacement
         return -(a * x + b * y + c * z + d * u + e * v + f * w)
+
+    work = OldName("compute_work")
+    velocity = OldName("compute_mean_velocity")
 
     def observe(self, wrench: Screw, pose: Pose, displacement: Screw | None = None):
         """Add one sample to the energies; a sample that is not finite is ignored.
@@ -96,7 +100,7 @@ class PassivityObserver:
             if self._pose is None and not pose.is_finite:
                 return
             displacement = self.displacement_to(pose)
-        work = self.work(wrench, displacement)
+        work = self.compute_work(wrench, displacement)
         # A component of the pose that is not finite makes the work not finite.
         if not math.isfinite(work + sum(wrench)):
             return
@@ -106,7 +110,7 @@ class PassivityObserver:
             self.energy_out -= work
         self._wrench, self._pose = wrench, pose
 
-    def velocity(self, pose: Pose, dt: float) -> Vector:
+    def compute_mean_velocity(self, pose: Pose, dt: float) -> Vector:
         """Return the mean velocity of the tool tip since the last sample, m/s; zero for the first sample.
 
         Args:
@@ -142,7 +146,7 @@ class EnergyLimit:
 
     def __init__(self, energy: float):
         if not energy > 0:
-            raise InputError(f"must be positive; got {energy:g} J", field="energy")
+            raise InputError(f"the largest returned energy must be positive; got {energy:g} J", field="energy")
         self.energy = energy
         self.reset()
 
@@ -185,21 +189,24 @@ class PassivityController:
 
     def __init__(self, observer: PassivityObserver, damping: float):
         if not 0 < damping < math.inf:
-            raise InputError(f"must be positive and finite; got {damping:g} N s/m", field="damping")
+            raise InputError(f"the damping must be positive and finite; got {damping:g} N s/m", field="damping")
         if not observer.held:
-            raise InputError("must count the held force; got held=False. Create the observer with held=True",
+            raise InputError("the observer must count the held force; got held=False. Create the observer with "
+                             "held=True",
                              field="observer")
         self.observer, self.damping, self.added = observer, damping, 0.0
 
-    def force(self, pose: Pose, dt: float) -> Vector:
+    def compute_damping_force(self, pose: Pose, dt: float) -> Vector:
         """Return the damping force of this tick, N; zero if the energy is not negative or the tool rests.
 
         Args:
             pose: pose in this tick.
             dt: length of the tick, s.
         """
-        energy = self.observer.energy + self.observer.work(_NO_WRENCH, self.observer.displacement_to(pose))
-        x, y, z = self.observer.velocity(pose, dt)
+        energy = self.observer.energy + self.observer.compute_work(_NO_WRENCH, self.observer.displacement_to(pose))
+        x, y, z = self.observer.compute_mean_velocity(pose, dt)
         power = (x * x + y * y + z * z) * dt
         self.added = min(-energy / power, self.damping) if energy < 0 and power > 0 else 0.0
         return (-self.added * x, -self.added * y, -self.added * z)
+
+    force = OldName("compute_damping_force")

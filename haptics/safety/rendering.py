@@ -11,6 +11,7 @@ from haptics.safety.limits import ForceLimits
 from haptics.safety.passivity import EnergyLimit, PassivityController, PassivityObserver
 from haptics.safety.watchdog import Watchdog, WatchdogState
 from tissue_sim.pose import Pose, Screw, scaled
+from tissue_sim.public_names import OldName
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
 
@@ -89,7 +90,7 @@ class RenderedForce(NamedTuple):
         return bool(self.flags & _RATE_LIMITED)
 
     @property
-    def invalid(self) -> bool:
+    def has_invalid_input(self) -> bool:
         """Whether the force or dt was not a finite number; the force then goes to zero."""
         return bool(self.flags & _INVALID)
 
@@ -99,14 +100,21 @@ class RenderedForce(NamedTuple):
         return bool(self.flags & _LOST_POSE)
 
     @property
-    def active(self) -> bool:
-        """Whether the held force has returned more energy than was put in."""
+    def is_active(self) -> bool:
+        """Whether the port to the hand is active: the held force has returned more energy than the hand put in."""
         return bool(self.flags & _ACTIVE)
 
     @property
     def out_of_energy(self) -> bool:
         """Whether the energy limit has switched the force off until a reset."""
         return bool(self.flags & _ENERGY)
+
+
+# `NamedTuple` does not call ``__set_name__`` of the members of its class body before Python 3.13.
+for _old, _new in (("active", "is_active"), ("invalid", "has_invalid_input")):
+    _alias = OldName(_new)
+    _alias.__set_name__(RenderedForce, _old)
+    setattr(RenderedForce, _old, _alias)
 
 
 class ForceRendering:
@@ -138,7 +146,7 @@ class ForceRendering:
         self.reset()
 
     def reset(self):
-        """Reset all parts to their initial state."""
+        """Reset limits, coupling, watchdog, energy sums and energy limit to their initial states."""
         for part in (self.limits, self.coupling, self.watchdog, self.observer, self.held_observer,
                      self.energy_limit):
             if part is not None:
@@ -185,7 +193,7 @@ class ForceRendering:
         if 0 < dt < math.inf:
             wrench = self._wrench
             if self.controller is not None and pose is not None:
-                x, y, z = self.controller.force(pose, dt)
+                x, y, z = self.controller.compute_damping_force(pose, dt)
                 wrench = (wrench[0] + x, wrench[1] + y, wrench[2] + z, *wrench[3:])
             gain = self.watchdog.step(pose is not None and is_valid, dt)
             if gain != 1.0:

@@ -6,6 +6,7 @@ import math
 from enum import Enum
 
 from tissue_sim.errors import InputError
+from tissue_sim.public_names import OldName
 
 
 class WatchdogState(Enum):
@@ -42,7 +43,7 @@ class Watchdog:
     def __init__(self, timeout: float = 0.050, ramp: float = 0.100):
         for value, field in ((timeout, "timeout"), (ramp, "ramp")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be positive and finite; got {value:g} s", field=field)
+                raise InputError(f"timeout and ramp must be positive and finite; got {value:g} s", field=field)
         self.timeout, self.ramp = timeout, ramp
         self.reset()
 
@@ -51,9 +52,11 @@ class Watchdog:
         self.state, self.gain, self.missing = WatchdogState.TRACKING, 1.0, 0.0
         self._progress = 1.0
 
-    def withdraw(self):
+    def withdraw_force(self):
         """Set the gain to zero and the state to LOST; the next pose starts the ramp to full force."""
         self.state, self.gain, self._progress = WatchdogState.LOST, 0.0, 0.0
+
+    withdraw = OldName("withdraw_force")
 
     def step(self, seen: bool, dt: float) -> float:
         """Advance by one tick, and return the gain of the force.
@@ -75,10 +78,10 @@ class Watchdog:
             change = dt / self.ramp if seen else -dt / self.ramp
             self._progress = min(max(self._progress + change, 0.0), 1.0)
         self.gain = self._progress * self._progress * (3 - 2 * self._progress)
-        self.state = self._find_state(seen, lost)
+        self.state = self._find_watchdog_state(seen, lost)
         return self.gain
 
-    def _find_state(self, seen: bool, lost: bool) -> WatchdogState:
+    def _find_watchdog_state(self, seen: bool, lost: bool) -> WatchdogState:
         """Return the state of this tick; `lost`: the pose is missing for longer than the timeout."""
         if seen:
             return WatchdogState.TRACKING if self.gain == 1.0 else WatchdogState.RETURNING

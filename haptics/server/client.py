@@ -12,11 +12,11 @@ from haptics.server.wire import (
     REPLY_SIZE,
     VERSION,
     VERSIONS,
-    Kind,
     OtherVersionError,
     Reply,
     Request,
     RequestFlags,
+    RequestKind,
     WireError,
     decode_reply,
     encode_request,
@@ -46,7 +46,8 @@ class TissueClient:
     def __init__(self, port: int, host: str = LOOPBACK, timeout: float = 1.0, polls: int = 0,
                  session: int | None = None, version: int = VERSION):
         if version not in VERSIONS:
-            raise InputError(f"must be {' or '.join(map(str, VERSIONS))}; got {version!r}", field="version")
+            raise InputError(f"the protocol version must be {' or '.join(map(str, VERSIONS))}; got {version!r}",
+                             field="version")
         self._version = version
         self._timeout, self._polls, self._sequence = timeout, polls, 0
         self.session = secrets.randbits(64) | 1 if session is None else session
@@ -73,15 +74,15 @@ class TissueClient:
         if not isinstance(pose, Pose):
             pose = Pose((0.0, 0.0, -pose))
         at = time.monotonic() if at is None else at
-        return self._request(Request(self._sequence, at, pose.position, pose.orientation, self.session,
-                                     flags=RequestFlags.RESET if reset else RequestFlags.NONE,
-                                     version=self._version))
+        return self._exchange_request(Request(self._sequence, at, pose.position, pose.orientation, self.session,
+                                              flags=RequestFlags.RESET if reset else RequestFlags.NONE,
+                                              version=self._version))
 
     def close(self) -> None:
         """Send a goodbye, so that another client can own the tissue at once, and close the socket."""
         with self._socket, suppress(OSError):  # the server may have ended already
-            self._request(Request(self._sequence, 0.0, session=self.session, kind=Kind.GOODBYE,
-                                  version=self._version))
+            self._exchange_request(Request(self._sequence, 0.0, session=self.session, kind=RequestKind.GOODBYE,
+                                           version=self._version))
 
     def __enter__(self) -> TissueClient:
         return self
@@ -89,14 +90,14 @@ class TissueClient:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _request(self, request: Request) -> Reply:
+    def _exchange_request(self, request: Request) -> Reply:
         """Send a request, and return its reply; replies to earlier requests are dropped."""
         self._sequence += 1
         self._socket.send(encode_request(request))
         end = time.monotonic() + self._timeout
         while True:
             try:
-                reply = decode_reply(self._receive())
+                reply = decode_reply(self._receive_datagram())
             except OtherVersionError as error:
                 raise InputError(f"the server uses protocol version {error.version}, this client version "
                                  f"{self._version}; install the same tissue_sim on both sides") from None
@@ -111,7 +112,7 @@ class TissueClient:
             if time.monotonic() > end:  # only replies to earlier requests arrived
                 raise TimeoutError(f"no reply within {self._timeout:g} s")
 
-    def _receive(self) -> bytes:
+    def _receive_datagram(self) -> bytes:
         """Return the next datagram: poll first, then wait up to the timeout."""
         if self._polls:
             self._socket.setblocking(False)

@@ -37,25 +37,25 @@ LIMITS = CommandLimits()
 Name = Annotated[str, msgspec.Meta(min_length=1, max_length=64)]
 
 
-class _Command(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
-    """Command without arguments."""
+class _CommandWithoutArguments(msgspec.Struct, forbid_unknown_fields=True, frozen=True):
+    """Command without arguments; base class of the commands with arguments."""
 
     command: str
 
 
-class _SetParameters(_Command, frozen=True):
+class _SetParametersCommand(_CommandWithoutArguments, frozen=True):
     """Arguments of ``set_parameters``: name -> value, SI units."""
 
     parameters: dict[str, float]
 
 
-class _Surface(_Command, frozen=True):
+class _SurfaceCommand(_CommandWithoutArguments, frozen=True):
     """Arguments of ``surface``: circumferential segments of the triangles; None: no triangles."""
 
     segments: Annotated[int, msgspec.Meta(ge=3, le=LIMITS.max_segments)] | None = None
 
 
-class _State(_Command, frozen=True):
+class _NamedStateCommand(_CommandWithoutArguments, frozen=True):
     """Arguments of ``save`` and ``restore``: name of the state."""
 
     name: Name
@@ -64,7 +64,7 @@ class _State(_Command, frozen=True):
 Description = Mapping[str, Any] | Callable[[], Mapping[str, Any]]
 
 
-class Commands:
+class ConfigurationCommands:
     """Execute configuration commands on the tissue of a `StepService`, between its steps.
 
     Args:
@@ -83,14 +83,15 @@ class Commands:
         #: Parameters of the present tissue.
         self._parameters = dict(self._initial_parameters)
         self._states: dict[str, tuple[Any, dict[str, float]]] = {}
-        self._commands: dict[str, tuple[type[_Command], Callable[[Any], Iterator[bytes] | dict[str, Any]]]] = {
-            "describe": (_Command, self._describe_server),
-            "statistics": (_Command, self._collect_statistics),
-            "reset": (_Command, self._reset_tissue),
-            "set_parameters": (_SetParameters, self._set_parameters),
-            "surface": (_Surface, self._encode_surface),
-            "save": (_State, self._save_state),
-            "restore": (_State, self._restore_state),
+        self._commands: dict[str, tuple[type[_CommandWithoutArguments],
+                                        Callable[[Any], Iterator[bytes] | dict[str, Any]]]] = {
+            "describe": (_CommandWithoutArguments, self._describe_server),
+            "statistics": (_CommandWithoutArguments, self._collect_statistics),
+            "reset": (_CommandWithoutArguments, self._reset_tissue),
+            "set_parameters": (_SetParametersCommand, self._set_parameters),
+            "surface": (_SurfaceCommand, self._encode_surface),
+            "save": (_NamedStateCommand, self._save_state),
+            "restore": (_NamedStateCommand, self._restore_state),
         }
 
     def execute(self, line: bytes) -> Iterator[bytes]:
@@ -130,7 +131,7 @@ class Commands:
                              '{"command": "describe"}') from None
         name = request.get("command") if isinstance(request, dict) else None
         if not isinstance(name, str):
-            raise InputError(f"must be one of {', '.join(self._commands)}; got none", field="command")
+            raise InputError(f"the command must be one of {', '.join(self._commands)}; got none", field="command")
         if name not in self._commands:
             raise InputError(f"unknown command {name[:64]!r}{nearest(name[:64], self._commands)}", field="command")
         kind, function = self._commands[name]
@@ -140,66 +141,66 @@ class Commands:
         answer = function(decode(request, kind))
         return {"command": name, **answer} if isinstance(answer, dict) else answer
 
-    def _describe_server(self, _: _Command) -> dict[str, Any]:
+    def _describe_server(self, _: _CommandWithoutArguments) -> dict[str, Any]:
         """Return protocol, frame, scene, parameters, commands and saved states."""
         description = as_json_types(self._description()) if callable(self._description) else self._description
         return {"protocol": {"version": VERSION, "request_bytes": REQUEST_SIZE, "reply_bytes": REPLY_SIZE},
                 "frame": FRAME, **description, "parameters": self._parameters,
                 "commands": list(self._commands), "states": list(self._states)}
 
-    def _collect_statistics(self, _: _Command) -> dict[str, Any]:
-        """Return the counters and the address of the owner."""
-        owner = self._service.owner
+    def _collect_statistics(self, _: _CommandWithoutArguments) -> dict[str, Any]:
+        """Return the counters of packets and steps, and the address of the client that owns the tissue."""
+        owner = self._service.owner_address
         return {**msgspec.to_builtins(self._service.counters),
                 "owner": None if owner is None else "{}:{}".format(*owner[:2])}
 
-    def _reset_tissue(self, _: _Command) -> dict[str, Any]:
+    def _reset_tissue(self, _: _CommandWithoutArguments) -> dict[str, Any]:
         """Restore the undeformed state of the tissue."""
         self._service.tissue.reset()
         self._service.discard_last_step()
         return {}
 
-    def _set_parameters(self, request: _SetParameters) -> dict[str, Any]:
+    def _set_parameters(self, request: _SetParametersCommand) -> dict[str, Any]:
         """Change parameters of the tissue, and return all parameters."""
         for name in request.parameters:
             if name not in self._parameters:
                 hint = nearest(name[:64], self._parameters) if self._parameters else \
                     "; this tissue has no parameters to set"
                 raise InputError(f"unknown parameter{hint}", field=f"parameters.{name[:64]}")
-        self._require_method("set_parameters")(**request.parameters)
+        self._get_tissue_method("set_parameters")(**request.parameters)
         self._parameters |= request.parameters
         return {"parameters": self._parameters}
 
-    def _encode_surface(self, request: _Surface) -> Iterator[bytes]:
+    def _encode_surface(self, request: _SurfaceCommand) -> Iterator[bytes]:
         """Yield the deformed surface as an outline and, on request, as triangles."""
-        surface = self._require_method("surface")()
+        surface = self._get_tissue_method("surface")()
         arrays = {} if surface.outline is None else {"outline": surface.outline}
         if request.segments is not None:
             arrays["vertices"], arrays["triangles"] = surface.triangles(request.segments)
         return _encode_arrays("surface", arrays)
 
-    def _save_state(self, request: _State) -> dict[str, Any]:
+    def _save_state(self, request: _NamedStateCommand) -> dict[str, Any]:
         """Save state and parameters of the tissue under a name."""
         if request.name not in self._states and len(self._states) == LIMITS.max_states:
             raise InputError(f"at most {LIMITS.max_states} states can be saved; save under an existing name: "
                              f"{', '.join(self._states)}", field="name")
-        self._states[request.name] = (self._require_method("save")(), dict(self._parameters))
+        self._states[request.name] = (self._get_tissue_method("save")(), dict(self._parameters))
         return {"states": list(self._states)}
 
-    def _restore_state(self, request: _State) -> dict[str, Any]:
+    def _restore_state(self, request: _NamedStateCommand) -> dict[str, Any]:
         """Restore state and parameters that were saved under a name."""
         if request.name not in self._states:
             hint = nearest(request.name, self._states) if self._states else "; no state was saved"
             raise InputError(f"unknown state {request.name!r}{hint}", field="name")
         state, parameters = self._states[request.name]
         if parameters != self._parameters:
-            self._require_method("set_parameters")(**parameters)
+            self._get_tissue_method("set_parameters")(**parameters)
             self._parameters = dict(parameters)
-        self._require_method("restore")(state)
+        self._get_tissue_method("restore")(state)
         self._service.discard_last_step()
         return {"parameters": self._parameters}
 
-    def _require_method(self, name: str) -> Callable[..., Any]:
+    def _get_tissue_method(self, name: str) -> Callable[..., Any]:
         """Return a method of the tissue.
 
         Args:

@@ -51,7 +51,7 @@ class ConfigurationPort:
 
     def __init__(self, listener: socket.socket, execute: Execute, selector: selectors.BaseSelector):
         self._listener, self._execute, self._selector = listener, execute, selector
-        self._connections: set[_Connection] = set()
+        self._connections: set[_ConfigurationConnection] = set()
         listener.setblocking(False)
         selector.register(listener, selectors.EVENT_READ, self.accept_connection)
 
@@ -67,7 +67,8 @@ class ConfigurationPort:
             return
         if len(self._connections) == LIMITS.most_connections:
             min(self._connections, key=lambda connection: connection.last_traffic).close()
-        self._connections.add(_Connection(peer, self._execute, self._selector, self._connections.discard, now))
+        self._connections.add(_ConfigurationConnection(peer, self._execute, self._selector, self._connections.discard,
+                                                       now))
 
     def close_stalled(self, now: float) -> None:
         """Close the connections without traffic, see `ConnectionLimits.stalled` and `ConnectionLimits.idle`.
@@ -87,7 +88,7 @@ class ConfigurationPort:
         self._listener.close()
 
 
-class _Connection:
+class _ConfigurationConnection:
     """One connection to the port. It is read only while it has no pending answer, so that no queue grows.
 
     Attributes:
@@ -95,7 +96,7 @@ class _Connection:
     """
 
     def __init__(self, peer: socket.socket, execute: Execute, selector: selectors.BaseSelector,
-                 on_close: Callable[[_Connection], None], now: float):
+                 on_close: Callable[[_ConfigurationConnection], None], now: float):
         self._peer, self._execute, self._selector = peer, execute, selector
         self._on_close, self.last_traffic = on_close, now
         self._inbox, self._outbox = bytearray(), b""
@@ -104,21 +105,21 @@ class _Connection:
         self._too_long = False
         peer.setblocking(False)
         self._interest = selectors.EVENT_READ
-        selector.register(peer, self._interest, self.serve)
+        selector.register(peer, self._interest, self.serve_once)
 
     @property
     def is_busy(self) -> bool:
         """Whether a line is incomplete, or an answer is not fully sent."""
         return bool(self._inbox or self._too_long or self._outbox or self._answer)
 
-    def serve(self, now: float) -> None:
+    def serve_once(self, now: float) -> None:
         """Do one piece of work: receive bytes, execute a line, compute a piece of the answer, or send bytes.
 
         Args:
             now: time on the clock of the server, s.
         """
         try:
-            self._do_next_piece(now)
+            self._do_next_work_piece(now)
         except BlockingIOError:
             return
         except OSError:  # The client has disconnected, or `execute` closes the connection.
@@ -128,7 +129,7 @@ class _Connection:
         interest = selectors.EVENT_WRITE if ready else selectors.EVENT_READ
         if interest != self._interest:
             self._interest = interest
-            self._selector.modify(self._peer, interest, self.serve)
+            self._selector.modify(self._peer, interest, self.serve_once)
 
     def close(self) -> None:
         """Close the connection; bytes that were not sent are lost."""
@@ -136,7 +137,7 @@ class _Connection:
         self._peer.close()
         self._on_close(self)
 
-    def _do_next_piece(self, now: float) -> None:
+    def _do_next_work_piece(self, now: float) -> None:
         if not self._outbox and self._answer is None:
             if b"\n" not in self._inbox:
                 received = self._peer.recv(LIMITS.read_size)

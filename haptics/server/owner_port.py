@@ -11,7 +11,7 @@ from haptics.server.steps import Address
 
 
 @dataclass(frozen=True)
-class RateLimit:
+class ReplyRateLimit:
     """Token bucket for the replies to clients that do not own the tissue.
 
     Attributes:
@@ -26,7 +26,7 @@ class RateLimit:
 
 
 #: Rate limit of every server.
-RATE_LIMIT = RateLimit()
+RATE_LIMIT = ReplyRateLimit()
 
 
 def open_owner_socket(owner: Address, port: socket.socket) -> socket.socket | None:
@@ -63,7 +63,10 @@ def open_owner_socket(owner: Address, port: socket.socket) -> socket.socket | No
 
 
 class ReplyLimiter:
-    """Limit the replies to each address by a token bucket: `RateLimit.replies_per_second` after `RateLimit.burst`."""
+    """Limit the replies to each address by a token bucket.
+
+    The bucket holds `ReplyRateLimit.burst` tokens and gains `ReplyRateLimit.replies_per_second`; a reply costs one.
+    """
 
     def __init__(self):
         #: Address -> remaining tokens, and time of their last update, s.
@@ -72,7 +75,7 @@ class ReplyLimiter:
     def take_token(self, address: Address, now: float) -> bool:
         """Return whether a packet from an address is processed, and use a token of this address.
 
-        A new address is refused while `RateLimit.most_addresses` other addresses are active.
+        A new address is refused while `ReplyRateLimit.most_addresses` other addresses are active.
 
         Args:
             address: address of the sender.

@@ -15,11 +15,11 @@ from functools import partial
 from typing import Any
 
 from haptics.safety.force_release import ForceRelease
-from haptics.server.commands import Commands, Description
+from haptics.server.commands import ConfigurationCommands, Description
 from haptics.server.connections import ConfigurationPort
 from haptics.server.owner_port import ReplyLimiter, open_owner_socket
 from haptics.server.scene_limits import SceneLimits
-from haptics.server.steps import SILENCE, Counters, ServedTissue, StepService
+from haptics.server.steps import SILENCE, ServedTissue, StepCounters, StepService
 from haptics.server.wire import REQUEST_SIZE
 from tissue_sim.errors import InputError
 
@@ -105,7 +105,7 @@ class TissueServer:
         try:
             if configuration_port is not None:
                 listener = _open_socket(socket.SOCK_STREAM, host, configuration_port, "configuration_port")
-                commands = Commands(self._service, description, parameters)
+                commands = ConfigurationCommands(self._service, description, parameters)
                 self._configuration = ConfigurationPort(listener, commands.execute, self._selector)
                 self.configuration_address = listener.getsockname()[:2]
             self._poses.setblocking(False)
@@ -119,7 +119,7 @@ class TissueServer:
         self._packet = memoryview(bytearray(REQUEST_SIZE + 1))
 
     @property
-    def counters(self) -> Counters:
+    def counters(self) -> StepCounters:
         """Numbers of packets and steps since the server started."""
         return self._service.counters
 
@@ -173,18 +173,18 @@ class TissueServer:
         """Read the waiting datagrams, those of the owner first, then step to the newest pose and reply."""
         service = self._service
         if self._owner_socket is not None:
-            self._receive(self._owner_socket, _SETTINGS.most_datagrams)
-        self._receive(self._poses, _SETTINGS.most_datagrams if self._owner_socket is None
-                      else _SETTINGS.most_foreign_datagrams)
-        if service.owner != self._owner:
+            self._receive_datagrams(self._owner_socket, _SETTINGS.most_datagrams)
+        self._receive_datagrams(self._poses, _SETTINGS.most_datagrams if self._owner_socket is None
+                                else _SETTINGS.most_foreign_datagrams)
+        if service.owner_address != self._owner:
             self._open_owner_socket()
         answer = service.step(time.monotonic())
         if answer is not None:
-            self._send(*answer)
+            self._send_reply(*answer)
             self._last_packet = time.monotonic()
-            service.restart_silence(self._last_packet)
+            service.restart_owner_silence(self._last_packet)
 
-    def _receive(self, source: socket.socket, most: int) -> None:
+    def _receive_datagrams(self, source: socket.socket, most: int) -> None:
         """Read datagrams of a socket, and answer those that need no step.
 
         Args:
@@ -203,25 +203,25 @@ class TissueServer:
                 self.counters.malformed += 1
                 continue
             now = time.monotonic()
-            if service.owner not in (None, address) and not self._limiter.take_token(address, now):
+            if service.owner_address not in (None, address) and not self._limiter.take_token(address, now):
                 self.counters.flooded += 1
                 continue
             self._last_packet = now
             reply = service.receive(packet[:size], address, now)
             if reply is not None:
-                self._send(reply, address)
+                self._send_reply(reply, address)
 
     def _open_owner_socket(self) -> None:
         """Replace the socket of the previous owner by a socket for the present owner."""
         if self._owner_socket is not None:
             self._selector.unregister(self._owner_socket)
             self._owner_socket.close()
-        owner = self._owner = self._service.owner
+        owner = self._owner = self._service.owner_address
         self._owner_socket = None if owner is None else open_owner_socket(owner, self._poses)
         if self._owner_socket is not None:
             self._selector.register(self._owner_socket, selectors.EVENT_READ)
 
-    def _send(self, reply: bytes, address: Any) -> None:
+    def _send_reply(self, reply: bytes, address: Any) -> None:
         """Send a reply; count it as unsent if the operating system refuses it."""
         try:
             self._poses.sendto(reply, address)
@@ -238,10 +238,10 @@ def _require_loopback(host: str, expose: bool) -> None:
     try:
         loopback = host == "localhost" or ipaddress.ip_address(host).is_loopback
     except ValueError:
-        raise InputError(f"must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
+        raise InputError(f"the host must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
     if not (loopback or expose):
-        raise InputError(f"must be a loopback address such as {LOOPBACK} unless expose is set; got {host}. Other "
-                         "computers can reach this address, and the protocol has no password", field="host")
+        raise InputError(f"the host must be a loopback address such as {LOOPBACK} unless expose is set; got {host}. "
+                         "Other computers can reach this address, and the protocol has no password", field="host")
 
 
 def _open_socket(kind: socket.SocketKind, host: str, port: int, field: str) -> socket.socket:
@@ -257,7 +257,7 @@ def _open_socket(kind: socket.SocketKind, host: str, port: int, field: str) -> s
         InputError: the port is invalid or in use, or the address does not belong to this computer.
     """
     if not 0 <= port <= 65535:
-        raise InputError(f"must be 1 to 65535, or 0 for a free port; got {port}", field=field)
+        raise InputError(f"the port must be 1 to 65535, or 0 for a free port; got {port}", field=field)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     bound = socket.socket(family, kind)
     try:

@@ -8,16 +8,16 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
-from haptics.safety.coupling import is_stale
+from haptics.safety.coupling import has_stale_stiffness
 from haptics.safety.force_release import ForceRelease
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.wire import (
-    Kind,
     OtherVersionError,
     Reply,
     ReplyFlags,
     Request,
     RequestFlags,
+    RequestKind,
     Status,
     WireError,
     decode_request,
@@ -54,7 +54,7 @@ class ServedTissue(Tissue, Protocol):
 
 
 @dataclass(slots=True)
-class Counters:
+class StepCounters:
     """Numbers of packets and steps since the server started; the names are keys of the command ``statistics``.
 
     Attributes:
@@ -95,8 +95,8 @@ class Counters:
     flooded: int = 0
     clients: int = 0
 
-    def count(self, status: ForceStatus) -> None:
-        """Count an answered step under its status."""
+    def count_step_status(self, status: ForceStatus) -> None:
+        """Add 1 to the counter of answered steps with this status of the force."""
         self.steps += 1
         name = _NAMES[status]
         setattr(self, name, getattr(self, name) + 1)
@@ -105,7 +105,7 @@ class Counters:
 _NAMES = {status: status.name.lower() for status in ForceStatus}
 
 
-class _Owner:
+class _TissueOwner:
     """The client that owns the tissue.
 
     Attributes:
@@ -124,7 +124,7 @@ class _Owner:
         self.time: float | None = None
         self.pose: Pose | None = None
 
-    def has_sent(self, request: Request, address: Address) -> bool:
+    def is_sender_of_request(self, request: Request, address: Address) -> bool:
         """Return whether a request is from this client: same session number, or same address if the number is 0."""
         return request.session == self.session and (self.session != 0 or address == self.address)
 
@@ -163,15 +163,15 @@ class StepService:
         self.tissue, self.silence = tissue, silence
         self.limits, self._release, self._session = limits or SceneLimits(), release, session
         self._rebuild, self.log = rebuild, log or _print_to_standard_error
-        self.counters = Counters()
-        self._owner: _Owner | None = None
+        self.counters = StepCounters()
+        self._owner: _TissueOwner | None = None
         self._newest: Request | None = None
         self._last = _NO_FORCE
         #: Whether the tissue has failed and is not rebuilt yet.
         self._is_broken = False
 
     @property
-    def owner(self) -> Address | None:
+    def owner_address(self) -> Address | None:
         """Address of the client that owns the tissue; None: no client owns it."""
         return None if self._owner is None else self._owner.address
 
@@ -191,29 +191,29 @@ class StepService:
             request = decode_request(packet)
         except OtherVersionError as error:
             counters.other_version += 1
-            return self._encode_status(Status.OTHER_VERSION, Request(error.sequence, error.time))
+            return self._encode_status_reply(Status.OTHER_VERSION, Request(error.sequence, error.time))
         except WireError:
             counters.malformed += 1
             return None
         owner = self._owner
         if self._session not in (None, request.session):
             counters.turned_away += 1
-            return self._encode_status(Status.BUSY, request)
+            return self._encode_status_reply(Status.BUSY, request)
         if owner is not None and now - owner.last_contact <= self.silence:
-            if not owner.has_sent(request, address):
+            if not owner.is_sender_of_request(request, address):
                 counters.turned_away += 1
-                return self._encode_status(Status.BUSY, request)
+                return self._encode_status_reply(Status.BUSY, request)
             if request.sequence <= owner.sequence:
                 counters.stale += 1
                 return None
-        if request.kind == Kind.GOODBYE:
+        if request.kind == RequestKind.GOODBYE:
             self._release_owner()
-            return self._encode_status(Status.RELEASED, request)
+            return self._encode_status_reply(Status.RELEASED, request)
         # After a silence the owner keeps its state, unless its sequence numbers restart.
-        if owner is None or not owner.has_sent(request, address) or request.sequence <= owner.sequence:
+        if owner is None or not owner.is_sender_of_request(request, address) or request.sequence <= owner.sequence:
             self._release_owner()
-            owner = self._owner = _Owner(address, request.session)
-            self._restart_release()
+            owner = self._owner = _TissueOwner(address, request.session)
+            self._restart_force_release()
             counters.clients += 1
         owner.sequence, owner.last_contact, owner.address = request.sequence, now, address
         if self._newest is not None:
@@ -242,9 +242,9 @@ class StepService:
             answer = self._release.step(answer, now)
         answer, limited = self.limits.limit_force(answer)
         counters = self.counters
-        counters.count(answer.status)
+        counters.count_step_status(answer.status)
         counters.limited += limited
-        flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * is_stale(answer)
+        flags = (_INERTIAL * answer.inertial | _LIMITED * limited | _STALE * has_stale_stiffness(answer)
                  | _OFF_AXIS * (request.version > 2 and not answer.is_on_axis))
         reply = Reply(answer.status, request.sequence, request.time, request.session, answer.force_vector,
                       answer.torque_vector, answer.stiffness_matrix, answer.within_step, answer.age,
@@ -253,7 +253,7 @@ class StepService:
                       answer.force_error, answer.error_age, answer.least_tool_mass)
         return encode_reply(reply), owner.address
 
-    def restart_silence(self, now: float) -> None:
+    def restart_owner_silence(self, now: float) -> None:
         """Restart the silence of the owner after its reply, because the step may have taken long.
 
         Args:
@@ -265,11 +265,11 @@ class StepService:
     def discard_last_step(self) -> None:
         """Discard the last step after the state of the tissue was replaced: the next step has the time step zero."""
         self._last = _NO_FORCE
-        self._restart_release()
+        self._restart_force_release()
         if self._owner is not None:
             self._owner.time = self._owner.pose = None
 
-    def _check_and_step(self, request: Request, owner: _Owner) -> tuple[ToolForce, float]:
+    def _check_and_step(self, request: Request, owner: _TissueOwner) -> tuple[ToolForce, float]:
         """Check a request, and step the tissue to its pose.
 
         Args:
@@ -283,11 +283,11 @@ class StepService:
         dt = 0.0 if owner.time is None or reset else request.time - owner.time
         try:
             if not math.isfinite(request.time):
-                raise InputError("must be finite", field="time")
+                raise InputError(f"the time of a request must be finite; got {request.time}", field="time")
             pose = Pose(request.position, request.orientation)
             self.limits.require(pose, None if reset else owner.pose, dt)
         except InputError:
-            return self._repeat_as_refused(), 0.0
+            return self._repeat_last_answer_as_refused(), 0.0
         try:
             if self._is_broken:
                 self._rebuild_tissue()
@@ -296,21 +296,21 @@ class StepService:
                 self.discard_last_step()
             answer = self.tissue.step(pose, dt)
             if not answer.is_finite:
-                raise ArithmeticError("the force is not finite")
+                raise ArithmeticError("the force of the tissue must be finite; got NaN or infinity")
         except Exception as error:
             if isinstance(error, InputError) and not self._is_broken:
-                return self._repeat_as_refused(), 0.0
-            return self._rebuild_after(error), 0.0
+                return self._repeat_last_answer_as_refused(), 0.0
+            return self._rebuild_after_error(error), 0.0
         if answer.status == ForceStatus.REFUSED:
             return answer, 0.0
         owner.time, owner.pose, self._last = request.time, pose, answer
         return answer, dt
 
-    def _repeat_as_refused(self) -> ToolForce:
+    def _repeat_last_answer_as_refused(self) -> ToolForce:
         """Return the last answer with the status REFUSED."""
         return replace(self._last, status=ForceStatus.REFUSED, iterations=0, compute_time=0.0)
 
-    def _rebuild_after(self, error: Exception) -> ToolForce:
+    def _rebuild_after_error(self, error: Exception) -> ToolForce:
         """Rebuild the tissue after an error, and return a zero force with the status FAILED."""
         self.log(f"a step failed ({type(error).__name__}: {str(error)[:200]}); the tissue is rebuilt, undeformed")
         self._is_broken = True
@@ -336,12 +336,12 @@ class StepService:
             self.counters.skipped += 1
         self._owner = self._newest = None
 
-    def _restart_release(self) -> None:
+    def _restart_force_release(self) -> None:
         """Treat the next force as the first force of a client."""
         if self._release is not None:
             self._release.reset()
 
-    def _encode_status(self, status: Status, request: Request) -> bytes:
+    def _encode_status_reply(self, status: Status, request: Request) -> bytes:
         """Return the reply to a request that makes no step."""
         counters = self.counters
         return encode_reply(Reply(status, request.sequence, request.time, request.session,

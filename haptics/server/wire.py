@@ -50,8 +50,8 @@ _NO_VECTOR: Vector = (0.0, 0.0, 0.0)
 _NO_MATRIX: Matrix = ((0.0,) * 6,) * 6
 
 
-class Kind(IntEnum):
-    """Kind of a request."""
+class RequestKind(IntEnum):
+    """Kind of a request: a step, or the goodbye of a client."""
 
     #: Step the tissue to the pose of the request.
     STEP = 1
@@ -60,7 +60,7 @@ class Kind(IntEnum):
 
 
 class RequestFlags(IntFlag):
-    """Flags of a request."""
+    """Flags of a request, bits that change how the step is made."""
 
     NONE = 0
     #: Restore the undeformed state of the tissue before this step.
@@ -68,7 +68,7 @@ class RequestFlags(IntFlag):
 
 
 class ReplyFlags(IntFlag):
-    """Flags of a reply."""
+    """Flags of a reply, bits with information on the force."""
 
     NONE = 0
     #: The force includes the mass of the tissue.
@@ -97,7 +97,7 @@ class Status(IntEnum):
 
     @property
     def message(self) -> str:
-        """Meaning of the status, and the remedy."""
+        """Meaning of the status in words, with the remedy."""
         match self:
             case Status.BUSY:
                 return "another client owns the tissue; try again after its goodbye or its silence"
@@ -136,7 +136,7 @@ class Request(NamedTuple):
         position: position of the tool tip x, y, z, m.
         orientation: unit quaternion (w, x, y, z) of the tool.
         session: random number that identifies the client; 0: the client is identified by its address.
-        kind: value of `Kind`.
+        kind: value of `RequestKind`.
         flags: bits of `RequestFlags`.
         version: version of the request and of its reply.
     """
@@ -146,7 +146,7 @@ class Request(NamedTuple):
     position: Vector = _NO_VECTOR
     orientation: tuple[float, float, float, float] = (1.0, 0.0, 0.0, 0.0)
     session: int = 0
-    kind: int = Kind.STEP
+    kind: int = RequestKind.STEP
     flags: int = RequestFlags.NONE
     version: int = VERSION
 
@@ -231,7 +231,7 @@ def decode_request(packet: bytes | bytearray | memoryview) -> Request:
         WireError: the packet is not a request, or its size, kind, flags or reserved field are invalid.
     """
     version = _decode_version(packet, REQUEST_MAGIC)
-    _check_size(packet, REQUEST_SIZE)
+    _check_packet_size(packet, REQUEST_SIZE)
     (_, _, kind, sequence, time, session, x, y, z, qw, qx, qy, qz, flags, reserved) = _REQUEST.unpack(packet)
     if kind not in _KINDS or flags > _ALL_FLAGS or reserved:
         raise WireError(f"kind must be one of {sorted(_KINDS)}, flags at most {_ALL_FLAGS:#x} and the reserved field "
@@ -264,7 +264,7 @@ def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
         WireError: the packet is not a reply, or its size is invalid.
     """
     version = _decode_version(packet, REPLY_MAGIC)
-    _check_size(packet, REPLY_SIZES[version])
+    _check_packet_size(packet, REPLY_SIZES[version])
     values = _REPLY.unpack_from(packet)
     stiffness, step_stiffness = (tuple(values[start:start + 6] for start in range(first, first + 36, 6))
                                  for first in (12, 48))
@@ -278,7 +278,7 @@ def decode_reply(packet: bytes | bytearray | memoryview) -> Reply:
 
 
 #: Valid kinds of a request.
-_KINDS = frozenset(map(int, Kind))
+_KINDS = frozenset(map(int, RequestKind))
 #: All valid flags of a request.
 _ALL_FLAGS = int(RequestFlags.RESET)
 
@@ -295,7 +295,7 @@ def _decode_version(packet: bytes | bytearray | memoryview, magic: bytes) -> int
     return int(version)
 
 
-def _check_size(packet: bytes | bytearray | memoryview, size: int) -> None:
+def _check_packet_size(packet: bytes | bytearray | memoryview, size: int) -> None:
     """Raise WireError if a packet does not have the given size, bytes."""
     if len(packet) != size:
         raise WireError(f"a packet must have {size} bytes; got {len(packet)}")

@@ -40,10 +40,10 @@ def run(arguments) -> int:
     from contextlib import ExitStack
 
     from haptics.devices.contracts import DeviceError
-    from haptics.devices.virtual.faults import read_faults
+    from haptics.devices.virtual.faults import parse_faults
     from haptics.emulators.emulator import open_emulator
 
-    faults = read_faults(arguments.faults)
+    faults = parse_faults(arguments.faults)
     bench = _make_reference_rig(arguments.rate_hz, faults).bench
     emulators = [open_emulator(name, bench, faults) for name in arguments.names]
     stop = threading.Event()

@@ -119,8 +119,8 @@ def run(arguments) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
     import tissue_sim as ts
-    from haptics.loop.real_time import real_time
-    from haptics.loop.tissue_factory import real_time_tissue
+    from haptics.loop.real_time import request_real_time_features
+    from haptics.loop.tissue_factory import make_real_time_tissue_factory
     from haptics.server.scene_limits import SceneLimits
     from haptics.server.server import TissueServer
     from haptics.server.steps import ServedTissue
@@ -139,9 +139,9 @@ def run(arguments) -> int:
     port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
     progress = progress_console(quiet=arguments.json)
 
-    build = real_time_tissue(ts.Model(experiment, material), resolution=arguments.resolution,
-                             budget=choose_step_budget(arguments), inertia=arguments.inertia, solver=arguments.solver,
-                             mesh=reduced)
+    build = make_real_time_tissue_factory(ts.Model(experiment, material), resolution=arguments.resolution,
+                                          budget=choose_step_budget(arguments), inertia=arguments.inertia,
+                                          solver=arguments.solver, mesh=reduced)
 
     def rebuild() -> ServedTissue:
         simulator = build()
@@ -162,7 +162,7 @@ def run(arguments) -> int:
             simulator.warm_up()
         gc.collect()
         gc.freeze()  # keeps existing objects out of garbage collections between two steps
-        with real_time(arguments.real_time) as features, stopped_by_signals(server.stop):
+        with request_real_time_features(arguments.real_time) as features, stopped_by_signals(server.stop):
             print_ready_line(arguments, server, features)
             server.run()
     print_counters(server, sys.stderr if arguments.json else sys.stdout)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from haptics.loop.real_time import PRIORITY, claim_fifo
+from haptics.loop.real_time import PRIORITY, request_fifo_scheduling
 from scenes.doctor.check import Check
 
 
@@ -44,7 +44,7 @@ def check_clock(seconds: float) -> Check:
         seconds: duration of the measurement, s.
     """
     with ExitStack() as undo:
-        scheduler = "ordinary priority" if claim_fifo(undo, PRIORITY) else "SCHED_FIFO"
+        scheduler = "ordinary priority" if request_fifo_scheduling(undo, PRIORITY) else "SCHED_FIFO"
         lateness = measure_lateness(seconds)
     late, very_late = (
         float((lateness > limit).mean()) for limit in (_SETTINGS.late, _SETTINGS.very_late))
@@ -93,7 +93,7 @@ def measure_lateness(seconds: float) -> np.ndarray:
 def check_real_time_priority() -> Check:
     """Check whether this user may use the real-time scheduler SCHED_FIFO."""
     with ExitStack() as undo:
-        allowed = not claim_fifo(undo, PRIORITY)
+        allowed = not request_fifo_scheduling(undo, PRIORITY)
     values = {"allowed": allowed}
     if allowed:
         return Check("real-time priority", "ok", "SCHED_FIFO is allowed", values=values)

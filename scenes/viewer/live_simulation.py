@@ -17,7 +17,7 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.process import PATIENCE, LoopError, LoopProcess
 from haptics.loop.ring import PAUSED, RingReader
 from haptics.loop.snapshot_board import SnapshotReader
-from haptics.loop.tissue_factory import STEP_BUDGET, real_time_tissue
+from haptics.loop.tissue_factory import STEP_BUDGET, make_real_time_tissue_factory
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from scenes.viewer.frame import Phase, Readouts
@@ -82,8 +82,8 @@ class LiveSimulation:
                  resolution: str = "realtime", settings: LoopSettings = SETTINGS,
                  reduced: ts.ReducedModel | None = None):
         self._loop = LoopProcess(
-            real_time_tissue(model, solver=solver, resolution=resolution, budget=BUDGET, mesh=reduced,
-                             simulator=ViewedSimulator), device,
+            make_real_time_tissue_factory(model, solver=solver, resolution=resolution, budget=BUDGET, mesh=reduced,
+                                          simulator=ViewedSimulator), device,
             ForceRendering(_NO_LIMITS), settings)
         if settings.patience > PATIENCE:
             # The loop answers a command after the present tick, which may take as long as `settings.patience`.
@@ -186,7 +186,7 @@ class LiveSimulation:
         if self.phase not in (Phase.RUNNING, Phase.PAUSED):
             raise ts.InputError(f"The simulation is not running ({self.message}).")
         try:
-            self._loop.ask(command, **values)
+            self._loop.execute_command(command, **values)
         except LoopError as error:
             self._mark_as_ended(str(error))
             raise ts.InputError(str(error)) from error

@@ -24,21 +24,21 @@ def watched(tmp_path):
 
 @pytest.mark.slow
 def test_a_running_recorder_is_displayed(watched, open_page):
-    from haptics.recorder.live import LiveFile
+    from haptics.recorder.live import LiveProgressFile
 
     shown, path = watched
     page = open_page(shown.server)
     page.get_by_text("No run in").wait_for()
     folder = RunFolder(path, "digest")
-    live = LiveFile(path)
-    with folder, live.publish():
-        folder.update(state="running")
-        live.show(RunProgress("needle", "ramp", 1, 5e-3, 3e-3, 0.437, 0.25))
+    live = LiveProgressFile(path)
+    with folder, live.run_writing_thread():
+        folder.update_state(state="running")
+        live.set_progress(RunProgress("needle", "ramp", 1, 5e-3, 3e-3, 0.437, 0.25))
         partial = folder.open_partial("needle_1", ["time [s]", "displacement [mm]", "force [N]", "segment"])
-        partial.add([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(30)])
+        partial.queue_rows([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(30)])
         page.get_by_text("needle 1: ramp; 0 recordings done").wait_for()
         page.get_by_text("0.437").wait_for()
         page.locator(".uplot canvas").first.wait_for()
         partial.close()
-        folder.update(state="stopped", stops=[{"message": "the sensor was silent for 0.06 s"}])
+        folder.update_state(state="stopped", stops=[{"message": "the sensor was silent for 0.06 s"}])
     page.get_by_text("the sensor was silent for 0.06 s").wait_for()

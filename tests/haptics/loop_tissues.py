@@ -134,7 +134,7 @@ def write_fast(ring_path, board_path, stop_path):
         print("writing", flush=True)
         while n % 256 or not stop_path.exists():
             n += 1
-            ring.append(*record(n))
+            ring.append_tick(*record(n))
             if n % 16 == 0:
                 board.publish(float(n), Snapshot(Pose.at_depth(n), n, gel_fields(1.0, np.full((1, 500), float(n)))))
 

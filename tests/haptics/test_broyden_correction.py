@@ -26,8 +26,9 @@ def test_on_a_straight_path_the_correction_reduces_the_error_to_a_third():
     plain, learned = [], []
     for last, here, there in zip(poses, poses[1:], poses[2:], strict=False):
         missed = model(here, here) - model(last, here)
-        correction.learn((0.0, 0.0, missed, 0.0, 0.0, 0.0), Pose((0.0, 0.0, last)), Pose((0.0, 0.0, here)))
-        omitted = correction.wrench(Pose((0.0, 0.0, here)), Pose((0.0, 0.0, there)))
+        correction.apply_secant_update((0.0, 0.0, missed, 0.0, 0.0, 0.0), Pose((0.0, 0.0, last)),
+                                       Pose((0.0, 0.0, here)))
+        omitted = correction.compute_omitted_wrench(Pose((0.0, 0.0, here)), Pose((0.0, 0.0, there)))
         plain.append(abs(truth(there) - model(here, there)))
         learned.append(abs(truth(there) - model(here, there) - omitted[2]))
         assert omitted[:2] == (0.0, 0.0)
@@ -38,24 +39,25 @@ def test_on_a_straight_path_the_correction_reduces_the_error_to_a_third():
                                                                               max_size=3))
 def test_half_of_the_difference_is_expected_along_the_same_motion(missed, way):
     correction, last, here = BroydenCorrection(RADIUS), Pose((0.0, 0.0, 0.0)), Pose(tuple(way))
-    correction.learn(tuple(missed), last, here)
+    correction.apply_secant_update(tuple(missed), last, here)
     expected = 0.5 * np.array(missed) if np.linalg.norm(way) > 0.01 * RADIUS * (1 + 1e-9) else None
-    found = correction.wrench(last, here)
+    found = correction.compute_omitted_wrench(last, here)
     if expected is not None:
         np.testing.assert_allclose(found, expected, atol=1e-9)
     across = np.cross(way, [1.0, 2.0, 3.0])
-    np.testing.assert_allclose(correction.wrench(last, Pose(tuple(across.tolist()))), 0.0, atol=1e-9 * 100)
+    omitted = correction.compute_omitted_wrench(last, Pose(tuple(across.tolist())))
+    np.testing.assert_allclose(omitted, 0.0, atol=1e-9 * 100)
     correction.reset()
-    assert not any(correction.wrench(last, here))
+    assert not any(correction.compute_omitted_wrench(last, here))
 
 
 def test_the_corrected_stiffness_is_the_derivative_of_the_corrected_wrench():
     correction, last, here = BroydenCorrection(RADIUS), Pose((0.0, 0.0, 0.0)), Pose((1e-3, 0.0, -1e-3))
-    correction.learn((0.1, 0.0, 0.2, 0.0, 1e-3, 0.0), last, here)
+    correction.apply_secant_update((0.1, 0.0, 0.2, 0.0, 1e-3, 0.0), last, here)
     stiffness = np.array(correction.corrected_stiffness(((0.0,) * 6,) * 6))
     h = 1e-6
     for axis in range(3):
         place = [0.0, 0.0, 0.0]
         place[axis] = h
-        slope = -np.array(correction.wrench(last, Pose(tuple(place)))) / h
+        slope = -np.array(correction.compute_omitted_wrench(last, Pose(tuple(place)))) / h
         assert stiffness[:, axis] == pytest.approx(slope, rel=1e-9)

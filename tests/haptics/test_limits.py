@@ -116,5 +116,5 @@ def test_the_message_names_the_limit_that_acted():
 def test_invalid_limits_are_refused(settings):
     with pytest.raises(InputError, match="must be positive and finite"):
         ForceLimits(**settings)
-    with pytest.raises(InputError, match="torque_rate: must be positive and finite; got 0 N m per tick"):
+    with pytest.raises(InputError, match="torque_rate: a force limit must be positive and finite; got 0 N m per tick"):
         ForceLimits(5.0, 1.0, 1.0, 0.0)

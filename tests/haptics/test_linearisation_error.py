@@ -22,56 +22,57 @@ MODULUS = 4000.0
 
 def learned(missed=0.02, distance=2e-3, between=1e-3, interval=0.05):
     estimate = LinearisationError(RADIUS, MODULUS)
-    estimate.learn(missed, distance, between, 1.0, interval)
+    estimate.update_estimate(missed, distance, between, 1.0, interval)
     return estimate
 
 
 def test_nothing_is_known_before_two_models():
-    assert math.isinf(LinearisationError(RADIUS, MODULUS).at(0.0))
+    assert math.isinf(LinearisationError(RADIUS, MODULUS).estimate_force_error(0.0))
 
 
 def test_the_newest_model_errs_at_its_own_pose_and_with_its_age():
     estimate = learned()
     growth = 0.02 / 2e-3**2
-    assert estimate.at(0.0) == pytest.approx(0.02)
-    assert estimate.at(0.0, 0.1) == estimate.at(0.0) and estimate.at(0.0, 0.3) == pytest.approx(3 * estimate.at(0.0))
-    assert estimate.at(1e-3) == pytest.approx(estimate.at(0.0) + growth * 1e-3**2)
-    assert math.isinf(estimate.at(3.1e-3)), "far beyond the two models"
+    assert estimate.estimate_force_error(0.0) == pytest.approx(0.02)
+    assert estimate.estimate_force_error(0.0, 0.1) == estimate.estimate_force_error(0.0)
+    assert estimate.estimate_force_error(0.0, 0.3) == pytest.approx(3 * estimate.estimate_force_error(0.0))
+    assert estimate.estimate_force_error(1e-3) == pytest.approx(estimate.estimate_force_error(0.0) + growth * 1e-3**2)
+    assert math.isinf(estimate.estimate_force_error(3.1e-3)), "far beyond the two models"
 
 
 def test_models_that_agree_by_chance_leave_the_curvature_of_a_contact():
-    assert learned(missed=0.0).at(2e-3) == pytest.approx(MODULUS * 2e-3**2)
+    assert learned(missed=0.0).estimate_force_error(2e-3) == pytest.approx(MODULUS * 2e-3**2)
 
 
 def test_the_curvature_of_a_contact_is_that_of_hertz_at_the_depth_of_the_tool():
     """Two models that agree by chance at 1 mm; a model 1 mm away from a tool that is 2 mm deep."""
     agreed, distance, depth = learned(missed=0.0), 1e-3, 2e-3
     growth = 2.0 * MODULUS * math.sqrt(RADIUS / depth)
-    assert agreed.at(distance, depth=depth) == pytest.approx(growth * distance**2)
+    assert agreed.estimate_force_error(distance, depth=depth) == pytest.approx(growth * distance**2)
     at_the_distance = 2.0 * MODULUS * math.sqrt(RADIUS / distance)
-    assert agreed.at(distance, depth=-depth) == pytest.approx(at_the_distance * distance**2)
-    assert agreed.at(0.0, depth=0.0) == 0.0
-    assert agreed.at(distance, depth=10.0 * RADIUS) == pytest.approx(2.0 * MODULUS * distance**2)
+    assert agreed.estimate_force_error(distance, depth=-depth) == pytest.approx(at_the_distance * distance**2)
+    assert agreed.estimate_force_error(0.0, depth=0.0) == 0.0
+    assert agreed.estimate_force_error(distance, depth=10.0 * RADIUS) == pytest.approx(2.0 * MODULUS * distance**2)
 
 
 def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distance():
     """The force is growth z**2; a model at 2 mm with the stiffness of 1.5 mm, used at 1.8 mm."""
     growth, made, tangent, used = 5e3, 2e-3, 1.5e-3, 1.8e-3
     estimate = LinearisationError(RADIUS)
-    estimate.learn(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
+    estimate.update_estimate(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
     estimate.base = 0.0
     error = growth * used**2 - (growth * made**2 + 2.0 * growth * tangent * (used - made))
     assert error == pytest.approx(growth * (made - used) ** 2 - 2.0 * growth * (made - tangent) * (made - used))
-    assert estimate.at(made - used, tangent=made - tangent) >= abs(error)
-    assert estimate.at(made - used, tangent=made - tangent) == pytest.approx(growth * (4e-8 + 2e-7))
+    assert estimate.estimate_force_error(made - used, tangent=made - tangent) >= abs(error)
+    assert estimate.estimate_force_error(made - used, tangent=made - tangent) == pytest.approx(growth * (4e-8 + 2e-7))
 
 
 def test_a_stiffer_material_raises_what_was_learned():
-    estimate, before = learned(), learned().at(1e-3)
-    estimate.change_modulus(2 * MODULUS)
-    assert estimate.at(1e-3) == pytest.approx(2 * before)
-    estimate.change_modulus(MODULUS)
-    assert estimate.at(1e-3) == pytest.approx(2 * before), "a softer one does not lower it"
+    estimate, before = learned(), learned().estimate_force_error(1e-3)
+    estimate.rescale_for_shear_modulus(2 * MODULUS)
+    assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before)
+    estimate.rescale_for_shear_modulus(MODULUS)
+    assert estimate.estimate_force_error(1e-3) == pytest.approx(2 * before), "a softer one does not lower it"
 
 
 def bonded():
@@ -106,8 +107,8 @@ def test_growth_is_that_of_the_difference_of_both_errors():
     """Models at 2 mm and 1 mm from the tool differ by three quarters of the error of the first one."""
     estimate = LinearisationError(8e-3)
     growth = 5e3
-    estimate.learn(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
+    estimate.update_estimate(growth * (4e-6 - 1e-6), 2e-3, 1e-3, 0.1, 0.1, newer=1e-3)
     assert estimate.growth == pytest.approx(growth)
     # A tool that turned round, with both models at one distance, gives no infinite growth.
-    estimate.learn(1e-3, 2e-3, 1e-3, 0.2, 0.1, newer=2e-3)
+    estimate.update_estimate(1e-3, 2e-3, 1e-3, 0.2, 0.1, newer=2e-3)
     assert estimate.growth <= max(growth, 1e-3 / estimate.short**2)

@@ -34,7 +34,7 @@ class Stiffening:
 
 def force_of(model, depth):
     """Along z, N, at a depth, m."""
-    return model.evaluate(Pose((0.0, 0.0, -depth)))[2]
+    return model.evaluate_wrench(Pose((0.0, 0.0, -depth)))[2]
 
 
 depths = st.floats(-0.02, 0.02)
@@ -50,7 +50,8 @@ def test_change_of_model_moves_the_force_by_at_most_the_jump(ticks):
     for depth, made in ticks:
         if made is not None:
             force, stiffness, where, late = made
-            model = LocalModel.axial(force, stiffness, where, max(blend.time - late, newest.time if newest else 0.0))
+            model = LocalModel.from_axial_force(force, stiffness, where,
+                                                max(blend.time - late, newest.time if newest else 0.0))
             assert blend.publish(model)
             newest = model
         answer = blend.step(depth, DT)
@@ -65,7 +66,7 @@ def test_force_arrives_at_the_newest_model(made, path):
     blend, jump = LocalModelBlend(jump=0.5, oldest=math.inf), 0.5
     for depth in path:
         blend.step(depth, DT)
-    model = LocalModel.axial(*made[:3], time=blend.time, error=0.3)
+    model = LocalModel.from_axial_force(*made[:3], time=blend.time, error=0.3)
     assert blend.publish(model)
     depth = path[-1]
     for _ in range(math.ceil(abs(force_of(model, depth)) / jump) + 1):
@@ -80,9 +81,9 @@ def test_force_arrives_at_the_newest_model(made, path):
 def test_model_that_is_no_number_is_refused_and_the_old_one_kept(field, value):
     values = {"force": 1.0, "stiffness": 500.0, "depth": 2e-3, "time": 0.0, "error": 0.1}
     blend = LocalModelBlend()
-    assert not blend.publish(LocalModel.axial(**{**values, field: value}))
-    assert blend.publish(LocalModel.axial(**values))
-    assert not blend.publish(LocalModel.axial(**{**values, field: value}))
+    assert not blend.publish(LocalModel.from_axial_force(**{**values, field: value}))
+    assert blend.publish(LocalModel.from_axial_force(**values))
+    assert not blend.publish(LocalModel.from_axial_force(**{**values, field: value}))
     assert blend.refused == 2
     for _ in range(100):
         answer = blend.step(3e-3, DT)
@@ -94,9 +95,9 @@ def test_models_from_before_the_present_one_or_from_after_now_are_refused():
     blend = LocalModelBlend()
     for _ in range(10):
         blend.step(0.0, DT)
-    assert blend.publish(LocalModel.axial(1.0, 0.0, 0.0, time=5 * DT))
-    assert not blend.publish(LocalModel.axial(2.0, 0.0, 0.0, time=4 * DT))
-    assert not blend.publish(LocalModel.axial(2.0, 0.0, 0.0, time=11 * DT))
+    assert blend.publish(LocalModel.from_axial_force(1.0, 0.0, 0.0, time=5 * DT))
+    assert not blend.publish(LocalModel.from_axial_force(2.0, 0.0, 0.0, time=4 * DT))
+    assert not blend.publish(LocalModel.from_axial_force(2.0, 0.0, 0.0, time=11 * DT))
     assert blend.age == pytest.approx(5 * DT)
 
 
@@ -104,7 +105,7 @@ def test_age_counts_from_where_the_model_was_made():
     blend = LocalModelBlend()
     assert blend.age == math.inf
     blend.step(0.0, DT)
-    blend.publish(LocalModel.axial(0.0, 0.0, 0.0, time=blend.time))
+    blend.publish(LocalModel.from_axial_force(0.0, 0.0, 0.0, time=blend.time))
     ages = [blend.step(0.0, 2e-3).age for _ in range(3)]
     assert ages == pytest.approx([2e-3, 4e-3, 6e-3])
 
@@ -113,7 +114,7 @@ def test_without_a_model_or_with_one_too_old_the_force_is_let_go():
     blend = LocalModelBlend(jump=JUMP, oldest=0.5)
     assert blend.step(1e-3, DT).force == 0.0
     assert blend.step(1e-3, DT).status is ForceStatus.STOPPED
-    blend.publish(LocalModel.axial(1.0, 0.0, 0.0, time=blend.time))
+    blend.publish(LocalModel.from_axial_force(1.0, 0.0, 0.0, time=blend.time))
     answers = [blend.step(1e-3, DT) for _ in range(700)]
     forces = [answer.force for answer in answers]
     assert max(forces) == pytest.approx(1.0)
@@ -121,13 +122,13 @@ def test_without_a_model_or_with_one_too_old_the_force_is_let_go():
     assert max(abs(b - a) for a, b in pairwise(forces)) <= JUMP + 1e-12
     assert (forces[-1], answers[-1].status) == (0.0, ForceStatus.STOPPED)
     assert answers[-1].age == pytest.approx(0.7)
-    assert blend.publish(LocalModel.axial(1.0, 0.0, 0.0, time=blend.time))
+    assert blend.publish(LocalModel.from_axial_force(1.0, 0.0, 0.0, time=blend.time))
 
 
 @pytest.mark.parametrize(("depth", "dt"), [(math.nan, DT), (math.inf, DT), (1e-3, 0.0), (1e-3, math.nan)])
 def test_pose_or_tick_that_is_no_number_changes_nothing(depth, dt):
     blend = LocalModelBlend()
-    blend.publish(LocalModel.axial(0.01, 100.0, 1e-3, time=0.0))
+    blend.publish(LocalModel.from_axial_force(0.01, 100.0, 1e-3, time=0.0))
     before = blend.step(1e-3, DT)
     refused = blend.step(depth, dt)
     assert (refused.status, refused.force) == (ForceStatus.REFUSED, before.force)
@@ -137,7 +138,7 @@ def test_pose_or_tick_that_is_no_number_changes_nothing(depth, dt):
 
 def test_a_pose_counts_by_its_depth():
     blend = LocalModelBlend()
-    blend.publish(LocalModel.axial(0.0, 10.0, 0.0, time=0.0))
+    blend.publish(LocalModel.from_axial_force(0.0, 10.0, 0.0, time=0.0))
     assert blend.step(Pose((0.0, 0.0, -1e-3)), DT).force == pytest.approx(0.01)
     assert SlowSolver(Stiffening()).solve(Pose((0.0, 0.0, -2e-3)), DT, 0.0).pose.depth == 2e-3
 
@@ -145,7 +146,7 @@ def test_a_pose_counts_by_its_depth():
 def test_reset_forgets_and_another_process_does_not():
     blend = LocalModelBlend()
     blend.step(1e-3, DT)
-    blend.publish(LocalModel.axial(5.0, 10.0, 0.0, time=0.0))
+    blend.publish(LocalModel.from_axial_force(5.0, 10.0, 0.0, time=0.0))
     blend.step(1e-3, DT)
     sent = pickle.loads(pickle.dumps(blend))
     assert sent.step(1e-3, DT) == blend.step(1e-3, DT)

@@ -18,7 +18,7 @@ from waiting import wait_until
 
 from haptics.devices.contracts import AxialMotion, DeviceError, HapticDevice
 from haptics.devices.motions import HandMotion, SineMotion
-from haptics.loop.loop import Loop, LoopSettings, peak_memory
+from haptics.loop.loop import Loop, LoopSettings, read_peak_memory
 from haptics.loop.process import LoopError
 from haptics.loop.ring import PAUSED, RingReader, RingWriter
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
@@ -223,8 +223,8 @@ def test_a_paused_motion_can_go_on_for_a_while(run, tissues):
         if step == 100:
             loop.pause()
         elif step == 200:
-            loop.advance(0.03)
-            loop.advance(0.02)
+            loop.advance_paused_motion(0.03)
+            loop.advance_paused_motion(0.02)
 
     tissue = tissues.Spring()
     report, ticks = run(tissue, 0.4, listen=listen)
@@ -236,7 +236,7 @@ def test_another_source_is_followed_and_a_hand_is_steered(run, tissues):
     def listen(loop):
         step = len(tissue.steps)
         if step == 50:
-            with pytest.raises(InputError, match=r"requires a steerable motion; got a Ramp\. Follow a HandMotion"):
+            with pytest.raises(InputError, match=r"requires a steerable motion; got a Ramp\. Switch to a HandMotion"):
                 loop.aim(1e-3)
         elif step == 100:
             loop.switch_device(HandMotion(2e-3))
@@ -334,7 +334,7 @@ def test_a_tissue_without_the_ability_says_so(run, tissues):
         def step(self, depth, dt):
             return ToolForce.axial(0.0, 0.0, ForceStatus.CONVERGED)
 
-    with pytest.raises(InputError, match=r"this tissue \(Plain\) has no reset"):
+    with pytest.raises(InputError, match=r"this tissue \(Plain\) has no method reset"):
         run(Plain(), 0.1, listen=lambda loop: loop.reset())
 
 
@@ -362,10 +362,10 @@ def test_a_report_is_json(run, tissues):
 def test_peak_memory_is_that_of_this_program(tissues):
     """A process that a large one starts does not begin with the memory of its parent."""
     ballast = bytearray(os.urandom(1)) * 400_000_000
-    code = "from haptics.loop.loop import peak_memory; print(peak_memory())"
+    code = "from haptics.loop.loop import read_peak_memory; print(read_peak_memory())"
     done = subprocess.run([sys.executable, "-c", code], env=child_environment(HERE), capture_output=True, text=True,
                           check=True)
-    assert peak_memory() > len(ballast) > int(done.stdout) > 5e6
+    assert read_peak_memory() > len(ballast) > int(done.stdout) > 5e6
 
 
 # ---- the process ----
@@ -461,7 +461,7 @@ def test_snapshots_are_published_and_follow_the_material(tissues):
             wait_until(lambda: abs(ring.latest()["tool_depth"] - 3e-3) < 1e-6)
             wait_until(lambda: abs(snapshots.latest().snapshot.depth - 3e-3) < 1e-6)
             loop.pause()
-            loop.advance(0.01)
+            loop.advance_paused_motion(0.01)
         path = loop.snapshot_path
     assert not path.exists()
 

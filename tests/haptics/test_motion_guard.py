@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from haptics.devices.contracts import ForceSample, SampleStatus, StageSample
-from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason, require_stoppable
+from haptics.safety.motion_guard import CommandedMotion, MotionGuard, MotionLimits, StopReason, require_stoppable_motion
 from tissue_sim.errors import InputError
 
 CHANNELS = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -30,7 +30,7 @@ def make_guard(measures=True, ready=True):
 
 def check(guard, samples=None, stage=None, command=None, now=0.0):
     samples = [sample()] if samples is None else samples
-    return guard.check(now, samples, [each.values[2] for each in samples], stage or stage_at(at=now), command)
+    return guard.check_poll(now, samples, [each.values[2] for each in samples], stage or stage_at(at=now), command)
 
 
 INWARDS = CommandedMotion(0.0, 5e-3, 1e-3, 0.0)
@@ -116,11 +116,11 @@ def test_a_faulty_stage_does_not_retract(cause, allowed):
 
 
 def test_a_motion_with_a_force_increase_above_the_margin_is_refused():
-    require_stoppable(LIMITS, 1e-3, 0.9)
+    require_stoppable_motion(LIMITS, 1e-3, 0.9)
     with pytest.raises(InputError, match=r"got 1.1 N: .* on a specimen of 1 N/mm.*at most 0.91 mm/s"):
-        require_stoppable(LIMITS, 1e-3, 1.1)
+        require_stoppable_motion(LIMITS, 1e-3, 1.1)
     with pytest.raises(InputError, match="Use a stage that stops when the program ends"):
-        require_stoppable(LIMITS, 1e-3, math.inf)
+        require_stoppable_motion(LIMITS, 1e-3, math.inf)
 
 
 def test_the_old_name_stop_warns():

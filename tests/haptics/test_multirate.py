@@ -18,7 +18,7 @@ from haptics.loop.loop import Loop, LoopSettings
 from haptics.loop.model_transition import TRANSITION
 from haptics.loop.multirate import MultiRateTissue
 from haptics.loop.process import LoopProcess
-from haptics.loop.tissue_factory import real_time_tissue
+from haptics.loop.tissue_factory import make_real_time_tissue_factory
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -112,7 +112,7 @@ def test_the_same_motion_gives_the_same_forces_also_after_a_reset():
 
 def test_a_model_that_is_too_old_is_no_equilibrium_any_more():
     class Dead(DelayedBulk):
-        def receive(self, now):
+        def receive_model(self, now):
             return None
 
     tested = model()
@@ -191,7 +191,7 @@ def test_a_bonded_tool_feels_the_whole_solid_with_its_bulk_in_another_process():
         assert seen.node_positions[:, 2].min() < -0.0699 and seen.fields.at_nodes("von_mises").max() > 0.0
     finally:
         tissue.close()
-    assert not tissue._link.alive
+    assert not tissue._link.is_alive
 
 
 @pytest.mark.slow
@@ -215,11 +215,12 @@ def test_the_loop_takes_it():
 
 
 def test_solvers_with_a_bulk_take_two_rates():
-    made = real_time_tissue(model(), solver="solid", resolution="realtime", budget=8e-4)
+    made = make_real_time_tissue_factory(model(), solver="solid", resolution="realtime", budget=8e-4)
     assert made.func is MultiRateTissue
-    assert real_time_tissue(model(), solver="axisymmetric", resolution="fast", budget=None).func is ts.Simulator
+    made = make_real_time_tissue_factory(model(), solver="axisymmetric", resolution="fast", budget=None)
+    assert made.func is ts.Simulator
     with pytest.raises(ts.InputError, match="has no mass"):
-        real_time_tissue(model(), solver="solid", resolution="realtime", budget=None, inertia="on")
+        make_real_time_tissue_factory(model(), solver="solid", resolution="realtime", budget=None, inertia="on")
 
 
 @pytest.mark.slow
@@ -287,9 +288,9 @@ def test_a_step_that_waits_is_right_at_any_speed(deep):
 
 def test_waiting_for_a_process_that_has_ended_comes_to_an_end():
     class Ended(DelayedBulk):
-        alive = False
+        is_alive = False
 
-        def exchange(self, state):
+        def exchange_state_for_model(self, state):
             return None
 
     tested = model()

@@ -27,7 +27,7 @@ def observe(observer, force, depth):
 
 def added(controller, depth):
     """Return the force along z that the controller adds, N."""
-    x, y, z = controller.force(Pose((0.0, 0.0, -depth)), TICK)
+    x, y, z = controller.compute_damping_force(Pose((0.0, 0.0, -depth)), TICK)
     assert (x, y) == (0.0, 0.0)
     return z
 
@@ -202,7 +202,7 @@ def test_the_controller_force_opposes_the_motion_in_any_direction():
     observer = PassivityObserver(held=True)
     controller = PassivityController(observer, damping=5.0)
     observer.observe((0.6, 0.0, 0.8, 0.0, 0.0, 0.0), Pose((0.0, 0.0, 0.0)))
-    assert controller.force(Pose((0.6e-3, 0.0, 0.8e-3)), TICK) == pytest.approx((-0.6, 0.0, -0.8))
+    assert controller.compute_damping_force(Pose((0.6e-3, 0.0, 0.8e-3)), TICK) == pytest.approx((-0.6, 0.0, -0.8))
     assert controller.added == pytest.approx(1.0)
 
 
@@ -251,6 +251,6 @@ class TestEnergyLimit:
 
     @pytest.mark.parametrize("energy", [0.0, -1.0, math.nan])
     def test_an_invalid_limit_is_refused(self, energy):
-        with pytest.raises(InputError, match="energy: must be positive"):
+        with pytest.raises(InputError, match="energy: the largest returned energy must be positive"):
             EnergyLimit(energy)
         assert EnergyLimit(math.inf).step(-1e9, TICK)

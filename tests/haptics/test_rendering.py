@@ -155,7 +155,7 @@ def test_flags_name_the_events_of_a_tick():
     assert RenderFlag(second.flags) == RenderFlag.LIMITED
     rendering.pose_for(at(4e-3), DT)
     bad = rendering.render(tissue.step(at(4e-3), DT), math.nan)
-    assert bad.invalid and bad.force == pytest.approx(0.4)
+    assert bad.has_invalid_input and bad.force == pytest.approx(0.4)
 
 
 def test_the_flag_active_refers_to_the_held_force():
@@ -163,7 +163,7 @@ def test_the_flag_active_refers_to_the_held_force():
     path = [2e-3 * (1 - math.cos(2 * math.pi * 4 * tick * DT)) for tick in range(251)]
     rendered = run(ForceRendering(generous()), Spring(1000.0), path)[-1]
     assert rendered.energy == pytest.approx(0.0, abs=1e-12)
-    assert rendered.held_energy < 0 and rendered.active
+    assert rendered.held_energy < 0 and rendered.is_active
 
 
 def test_an_active_tissue_is_detected_and_can_be_damped():
@@ -177,7 +177,7 @@ def test_an_active_tissue_is_detected_and_can_be_damped():
             rendered = rendering.render(ToolForce.axial(late.pop(0), stiffness, ForceStatus.LATE), DT)
             steps, last = steps + (depth - last) ** 2, depth
         energies.append(rendered.held_energy)
-        active.append(rendered.active)
+        active.append(rendered.is_active)
     assert energies[0] == pytest.approx(-2.5 * stiffness * steps, rel=0.01)
     assert active[0]
     assert abs(energies[1]) < 0.05 * abs(energies[0])
@@ -192,7 +192,7 @@ def test_the_force_is_zero_before_the_first_pose():
 
 def test_a_local_model_blend_can_be_rendered():
     blend = LocalModelBlend(jump=0.02)
-    blend.publish(LocalModel.axial(1.0, 500.0, 2e-3, time=0.0))
+    blend.publish(LocalModel.from_axial_force(1.0, 500.0, 2e-3, time=0.0))
     rendered = run(ForceRendering(generous()), blend, [2e-3] * 60)
     assert [tick.force for tick in rendered[:3]] == pytest.approx([0.02, 0.04, 0.06])
     assert rendered[-1].force == pytest.approx(1.0)

@@ -38,8 +38,8 @@ def path(tmp_path):
 def test_a_tick_comes_back_as_it_was_written(path, tissues):
     with RingWriter(path) as ring, RingReader(path) as reader:
         assert reader.latest() is None and reader.since().records.shape == (0,)
-        ring.append(*tissues.record(41))
-        ring.append(*tissues.record(42))
+        ring.append_tick(*tissues.record(41))
+        ring.append_tick(*tissues.record(42))
         assert tissues.flat(reader.latest()) == tissues.fields_of(42)
         assert reader.latest().dtype == TICK
         assert [tissues.flat(record) for record in reader.since().records] == [tissues.fields_of(n) for n in (41, 42)]
@@ -47,22 +47,22 @@ def test_a_tick_comes_back_as_it_was_written(path, tissues):
 
 def test_what_stands_twice_in_a_tick_is_the_same(path, tissues):
     with RingWriter(path) as ring, RingReader(path) as reader:
-        ring.append(*tissues.record(3))
+        ring.append_tick(*tissues.record(3))
         tick = reader.latest()
         for depth, pose in (("device_depth", "device_pose"), ("tool_depth", "tool_pose")):
             assert tick[depth] == -tick[pose][2]
         assert (tick["force"], tick["tissue_force"]) == (tick["wrench"][2], tick["tissue_wrench"][2])
         assert tick["stiffness"] == tick["stiffness_matrix"][2, 2] == 3 + 14
         assert tick["step_stiffness"] == 1700.0
-        ring.append(*(None if isinstance(part, Pose) and place == 2 else part
-                      for place, part in enumerate(tissues.record(4))))
+        ring.append_tick(*(None if isinstance(part, Pose) and place == 2 else part
+                           for place, part in enumerate(tissues.record(4))))
         assert np.isnan(reader.latest()["device_pose"]).all() and np.isnan(reader.latest()["device_depth"])
 
 
 def test_the_layout_is_the_promised_one(path, tissues):
     """Byte for byte: a program in another language reads this."""
     with RingWriter(path, 2) as ring:
-        ring.append(*tissues.record(7))
+        ring.append_tick(*tissues.record(7))
         content = path.read_bytes()
     size = 120 + 63 * 8 + 5 * 8
     assert len(content) == 64 + 2 * (16 + size)
@@ -79,7 +79,7 @@ def test_the_layout_is_the_promised_one(path, tissues):
 def test_ticks_of_a_loop_without_ages_are_read(path, tissues):
     """The ring of a version before: the same fields, without the last five."""
     with RingWriter(path, 4) as ring:
-        ring.append(*tissues.record(5))
+        ring.append_tick(*tissues.record(5))
         record = path.read_bytes()[80:80 + 120 + 63 * 8]
     path.unlink(missing_ok=True)
     with SlotWriter(path, b"tsTICKS\0", 4, len(record)) as old, RingReader(path) as reader:
@@ -93,7 +93,7 @@ def test_ticks_of_a_loop_without_ages_are_read(path, tissues):
 def test_an_unknown_error_is_no_number_in_a_tick(path, tissues):
     *before, answer, compute_time, lateness, late, missed, flags = tissues.record(5)
     with RingWriter(path) as ring, RingReader(path) as reader:
-        ring.append(*before, replace(answer, force_error=None), compute_time, lateness, late, missed, flags)
+        ring.append_tick(*before, replace(answer, force_error=None), compute_time, lateness, late, missed, flags)
         assert np.isnan(reader.latest()["force_error"])
 
 
@@ -107,7 +107,7 @@ def test_every_slot_is_read_or_counted_as_lost(batches, capacity, tmp_path_facto
             for _ in range(batch):
                 total += 1
                 writer.write(total.to_bytes(8, "little"))
-            contents, number, missing = reader.after(number)
+            contents, number, missing = reader.read_contents_after(number)
             if not seen and total:  # what went by before the first reading is not lost
                 missing = max(total - capacity, 0)
             seen += [int.from_bytes(content, "little") for content in contents]
@@ -120,9 +120,9 @@ def test_a_reader_that_begins_late_has_lost_nothing(path):
     with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
         for n in range(10):
             writer.write(bytes([n]))
-        assert reader.after(0) == ([b"\6", b"\7", b"\10", b"\11"], 10, 0)
-        assert reader.after(3) == ([b"\6", b"\7", b"\10", b"\11"], 10, 3)
-        assert reader.after(10) == ([], 10, 0)
+        assert reader.read_contents_after(0) == ([b"\6", b"\7", b"\10", b"\11"], 10, 0)
+        assert reader.read_contents_after(3) == ([b"\6", b"\7", b"\10", b"\11"], 10, 3)
+        assert reader.read_contents_after(10) == ([], 10, 0)
 
 
 @pytest.mark.parametrize("part", range(0, 24, 3))
@@ -142,8 +142,8 @@ def test_a_half_written_slot_is_not_believed(path, part):
             stream.write(new[:part] + whole[SLOTS.head_size + part:SLOTS.head_size + stride])
         assert reader.read(3) is None
         assert reader.read(1) == (b"11111111" if part == 0 else None)
-        assert reader.newest() == (2, b"22222222")
-        assert reader.after(1) == ([b"22222222"], 2, 0)
+        assert reader.read_newest_content() == (2, b"22222222")
+        assert reader.read_contents_after(1) == ([b"22222222"], 2, 0)
 
 
 def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
@@ -151,9 +151,9 @@ def test_a_slot_that_has_not_arrived_is_left_for_the_next_time(path):
     with SlotWriter(path, KIND, 4, 8) as writer, SlotReader(path, KIND) as reader:
         writer.write(b"1")
         writer._numbers[0] = 2
-        assert reader.after(0) == ([b"1"], 1, 0)
+        assert reader.read_contents_after(0) == ([b"1"], 1, 0)
         writer.write(b"2")
-        assert reader.after(1) == ([b"2"], 2, 0)
+        assert reader.read_contents_after(1) == ([b"2"], 2, 0)
 
 
 @pytest.mark.slow

@@ -260,12 +260,12 @@ def test_close_frees_the_ports():
 
 
 @pytest.mark.parametrize(("options", "expected"), [
-    ({"host": "0.0.0.0"}, "host: must be a loopback address .* got 0.0.0.0. Other computers can reach"),
+    ({"host": "0.0.0.0"}, "host: the host must be a loopback address .* got 0.0.0.0. Other computers can reach"),
     ({"host": "192.168.1.7"}, "Other computers can reach this address"),
-    ({"host": "nowhere"}, "host: must be an IP address such as 127.0.0.1; got 'nowhere'"),
+    ({"host": "nowhere"}, "host: the host must be an IP address such as 127.0.0.1; got 'nowhere'"),
     ({"host": "203.0.113.9", "expose": True}, "203.0.113.9:0 cannot be used"),
-    ({"port": 65536}, "^port: must be 1 to 65535, or 0 for a free port; got 65536"),
-    ({"configuration_port": -1}, "configuration_port: must be 1 to 65535, or 0 for a free port; got -1"),
+    ({"port": 65536}, "^port: the port must be 1 to 65535, or 0 for a free port; got 65536"),
+    ({"configuration_port": -1}, "configuration_port: the port must be 1 to 65535, or 0 for a free port; got -1"),
 ])
 def test_an_invalid_address_is_refused(options, expected):
     with pytest.raises(InputError, match=expected):

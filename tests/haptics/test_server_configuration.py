@@ -173,7 +173,7 @@ def test_statistics_returns_the_counters(line, client):
     (b'{"command": "describe"', "must be JSON"),
     (b"\xff\xfe", "must be JSON"),
     (b"[" * 20000, "must be JSON"),
-    (b"[]", "command: must be one of describe, "),
+    (b"[]", "command: the command must be one of describe, "),
     (b'{"command": 3}', "; got none"),
     (b'{"command": "descibe"}', "command: unknown command 'descibe'; did you mean 'describe'?"),
     (b'{"command": "surface", "segment": 8}', "segment: unknown key; did you mean 'segments'?"),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from haptics.safety.force_release import ForceRelease
 from haptics.server.scene_limits import SceneLimits
 from haptics.server.steps import StepService
-from haptics.server.wire import VERSION, Kind, Request, RequestFlags, Status, decode_reply, encode_request
+from haptics.server.wire import VERSION, Request, RequestFlags, RequestKind, Status, decode_reply, encode_request
 from tissue_sim.errors import InputError
 from tissue_sim.tool_force import ForceStatus, ToolForce
 
@@ -52,7 +52,7 @@ def ask(service, *packets, address=A, now=0.0):
     if answer is None:
         return None if immediate is None else decode_reply(immediate)
     assert answer[1] == address
-    service.restart_silence(now)
+    service.restart_owner_silence(now)
     return decode_reply(answer[0])
 
 
@@ -89,7 +89,7 @@ def test_an_older_request_is_dropped_and_counted(service):
 def test_malformed_packets_are_dropped_and_counted(service):
     for noise in (b"", b"hello", packet(1)[:-1], packet(1) + b"\0", bytes(88)):
         assert ask(service, noise) is None
-    assert service.owner is None, "noise must not become the owner"
+    assert service.owner_address is None, "noise must not become the owner"
     assert ask(service, packet(1)).malformed == 5
 
 
@@ -158,21 +158,21 @@ def test_the_first_client_owns_the_tissue(service):
     reply = ask(service, packet(900, 7.0), address=B, now=0.5)
     assert (reply.status, reply.sequence, reply.time, reply.turned_away) == (Status.BUSY, 900, 7.0, 1)
     assert reply.force == (0.0, 0.0, 0.0) and len(service.tissue.steps) == 1
-    assert ask(service, packet(901, kind=Kind.GOODBYE), address=B, now=0.5).status == Status.BUSY
-    assert service.owner == A and ask(service, packet(1), address=A, now=0.6).turned_away == 2
+    assert ask(service, packet(901, kind=RequestKind.GOODBYE), address=B, now=0.5).status == Status.BUSY
+    assert service.owner_address == A and ask(service, packet(1), address=A, now=0.6).turned_away == 2
 
 
 def test_a_silent_owner_loses_the_tissue_to_another_client(service):
     ask(service, packet(50, 8.0), address=A, now=0.0)
     assert ask(service, packet(0, 3.0), address=B, now=1.01).dt == 0.0
-    assert service.owner == B and service.counters.clients == 2
+    assert service.owner_address == B and service.counters.clients == 2
     assert ask(service, packet(51, 9.0), address=A, now=1.02).status == Status.BUSY
 
 
 def test_the_silence_starts_with_the_reply(service):
     service.receive(packet(0), A, 0.0)
     service.step(0.0)
-    service.restart_silence(5.0)  # a long step
+    service.restart_owner_silence(5.0)  # a long step
     assert ask(service, packet(0), address=B, now=5.9).status == Status.BUSY
 
 
@@ -191,9 +191,9 @@ def test_a_silent_owner_continues_or_restarts_its_sequence(service):
 
 def test_a_goodbye_releases_the_tissue_at_once(service):
     ask(service, packet(0), address=A)
-    reply = ask(service, packet(1), packet(2, kind=Kind.GOODBYE), address=A)
+    reply = ask(service, packet(1), packet(2, kind=RequestKind.GOODBYE), address=A)
     assert (reply.status, reply.sequence) == (Status.RELEASED, 2)
-    assert service.owner is None and service.counters.skipped == 1
+    assert service.owner_address is None and service.counters.skipped == 1
     assert ask(service, packet(0), address=B).status == Status.CONVERGED
 
 
@@ -202,7 +202,7 @@ def test_another_version_is_answered_with_the_version_of_the_server(service):
     other_version[4:6] = b"\x04\x00"
     reply = ask(service, bytes(other_version) + b"more of version 4")
     assert (reply.status, reply.sequence, reply.time) == (Status.OTHER_VERSION, 77, 1.5)
-    assert service.owner is None and service.counters.other_version == 1 and reply.version == VERSION
+    assert service.owner_address is None and service.counters.other_version == 1 and reply.version == VERSION
 
 
 @pytest.mark.parametrize("version", [2, 3])
@@ -351,13 +351,14 @@ class TestSession:
         assert ask(service, packet(0, session=77), address=A).session == 77
         assert ask(service, packet(1, session=78), address=A).status == Status.BUSY
         assert ask(service, packet(2, session=77), address=B).status == Status.CONVERGED
-        assert service.owner == B and service.counters.clients == 1
+        assert service.owner_address == B and service.counters.clients == 1
 
     def test_a_stated_number_is_the_only_one_that_is_heard(self):
         service = StepService(RecordingTissue(), session=7)
         assert ask(service, packet(0)).status == ask(service, packet(0, session=8)).status == Status.BUSY
-        assert service.owner is None and ask(service, packet(0, session=7)).status == Status.CONVERGED
-        assert ask(service, packet(1, kind=Kind.GOODBYE, session=8)).status == Status.BUSY and service.owner == A
+        assert service.owner_address is None and ask(service, packet(0, session=7)).status == Status.CONVERGED
+        assert ask(service, packet(1, kind=RequestKind.GOODBYE, session=8)).status == Status.BUSY
+        assert service.owner_address == A
 
 
 @given(st.lists(st.tuples(st.sampled_from(["step", "from A", "from B", "noise", "wait", "bye"]), st.integers(0, 30))))
@@ -367,11 +368,12 @@ def test_each_packet_is_counted_once(events):
     for event, sequence in events:
         if event == "step":
             service.step(now)
-            service.restart_silence(now)
+            service.restart_owner_silence(now)
         elif event == "wait":
             now += sequence / 10
         else:
-            one = {"noise": b"noise", "bye": packet(sequence, kind=Kind.GOODBYE)}.get(event, packet(sequence, 0.0))
+            special = {"noise": b"noise", "bye": packet(sequence, kind=RequestKind.GOODBYE)}
+            one = special.get(event, packet(sequence, 0.0))
             immediate = service.receive(one, B if event == "from B" else A, now)
             received += 1
             goodbyes += immediate is not None and decode_reply(immediate).status == Status.RELEASED

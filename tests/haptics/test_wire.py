@@ -14,12 +14,12 @@ from haptics.server.wire import (
     REQUEST_SIZE,
     VERSION,
     VERSIONS,
-    Kind,
     OtherVersionError,
     Reply,
     ReplyFlags,
     Request,
     RequestFlags,
+    RequestKind,
     Status,
     WireError,
     decode_reply,
@@ -63,7 +63,7 @@ def test_a_request_has_the_documented_bytes(version):
 
 
 def test_a_goodbye_has_its_own_kind():
-    assert encode_request(Request(0, 0.0, kind=Kind.GOODBYE))[6:8] == b"\x02\x00"
+    assert encode_request(Request(0, 0.0, kind=RequestKind.GOODBYE))[6:8] == b"\x02\x00"
 
 
 @pytest.mark.parametrize("version", [2, 3])

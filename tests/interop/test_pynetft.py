@@ -18,7 +18,7 @@ from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
-from haptics.protocols.rdt import Settings
+from haptics.protocols.rdt import BoxSettings
 
 pynetft = pytest.importorskip("pynetft", reason="compares with the independent client pynetft, which has no wheel for "
                                                 "every platform and is not installed: pip install pynetft")
@@ -42,7 +42,7 @@ def foreign_client(emulated, **options):
 
 
 def test_a_foreign_client_reads_our_emulator():
-    with emulator(Settings(1e6, 1e6, "N", "N-m", 500.0)) as emulated, foreign_client(emulated) as client:
+    with emulator(BoxSettings(1e6, 1e6, "N", "N-m", 500.0)) as emulated, foreign_client(emulated) as client:
         samples = [sample for _, sample in zip(range(200), client.samples(timeout=PATIENCE), strict=False)]
         health = client.health()
     for sample in samples:
@@ -54,7 +54,7 @@ def test_a_foreign_client_reads_our_emulator():
 
 
 def test_a_foreign_client_takes_our_units():
-    with emulator(Settings(1000.0, 50.0, "lbf", "lbf-in", 500.0)) as emulated, foreign_client(emulated) as client:
+    with emulator(BoxSettings(1000.0, 50.0, "lbf", "lbf-in", 500.0)) as emulated, foreign_client(emulated) as client:
         sample = next(client.samples(timeout=PATIENCE))
     assert sample.force_unit == pynetft.ForceUnit.POUND_FORCE
     assert sample.torque_unit == pynetft.TorqueUnit.POUND_FORCE_INCH
@@ -123,7 +123,7 @@ def test_our_client_reads_a_foreign_server(fake):
     wait_until(lambda: client.describe()["records"] + client.describe()["twice"] >= 4, "records")
     samples, tally = client.read(), client.describe()
     client.stop()
-    assert fake.wait_for_command(rdt.Command.STOP, timeout=PATIENCE)
+    assert fake.wait_for_command(rdt.RdtCommand.STOP, timeout=PATIENCE)
     assert [sample.counts for sample in samples[:1]] == [(10, -20, 30, 4, -5, 6)]
     assert samples[0].values[1] == pytest.approx(-20 * 4.4482216152605 / 1000)
     assert samples[0].values[3] == pytest.approx(4 * 0.1129848290276167 / 100)

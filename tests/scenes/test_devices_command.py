@@ -30,7 +30,7 @@ def test_devices_that_open_describe_themselves_and_others_give_the_reason(capsys
 
 
 def test_the_list_names_every_back_end(capsys, monkeypatch):
-    monkeypatch.setattr("haptics.devices.discovery.serial_ports", lambda: [])
+    monkeypatch.setattr("haptics.devices.discovery.list_serial_ports", lambda: [])
     monkeypatch.setattr("haptics.devices.discovery._DEFAULT_ADDRESSES", {"virtual": ""})
     assert main(["devices"]) == 0
     said = capsys.readouterr().out
@@ -41,7 +41,7 @@ def test_the_list_names_every_back_end(capsys, monkeypatch):
 
 def test_an_unknown_device_is_refused(capsys):
     assert main(["devices", "tik:/dev/ttyACM0"]) == 2
-    assert "names: must begin with one of ati-daq, ati-serial, " in capsys.readouterr().err
+    assert "names: the name of a device must begin with one of ati-daq, ati-serial, " in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -258,8 +258,8 @@ def test_the_status_line_is_read_from_the_ring(tmp_path):
         live, answer = LiveLine(reader, 60.0), ToolForce.axial(0.25, 200.0, ForceStatus.CONVERGED)
         assert live.text() == "waiting for the next tick"
         for n in range(1, 101):
-            ring.append(n, n * 1e-3, Pose.at_depth(0.0), Pose.at_depth(1.5e-3), answer.wrench, answer, 1e-6 * n,
-                        2e-6 * n, 3, 7, 0)
+            ring.append_tick(n, n * 1e-3, Pose.at_depth(0.0), Pose.at_depth(1.5e-3), answer.wrench, answer, 1e-6 * n,
+                             2e-6 * n, 3, 7, 0)
         assert live.text() == ("0 of 60 s: 1.50 mm, 0.250 N; p99 compute 99, lateness 198 us; late 3, missed 7")
         assert live.text() == "waiting for the next tick", "a line covers the ticks since the line before"
 
@@ -269,17 +269,17 @@ def test_the_status_line_is_read_from_the_ring(tmp_path):
     (["--seconds", "0"], "must be a positive number; got '0'"),
     (["--spin-us", "1000"], "spin: spin must be at least 0 and less than the period"),
     (["--motion", "jump"], "unknown motion 'jump'; known: random, sine, protocol, hand"),
-    (["--motion", "sine:frequency_hz=fast"], "sine.frequency_hz: must be a number; got 'fast'"),
+    (["--motion", "sine:frequency_hz=fast"], "sine.frequency_hz: the value must be a number; got 'fast'"),
     (["--motion", "sine:frequncy_hz=2"], "sine.frequncy_hz: unknown setting; did you mean 'frequency_hz'?"),
-    (["--motion", "random:seed=1.5"], "random.seed: must be a whole number; got '1.5'"),
-    (["--motion", "sine:deep"], "sine.settings: must be NAME=NUMBER"),
+    (["--motion", "random:seed=1.5"], "random.seed: the value must be a whole number; got '1.5'"),
+    (["--motion", "sine:deep"], "sine.settings: a setting must be NAME=NUMBER"),
     (["--device", "jump:0"], "unknown haptic device 'jump'; known: virtual"),
     (["--device", "virtual:sine:deep=3"], "virtual.sine.deep: unknown setting; known: depth_mm, lift, frequency_hz"),
     (["--device", "virtual:", "--motion", "sine"], "--motion: cannot be combined with --device"),
     (["--device", "haply:ws://127.0.0.1:1", "--force-limit-N", "9"],
      "--force-limit-N: must be at most 5 N, the limit of the device; got 9 N"),
     (["--device", "haply:127.0.0.1"],
-     "haply.address: must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got '127.0.0.1'"),
+     "haply.address: the address must be ws://HOST:PORT, such as ws://127.0.0.1:10001; got '127.0.0.1'"),
     (["--coupling-damping-N-s-m", "2"], "--coupling-damping-N-s-m: requires a coupling"),
     (["--motion", "sine", "--protocol", "ramp 2mm"],
      "--protocol: applies only to --motion protocol; got the motion 'sine'"),

@@ -142,7 +142,7 @@ def test_files_of_equal_names_are_kept_apart(tmp_path):
     assert copied["defaults"]["tool"] == "files/tip.csv" and copied["test"][1:] == [{"tool": "flat"}, {}]
     assert (folder.folder / copied["defaults"]["tool"]).read_text() == "a"
     assert (folder.folder / copied["test"][0]["tool"]).read_text() == "b"
-    assert not RunFolder(tmp_path / "run", "digest").is_begun
+    assert not RunFolder(tmp_path / "run", "digest").has_started_run
 
 
 @pytest.mark.slow
@@ -201,7 +201,7 @@ def test_ctrl_c_stops_the_stage_and_keeps_the_readings(protocol, tmp_path):
 
 @pytest.mark.parametrize(("change", "said"), [
     ({"[limits]": "[limitz]"}, "limits: is required, because a motor moves"),
-    ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: must be positive and finite; got 0"),
+    ({"force_N = 20.0": "force_N = 0.0"}, "limits.force: a limit of a run must be positive and finite; got 0"),
     ({"lubricant = ": "lubrication = "}, "unknown key"),
     ({"force_margin_N = 1e3": "force_margin_N = 0.1"}, "Use a speed of at most"),
     ({'protocol = "ramp 4mm @8mm/s; unload"': ""}, "protocol: is required. Give a motion"),

@@ -10,7 +10,7 @@ from haptics.devices.tic import TIMING
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.rdt import RdtEmulator
 from haptics.emulators.tic import emulate_tic
-from haptics.protocols.rdt import Settings
+from haptics.protocols.rdt import BoxSettings
 from scenes.cli import main
 from scenes.commands.record.bench import make_virtual_rig
 from scenes.commands.record.protocol_file import read_protocol_file
@@ -108,7 +108,7 @@ def test_recordings_over_device_protocols_recover_the_specimen(protocol, tmp_pat
     for number, test in enumerate(read.campaign.tests):
         # Emulate sensor and stage of this specimen with the protocols of an ATI box and of a Tic.
         rig = make_virtual_rig(read, test)
-        sensor = RdtEmulator(rig.sensor, port=rdt, http_port=http, settings=Settings(1e6, 1e6, rate=250.0))
+        sensor = RdtEmulator(rig.sensor, port=rdt, http_port=http, settings=BoxSettings(1e6, 1e6, rate=250.0))
         stage = emulate_tic(rig.bench, "steps_per_mm=1000", Faults())
         with sensor, stage:
             (tmp_path / "port").symlink_to(stage.path)

@@ -194,7 +194,7 @@ def test_ctrl_c_ends_with_counters(root, material):
 
 @pytest.mark.parametrize(("words", "expected"), [
     (["--port", "70000"], "must be at most 65535; got '70000'"),
-    (["--host", "0.0.0.0"], "host: must be a loopback address"),
+    (["--host", "0.0.0.0"], "host: the host must be a loopback address"),
     (["--scene", "needle"], "unknown scene 'needle'"),
     (["--largest-force-N", "1e6"], "--largest-force-N: must be at most 100 N; got 1e+06 N"),
     (["--session", "0"], "must be a whole number of at least 1; got '0'"),

@@ -34,14 +34,14 @@ class DelayedHand(HapticDevice):
     def __init__(self, hand: VirtualHand, delay: float, jitter: float = 0.0, loss: float = 0.0, seed: int = 0):
         for value, field in ((delay, "delay"), (jitter, "jitter")):
             if not 0 <= value < math.inf:
-                raise InputError(f"must be 0 s or more; got {value:g} s", field=field)
+                raise InputError(f"delay and jitter must be 0 s or more; got {value:g} s", field=field)
         if not 0 <= loss <= 1:
-            raise InputError(f"must be 0 to 1; got {loss:g}", field="loss")
+            raise InputError(f"the fraction of lost messages must be 0 to 1; got {loss:g}", field="loss")
         self._hand, self._delay, self._jitter, self._loss, self._seed = hand, delay, jitter, loss, seed
-        self._reset()
+        self._discard_forces_in_transit()
 
-    def _reset(self) -> None:
-        """Restart time and random numbers, and discard the forces in transit."""
+    def _discard_forces_in_transit(self) -> None:
+        """Restart the clock and the random numbers, and discard all forces that have not yet arrived at the hand."""
         self._random = random.Random(self._seed)
         self._time = 0.0
         #: Forces in transit: time of arrival, s, and wrench.
@@ -50,7 +50,7 @@ class DelayedHand(HapticDevice):
     def start(self) -> None:
         """Start the hand without forces in transit."""
         self._hand.start()
-        self._reset()
+        self._discard_forces_in_transit()
 
     def pose(self, time: float) -> Pose | None:
         """Deliver the forces that have arrived by `time`, s, and return the pose of the hand; None if it is lost."""
@@ -62,11 +62,11 @@ class DelayedHand(HapticDevice):
             self._hand.render(wrench)
         self._time = time
         pose = self._hand.pose(time)
-        return None if self._is_lost() else pose
+        return None if self._draw_message_loss() else pose
 
     def render(self, wrench: Screw) -> None:
         """Send a wrench, which arrives after the delay and a random part of the jitter, unless it is lost."""
-        if self._is_lost():
+        if self._draw_message_loss():
             return
         arrives = self._time + self._delay + self._jitter * self._random.random()
         if self._in_transit:
@@ -76,8 +76,8 @@ class DelayedHand(HapticDevice):
         else:
             self._in_transit.append((arrives, wrench))
 
-    def _is_lost(self) -> bool:
-        """Draw whether a message is lost."""
+    def _draw_message_loss(self) -> bool:
+        """Draw a random number, and return True if the message of this call is lost, with probability `loss`."""
         return self._loss > 0.0 and self._random.random() < self._loss
 
     def stop(self) -> None:

@@ -47,15 +47,18 @@ class Faults:
     def __post_init__(self) -> None:
         for field in ("loss", "duplicate", "reorder", "garble"):
             if not 0.0 <= getattr(self, field) <= 1.0:
-                raise InputError(f"must be 0 to 1; got {getattr(self, field):g}", field=field)
+                raise InputError(f"the probability of a message fault must be 0 to 1; got {getattr(self, field):g}",
+                                 field=field)
         for field in ("delay", "disconnect_after", "saturate_after", "stall_after"):
             if not getattr(self, field) >= 0.0:
-                raise InputError(f"must be 0 s or more; got {getattr(self, field):g} s", field=field)
+                raise InputError(f"the time of a fault must be 0 s or more; got {getattr(self, field):g} s",
+                                 field=field)
         if not math.isfinite(self.delay) or not math.isfinite(self.drift):
-            raise InputError(f"must be finite; got {self.delay:g} s, {self.drift:g} N/s", field="delay, drift")
+            raise InputError(f"delay and drift must be finite; got {self.delay:g} s, {self.drift:g} N/s",
+                             field="delay, drift")
 
 
-def read_faults(text: str) -> Faults:
+def parse_faults(text: str) -> Faults:
     """Return the faults of a text such as ``loss=0.02,disconnect_after_s=5``; the empty text has none.
 
     Args:
@@ -73,7 +76,7 @@ def read_faults(text: str) -> Faults:
                   given["drift_N_per_s"], int(given["seed"]))
 
 
-class FaultyLine:
+class FaultyMessageQueue:
     """A queue of messages that applies the faults of a connection.
 
     Args:
@@ -88,14 +91,14 @@ class FaultyLine:
         #: A message that waits until its successor was queued; None: none.
         self._held_back: bytes | None = None
 
-    def is_silent(self, now: float) -> bool:
+    def is_disconnected(self, now: float) -> bool:
         """Return True after the simulated disconnection."""
         return now - self._began >= self._faults.disconnect_after
 
-    def put(self, message: bytes, now: float) -> None:
+    def put_message(self, message: bytes, now: float) -> None:
         """Queue a message of the device, subject to the faults."""
         faults, draw = self._faults, self._random.random
-        if self.is_silent(now) or draw() < faults.loss:
+        if self.is_disconnected(now) or draw() < faults.loss:
             return
         if message and draw() < faults.garble:
             at = self._random.randrange(len(message))
@@ -103,17 +106,17 @@ class FaultyLine:
         if self._held_back is None and draw() < faults.reorder:
             self._held_back = message
             return
-        for each in (message, *([message] if draw() < faults.duplicate else []), *self._release_held_back()):
+        for each in (message, *([message] if draw() < faults.duplicate else []), *self._release_held_message()):
             self._waiting.append((now + faults.delay, each))
 
-    def _release_held_back(self) -> list[bytes]:
-        """Return the message that was held back, if any, and forget it."""
+    def _release_held_message(self) -> list[bytes]:
+        """Return the message that was held back to change the order, in a list; empty if no message is held back."""
         held_back, self._held_back = self._held_back, None
         return [] if held_back is None else [held_back]
 
-    def take_due(self, now: float) -> list[bytes]:
+    def take_due_messages(self, now: float) -> list[bytes]:
         """Remove and return the messages due until now, in order; none after the simulated disconnection."""
-        if self.is_silent(now):
+        if self.is_disconnected(now):
             self._waiting.clear()
         count = next((number for number, (leaves, _) in enumerate(self._waiting) if leaves > now), len(self._waiting))
         leaving, self._waiting = self._waiting[:count], self._waiting[count:]

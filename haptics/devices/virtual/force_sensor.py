@@ -33,9 +33,9 @@ class VirtualForceSensor(ForceSensor):
                  clock: Callable[[], float] = time.monotonic, silent_after: float = math.inf):
         for value, unit, field in ((rate, "Hz", "rate"), (resolution, "N", "resolution"), (reach, "N", "reach")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be above 0 {unit}; got {value:g} {unit}", field=field)
+                raise InputError(f"rate, resolution and range must be above 0; got {value:g} {unit}", field=field)
         if not channels:
-            raise InputError("must have at least one channel; got none", field="channels")
+            raise InputError("the sensor must have at least one channel; got none", field="channels")
         self.channels, self.rate, self._load, self._clock = channels, rate, load, clock
         self._resolution, self._largest_count = resolution, math.floor(reach / resolution)
         self._zero, self._silent_after = (0,) * len(channels), silent_after
@@ -51,7 +51,7 @@ class VirtualForceSensor(ForceSensor):
 
     def read(self) -> tuple[ForceSample, ...]:
         """Return the samples that have become due since the last call; a gap is marked if the buffer was full."""
-        now, began = self._present_and_start_time()
+        now, began = self._get_present_and_start_time()
         due = math.floor(min(now - began, self._silent_after) * self.rate)
         first = max(self._passed, due - SAMPLE_BUFFER)
         lost, self._passed = first > self._passed, due
@@ -65,8 +65,8 @@ class VirtualForceSensor(ForceSensor):
         return tuple(samples)
 
     def tare(self) -> None:
-        """Take the present counts as zero."""
-        now, _ = self._present_and_start_time()
+        """Set the present counts as zero of later values."""
+        now, _ = self._get_present_and_start_time()
         self._zero, _ = self._measure_counts(now)
 
     def stop(self) -> None:
@@ -78,7 +78,7 @@ class VirtualForceSensor(ForceSensor):
         return {"sensor": "virtual", "channels": list(self.channels), "rate_Hz": self.rate,
                 "resolution_N": self._resolution, "range_N": self._largest_count * self._resolution}
 
-    def _present_and_start_time(self) -> tuple[float, float]:
+    def _get_present_and_start_time(self) -> tuple[float, float]:
         """Return the present time and the time of the start, s on the clock."""
         if self._began is None:
             raise DeviceError("the virtual force sensor is not started; start it first")
@@ -91,14 +91,14 @@ class VirtualForceSensor(ForceSensor):
         return counts, SampleStatus.GOOD if list(counts) == unclipped else SampleStatus.SATURATED
 
 
-def open_virtual(text: str) -> VirtualForceSensor:
+def open_virtual_sensor(text: str) -> VirtualForceSensor:
     """Make a sensor under constant load from ``virtual:rate_hz=1000,resolution_N=0.001,range_N=50,load_N=0``."""
     given = read_settings(text, rate_hz=1000.0, resolution_N=1e-3, range_N=50.0, load_N=0.0)
-    return VirtualForceSensor(_Constant(given["load_N"]), rate=given["rate_hz"], resolution=given["resolution_N"],
+    return VirtualForceSensor(_ConstantLoad(given["load_N"]), rate=given["rate_hz"], resolution=given["resolution_N"],
                               reach=given["range_N"])
 
 
-class _Constant:
+class _ConstantLoad:
     """A constant load, N; a class instead of a lambda, so that the sensor can be pickled."""
 
 

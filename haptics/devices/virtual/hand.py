@@ -42,12 +42,12 @@ class VirtualHand(HapticDevice):
     def __init__(self, motion: Motion, mass: float = 0.15, damping: float = 5.0, grip: float = 400.0,
                  push: float = 0.0):
         if not 0 < mass < math.inf:
-            raise InputError(f"must be above 0 kg; got {mass:g} kg", field="mass")
+            raise InputError(f"the mass must be above 0 kg; got {mass:g} kg", field="mass")
         for value, unit, field in ((damping, "N s/m", "damping"), (grip, "N/m", "grip")):
             if not 0 <= value < math.inf:
-                raise InputError(f"must be 0 {unit} or more; got {value:g} {unit}", field=field)
+                raise InputError(f"damping and grip stiffness must be 0 or more; got {value:g} {unit}", field=field)
         if not math.isfinite(push):
-            raise InputError(f"must be finite; got {push:g} N", field="push")
+            raise InputError(f"the push must be finite; got {push:g} N", field="push")
         self._motion, self._mass, self._damping, self._grip = motion, mass, damping, grip
         self._push = push
         # Characteristic roots: r = -d / 2m +- sqrt((d / 2m)^2 - grip / m).
@@ -75,14 +75,14 @@ class VirtualHand(HapticDevice):
             # First call, or time restarted: at rest on the target.
             self._position, self._velocity = target.position, (0.0, 0.0, 0.0)
         elif time > self._time:
-            self._position, self._velocity = self._advance(self._position, target.position, time - self._time)
+            self._position, self._velocity = self._integrate_motion(self._position, target.position, time - self._time)
         self._time = time
         return Pose(self._position, target.orientation)
 
-    def _advance(self, position: Vector, target: Vector, dt: float) -> tuple[Vector, Vector]:
+    def _integrate_motion(self, position: Vector, target: Vector, dt: float) -> tuple[Vector, Vector]:
         """Return position, m, and velocity, m/s, after a time step, s, with constant target and force."""
         if self._grip == 0.0:
-            return self._advance_without_grip(position, dt)
+            return self._integrate_motion_without_grip(position, dt)
         r, s = self._roots
         exp_r, exp_s = cmath.exp(r * dt), cmath.exp(s * dt)
         # Coefficients of x(dt) and x'(dt) for x = a exp(r t) + b exp(s t), by initial offset and initial velocity.
@@ -92,16 +92,16 @@ class VirtualHand(HapticDevice):
         offset_to_velocity = (r * s * (exp_s - exp_r) / difference).real
         velocity_to_velocity = ((r * exp_r - s * exp_s) / difference).real
 
-        def advance_axis(axis: int) -> tuple[float, float]:
+        def integrate_axis(axis: int) -> tuple[float, float]:
             equilibrium, velocity = target[axis] + self._force[axis] / self._grip, self._velocity[axis]
             offset = position[axis] - equilibrium
             return (equilibrium + offset_to_offset * offset + velocity_to_offset * velocity,
                     offset_to_velocity * offset + velocity_to_velocity * velocity)
 
-        (x, u), (y, v), (z, w) = advance_axis(0), advance_axis(1), advance_axis(2)
+        (x, u), (y, v), (z, w) = integrate_axis(0), integrate_axis(1), integrate_axis(2)
         return (x, y, z), (u, v, w)
 
-    def _advance_without_grip(self, position: Vector, dt: float) -> tuple[Vector, Vector]:
+    def _integrate_motion_without_grip(self, position: Vector, dt: float) -> tuple[Vector, Vector]:
         """Return position, m, and velocity, m/s, after a time step, s, of mass x'' + damping x' = force."""
         mass, damping = self._mass, self._damping
         decay = damping * dt / mass
@@ -115,12 +115,12 @@ class VirtualHand(HapticDevice):
             velocity_to_offset = mass * force_to_velocity
             force_to_offset = (dt - velocity_to_offset) / damping
 
-        def advance_axis(axis: int) -> tuple[float, float]:
+        def integrate_axis(axis: int) -> tuple[float, float]:
             force, velocity = self._force[axis], self._velocity[axis]
             return (position[axis] + velocity_to_offset * velocity + force_to_offset * force,
                     velocity_to_velocity * velocity + force_to_velocity * force)
 
-        (x, u), (y, v), (z, w) = advance_axis(0), advance_axis(1), advance_axis(2)
+        (x, u), (y, v), (z, w) = integrate_axis(0), integrate_axis(1), integrate_axis(2)
         return (x, y, z), (u, v, w)
 
     @property
@@ -151,6 +151,6 @@ class VirtualHand(HapticDevice):
                 "damping_N_s_m": self._damping, "grip_N_m": self._grip, "push_N": self._push}
 
 
-def open_virtual(text: str) -> VirtualHand:
+def open_virtual_hand(text: str) -> VirtualHand:
     """Make a hand that follows a named motion, as in ``virtual:random:seed=3``; ``virtual:`` is steerable."""
     return VirtualHand(open_motion(text or "hand"))

@@ -46,7 +46,7 @@ STAGE_LIMITS = StageLimits(-0.05, 0.03, 0.02)
 
 
 @dataclass(frozen=True)
-class CurveTable:
+class CurveTableSettings:
     """Resolution of an `ElasticSpecimen`'s force-depth curve."""
 
     #: Number of simulated depths; a monotone cubic interpolates between them.
@@ -58,11 +58,11 @@ class CurveTable:
 
 
 #: Resolution of all `ElasticSpecimen`s.
-_TABLE = CurveTable()
+_TABLE = CurveTableSettings()
 
 
 class Specimen(Protocol):
-    """A specimen that a tool indents."""
+    """Interface of a simulated specimen: force on the tool for time and depth."""
 
     def force(self, time: float, depth: float) -> float:
         """Return the force on the tool, N.
@@ -77,7 +77,7 @@ class ElasticSpecimen:
     """Force-depth curve of an elastic specimen, from one converged simulation of its loading; unloading is the same.
 
     The curve includes the rig's compliance. A monotone cubic interpolates between simulated depths and its tangent
-    continues beyond them; calls read a table, see `CurveTable`.
+    continues beyond them; calls read a table, see `CurveTableSettings`.
 
     Args:
         model: Experiment, material and compliance of the rig; protocol and other rig parameters are ignored.
@@ -90,7 +90,7 @@ class ElasticSpecimen:
 
     def __init__(self, model: Model, depth: float, resolution: str = "accurate"):
         if model.is_path_dependent:
-            raise InputError("must be independent of the loading history for an ElasticSpecimen; make a "
+            raise InputError("the material must be independent of the loading history for an ElasticSpecimen; make a "
                              "HistoryDependentSpecimen", field="model")
         ideal = replace(model, experiment=replace(model.experiment, protocol=Motion.ramp(depth, _TABLE.points)),
                         rig=Rig())
@@ -122,7 +122,7 @@ class HistoryDependentSpecimen:
 
     def __init__(self, model: Model, resolution: str = "realtime"):
         if model.rig.compliance:
-            raise InputError("must be 0 for a history-dependent specimen; "
+            raise InputError("the compliance of the rig must be 0 for a history-dependent specimen; "
                              f"got {model.rig.compliance:g} m/N. Leave it out", field="rig.compliance")
         self._simulator = Simulator(model, resolution=resolution, inertia="off")
         self._simulator.warm_up()
@@ -175,10 +175,11 @@ class VirtualRig:
                  clock: Callable[[], float] = time.monotonic):
         rig, faults = rig or Rig(), faults or Faults()
         if rig.faults or rig.sampling_rate is not None:
-            raise InputError("must have no added faults and no sampling rate in a VirtualRig; leave them out",
+            raise InputError("the rig must have no added faults and no sampling rate in a VirtualRig; leave them out",
                              field="rig")
         if "Fz" not in channels:
-            raise InputError(f"must contain Fz, the axis of the tool; got {', '.join(channels)}. Name Fz among them",
+            raise InputError(f"the channels must contain Fz, the axis of the tool; got {', '.join(channels)}. Name Fz "
+                             "among them",
                              field="channels")
         self._specimen, self._rig, self._surface, self._faults, self._sign = specimen, rig, surface, faults, sign
         self._axis, self._count, self._reach = channels.index("Fz"), len(channels), reach
@@ -192,7 +193,7 @@ class VirtualRig:
 
     @property
     def bench(self) -> Bench:
-        """The sensor and the stage."""
+        """The virtual sensor and the virtual stage as a `Bench`."""
         return Bench(self.sensor, self.stage)
 
     def _compute_load(self, at: float) -> tuple[float, ...]:
@@ -215,7 +216,7 @@ class VirtualRig:
 
     def _find_stage_path(self, at: float) -> Sequence[float]:
         """Return the reversal positions until a time, s, and the position then, m; backlash depends on these alone."""
-        return (*self.stage.reversal_positions(at), self.stage.tool_position(at))
+        return (*self.stage.list_reversal_positions(at), self.stage.tool_position_at(at))
 
     def _compute_disturbance(self, at: float) -> float:
         """Return noise (a first-order Gauss-Markov process) plus drift at a time on the clock, s; N."""

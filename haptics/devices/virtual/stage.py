@@ -31,8 +31,8 @@ class _LinearMotion(NamedTuple):
     goal: float
     speed: float
 
-    def position(self, at: float) -> float:
-        """Return the position at a time, s; m."""
+    def compute_position(self, at: float) -> float:
+        """Return the position of the motor in this motion at a time `at` on the clock, s; m."""
         length = self.goal - self.start
         travelled = self.speed * max(at - self.began, 0.0)
         return self.goal if travelled >= abs(length) else self.start + math.copysign(travelled, length)
@@ -60,10 +60,11 @@ class VirtualStage(Stage):
                  clock: Callable[[], float] = time.monotonic, encoder: bool = True,
                  stalls_after: float = math.inf):
         if not -math.inf < limits.lowest <= 0.0 < limits.highest < math.inf:
-            raise InputError(f"must contain 0; got {limits.lowest:g} to {limits.highest:g} m", field="limits")
+            raise InputError(f"the travel must contain 0; got {limits.lowest:g} to {limits.highest:g} m",
+                             field="limits")
         for value, unit, field in ((limits.speed, "m/s", "limits.speed"), (resolution, "m", "resolution")):
             if not 0 < value < math.inf:
-                raise InputError(f"must be above 0 {unit}; got {value:g} {unit}", field=field)
+                raise InputError(f"top speed and resolution must be above 0; got {value:g} {unit}", field=field)
         self.limits, self._resolution, self._clock = limits, resolution, clock
         self.measures_position, self._stalls_after = encoder, stalls_after
         self._started = self._homed = False
@@ -83,14 +84,14 @@ class VirtualStage(Stage):
 
     def home(self) -> None:
         """Begin a motion to zero at top speed; the zero is known at its end."""
-        self._require_start()
+        self._require_started()
         self._begin_motion(0.0, self.limits.speed)
         self._homing = True
 
     def move(self, position: float, speed: float) -> None:
         """Begin a motion to a position, m, at a speed, m/s, and return at once."""
-        self._require_start()
-        self.limits.require(position, speed)
+        self._require_started()
+        self.limits.require_within_limits(position, speed)
         self._finish_homing()
         if not self._homed:
             raise DeviceError("the virtual stage does not know its zero; home it first, and wait until it is there")
@@ -98,31 +99,31 @@ class VirtualStage(Stage):
 
     def position(self) -> StageSample:
         """Return the position of the encoder, m: of the tool if `measures_position`, otherwise of the motor."""
-        self._require_start()
+        self._require_started()
         self._finish_homing()
         now = self._clock()
-        position, goal = self._motor_position(now), self._motions[-1].goal
+        position, goal = self._motor_position_at(now), self._motions[-1].goal
         moving = position != goal
         if self.measures_position:
-            position = self.tool_position(now)
+            position = self.tool_position_at(now)
             moving = moving or position != goal
         counts = round(position / self._resolution)
         self._sequence += 1
         return StageSample(counts, counts * self._resolution, moving, self._homed, self._sequence - 1,
                            int(SampleStatus.GOOD), now)
 
-    def tool_position(self, at: float) -> float:
+    def tool_position_at(self, at: float) -> float:
         """Return the present or past position of the tool at a time on the clock, s; m."""
-        return self._motor_position(min(at, self._stalls))
+        return self._motor_position_at(min(at, self._stalls))
 
-    def reversal_positions(self, until: float) -> list[float]:
+    def list_reversal_positions(self, until: float) -> list[float]:
         """Return the first position and the positions of all reversals until a time on the clock, s; m."""
         return [position for at, position in self._reversals if at <= until]
 
     def halt(self) -> None:
         """Stop the motor at its present position."""
         self._finish_homing()
-        position = self._motor_position(self._clock())
+        position = self._motor_position_at(self._clock())
         self._begin_motion(position, self.limits.speed)
         self._homing = False
 
@@ -139,29 +140,29 @@ class VirtualStage(Stage):
     def _begin_motion(self, position: float, speed: float) -> None:
         """Begin a motion to a position, m, at a speed, m/s, and end homing."""
         now = self._clock()
-        start, last = self._motor_position(now), self._motions[-1]
+        start, last = self._motor_position_at(now), self._motions[-1]
         if (position - start) * (last.goal - last.start) < 0:
-            self._reversals.append((now, self.tool_position(now)))
+            self._reversals.append((now, self.tool_position_at(now)))
         # Past motions answer queries of past positions; the limit bounds the memory.
         self._motions = [*self._motions[-_KEPT_MOTIONS:], _LinearMotion(now, start, position, speed)]
         self._homing = False
 
-    def _motor_position(self, at: float) -> float:
+    def _motor_position_at(self, at: float) -> float:
         """Return the present or past commanded position at a time on the clock, s; m."""
         motions = self._motions
-        return motions[max(bisect_right(motions, at, key=lambda motion: motion.began) - 1, 0)].position(at)
+        return motions[max(bisect_right(motions, at, key=lambda motion: motion.began) - 1, 0)].compute_position(at)
 
     def _finish_homing(self) -> None:
         """Mark the stage as homed if a homing motion has ended."""
-        if self._homing and self.tool_position(self._clock()) == self._motions[-1].goal:
+        if self._homing and self.tool_position_at(self._clock()) == self._motions[-1].goal:
             self._homing, self._homed = False, True
 
-    def _require_start(self) -> None:
+    def _require_started(self) -> None:
         if not self._started:
             raise DeviceError("the virtual stage is not started; start it first")
 
 
-def open_virtual(text: str) -> VirtualStage:
+def open_virtual_stage(text: str) -> VirtualStage:
     """Make a stage from ``virtual:lowest_mm=-50,highest_mm=50,top_speed_mm_s=50,resolution_mm=0.001``."""
     given = read_settings(text, lowest_mm=-50.0, highest_mm=50.0, top_speed_mm_s=50.0, resolution_mm=1e-3)
     limits = StageLimits.from_settings(given)

@@ -157,7 +157,7 @@ def run(arguments) -> int:
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
-    from haptics.loop.tissue_factory import real_time_tissue
+    from haptics.loop.tissue_factory import make_real_time_tissue_factory
     from tissue_sim import Model
 
     material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
@@ -173,9 +173,10 @@ def run(arguments) -> int:
     # With a coupling, inertia is stable in time; but if inertia makes most steps late, the force is up to six times too
     # large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
-    make_tissue = real_time_tissue(model, resolution=arguments.resolution, inertia=inertia,
-                                   looks_ahead=rendering.coupling is not None,
-                                   budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver, mesh=reduced)
+    make_tissue = make_real_time_tissue_factory(model, resolution=arguments.resolution, inertia=inertia,
+                                                looks_ahead=rendering.coupling is not None,
+                                                budget=arguments.budget_us * 1e-6 or None, solver=arguments.solver,
+                                                mesh=reduced)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
         report, interrupted = run_to_end(process, arguments.seconds, quiet=arguments.json)
@@ -224,12 +225,12 @@ def open_source(arguments, name: str, protocol, *, lifts: bool = True):
         InputError: unknown motion or device, or invalid settings.
     """
     from haptics.devices.back_ends import open_haptic, open_motion
-    from haptics.devices.motions import follow_protocol
+    from haptics.devices.motions import make_protocol_motion
 
     if arguments.device:
         return open_haptic(name)
     if name == "protocol":
-        return follow_protocol(protocol)
+        return make_protocol_motion(protocol)
     depth = f"depth_mm={arguments.depth_mm or MOTION_FLAGS.depth_mm!r}" + ("" if lifts else ",lift=0")
     motions_of_flags = {
         "random": f"random:{depth},top_speed_mm_s={arguments.top_speed_mm_s!r},seed={arguments.seed},"

@@ -62,14 +62,15 @@ def run(arguments) -> int:
     tests = _select_tests(protocol, arguments.test)
     console = results_console(quiet=arguments.json)
     if arguments.dry_run:
-        from haptics.recorder.plan import check_plans
+        from haptics.recorder.plan import check_plans_against_limits
 
         bench = open_bench(protocol, tests[0])
-        seconds = sum(check_plans([protocol.plans[test.name]], protocol.limits, bench.stage, 1.0 / bench.sensor.rate)
+        seconds = sum(check_plans_against_limits([protocol.plans[test.name]], protocol.limits, bench.stage,
+                                                 1.0 / bench.sensor.rate)
                       for test in tests)
         if arguments.json:
             print_json({"state": "planned", "seconds": seconds, "tests": [
-                {"name": test.name, "motion": protocol.plans[test.name].title,
+                {"name": test.name, "motion": protocol.plans[test.name].motion_summary,
                  "replicates": protocol.plans[test.name].replicates} for test in tests]})
         else:
             used = protocol.devices
@@ -120,26 +121,26 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
     """
     from haptics.devices.contracts import DeviceError
     from haptics.recorder.guarded_motion import StoppedError
-    from haptics.recorder.live import LiveFile
+    from haptics.recorder.live import LiveProgressFile
     from haptics.recorder.recorder import Recorder
     from haptics.recorder.run_folder import RunFolder
     from scenes.commands.record.bench import open_bench
     from tissue_sim import __version__
 
     folder = RunFolder(arguments.output, protocol.digest)
-    if folder.is_begun and not arguments.resume:
+    if folder.has_started_run and not arguments.resume:
         raise InputError("contains a run already. Resume the run with --resume, or choose another folder",
                          file=arguments.output)
     about = {"program": f"tissue_sim {__version__}", "protocol": protocol.path.name,
              "protocol_sha256": protocol.digest, "devices": {"sensor": protocol.devices.sensor,
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
-    live = LiveFile(arguments.output)
+    live = LiveProgressFile(arguments.output)
     with (folder, _watch_for_stop_request(arguments.json) as stop_request, _show_status(arguments.json) as show_status,
-          live.publish()):
+          live.run_writing_thread()):
 
         def watch(moment: RunProgress) -> None:
-            live.show(moment)
+            live.set_progress(moment)
             show_status(moment)
 
         for test in tests:
@@ -158,7 +159,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
                 break
         if not stopped and not any(folder.list_missing_replicates(plan.name, plan.replicates)
                                    for plan in protocol.plans.values()):
-            folder.update(state="complete")
+            folder.update_state(state="complete")
         _write_campaign(protocol, folder)
     if arguments.json:
         print_json({"state": "stopped" if stopped else folder.state["state"], "message": stopped,

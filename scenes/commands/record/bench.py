@@ -7,7 +7,7 @@ from dataclasses import replace
 from calibration.campaign.campaign import Test
 from haptics.devices.back_ends import open_sensor, open_stage
 from haptics.devices.contracts import Bench, StageLimits
-from haptics.devices.virtual.faults import read_faults
+from haptics.devices.virtual.faults import parse_faults
 from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, Specimen, VirtualRig
 from scenes.commands.record.protocol_file import ProtocolFile
 from scenes.commands.shared.tissue_flags import read_material
@@ -65,9 +65,9 @@ def make_virtual_rig(protocol: ProtocolFile, test: Test) -> VirtualRig:
                          field=test.place, file=protocol.path)
     model = Model(test.experiment, material, replace(Rig(), compliance=compliance))
     specimen: Specimen = (HistoryDependentSpecimen(model) if table.remembers else
-                          ElasticSpecimen(model, 1.05 * plan.depth))
+                          ElasticSpecimen(model, 1.05 * plan.largest_depth))
     surface = 0.0 if plan.contact == "here" else table.surface_mm * 1e-3
     return VirtualRig(specimen, rig, surface=surface,
                       limits=StageLimits(min(limits.lowest, -0.01), max(limits.highest, 0.01), limits.speed),
                       sign=plan.sign, rate=table.rate_Hz, reach=table.range_N, resolution=table.resolution_N,
-                      encoder=table.encoder, faults=read_faults(table.faults))
+                      encoder=table.encoder, faults=parse_faults(table.faults))

@@ -16,7 +16,7 @@ from calibration.campaign.named_files import list_named_files, rename_files
 from calibration.campaign.schema import PRISM
 from calibration.report.additions import format_toml
 from haptics.recorder.lag import measure_lag
-from haptics.recorder.plan import Plan
+from haptics.recorder.plan import IndentationPlan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
 from tissue_sim.decode import decode, read_toml
 from tissue_sim.errors import InputError, located
@@ -170,7 +170,7 @@ class ProtocolFile:
     path: Path
     digest: str
     campaign: Campaign
-    plans: Mapping[str, Plan]
+    plans: Mapping[str, IndentationPlan]
     limits: MotionLimits
     devices: DevicesTable
     virtual: VirtualTable
@@ -282,7 +282,7 @@ def _measure_lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
 
 
 def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
-               content: Mapping[str, Any], *, prism: bool) -> Plan:
+               content: Mapping[str, Any], *, prism: bool) -> IndentationPlan:
     """Return the plan of a test: its motion, replicates, search for contact and metadata.
 
     Args:
@@ -307,10 +307,11 @@ def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, numbe
     # A plate that is bonded to the specimen is in contact from the start.
     bonded = test.experiment.tool.is_plate and test.experiment.friction == "bonded"
     contact = record.contact if record.contact != "auto" else "here" if bonded else "force"
-    return Plan(test.name, tuple(expand_legs(parse_protocol(test.protocol), STUDY_SPEED)), record.replicates, contact,
-                record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3, record.retract_mm * 1e-3,
-                record.preconditioning, record.rest_s, record.sign, record.axis, lag,
-                {key: value for key, value in about.items() if value is not None})
+    legs = tuple(expand_legs(parse_protocol(test.protocol), STUDY_SPEED))
+    return IndentationPlan(test.name, legs, record.replicates,
+                           contact, record.touch, record.contact_force_N, record.approach_speed_mm_s * 1e-3,
+                           record.retract_mm * 1e-3, record.preconditioning, record.rest_s, record.sign, record.axis,
+                           lag, {key: value for key, value in about.items() if value is not None})
 
 
 def _make_specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any]:

@@ -12,12 +12,12 @@ if TYPE_CHECKING:
     from rich.console import Console
 
     from haptics.devices.contracts import Bench
-    from haptics.recorder.plan import Plan
+    from haptics.recorder.plan import IndentationPlan
     from haptics.recorder.run_folder import RunFolder
     from haptics.safety.motion_guard import MotionLimits
 
 
-def print_plans(plans: Sequence[Plan], limits: MotionLimits, bench: Bench, devices: str, seconds: float,
+def print_plans(plans: Sequence[IndentationPlan], limits: MotionLimits, bench: Bench, devices: str, seconds: float,
                 console: Console) -> None:
     """Print the planned motion, its duration, the devices and the stop conditions.
 
@@ -32,7 +32,7 @@ def print_plans(plans: Sequence[Plan], limits: MotionLimits, bench: Bench, devic
     table = text_table("test", "motion", "recordings", "preconditioning", "duration", text=2)
     table.columns[1].no_wrap = False
     for plan in plans:
-        table.add_row(plan.name, plan.title, f"{plan.replicates}", f"{plan.preconditioning}",
+        table.add_row(plan.name, plan.motion_summary, f"{plan.replicates}", f"{plan.preconditioning}",
                       f"{plan.duration:.4g} s each")
     console.print(table)
     console.print()

@@ -119,7 +119,7 @@ def test_a_tare_is_the_mean_of_a_tenth_of_a_second():
     sensor.tare()
     samples = sensor.read()
     assert len(samples) == 50  # the samples that the tare has read
-    assert samples[-1].values == pytest.approx(CALIBRATION.wrench((0.1,) * 6))
+    assert samples[-1].values == pytest.approx(CALIBRATION.compute_wrench((0.1,) * 6))
 
 
 def test_a_tare_waits_for_the_first_sample(monkeypatch):
@@ -209,9 +209,10 @@ def test_a_missing_function_raises(place, sentence):
 
 
 @pytest.mark.parametrize(("settings", "sentence"), [
-    (",volts=reader", r"volts: must be package\.module:function, .*; got 'reader'"),
-    (",rate_hz=0", r"rate_hz: must be above 0; got 0 Hz\. Give the sampling rate of the board"),
-    (",range_V=-5", "range_V: must give a range of voltages; got 5 to -5 V"),
+    (",volts=reader", r"volts: the function that reads the voltages must be package\.module:function, .*; got "
+     r"'reader'"),
+    (",rate_hz=0", r"rate_hz: the sampling rate must be above 0; got 0 Hz\. Give the sampling rate of the board"),
+    (",range_V=-5", "range_V: the lowest voltage must be below the highest; got 5 to -5 V"),
     (",range=5", "range: unknown setting; did you mean 'range_V'"),
 ])
 def test_invalid_settings_are_refused(tmp_path, settings, sentence):

@@ -25,7 +25,7 @@ from haptics.emulators import ati_serial as emulation
 from haptics.emulators.ati_serial import AtiSerialEmulator
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.terminal import TerminalEmulator
-from haptics.protocols.ati_serial import Record, decode_ascii, decode_binary, encode_ascii
+from haptics.protocols.ati_serial import AtiSerialRecord, decode_ascii_record, decode_binary_record, encode_ascii_record
 from tissue_sim.errors import InputError
 
 AXES = ("Fx", "Fy", "Fz", "Tx", "Ty", "Tz")
@@ -119,7 +119,7 @@ def test_the_baud_rate_limits_the_rate_of_the_records(monkeypatch):
     for padded, mode, wanted in ((True, b"CD A", 21), (False, b"CD A", 32), (True, b"CD B", 73)):
         sensor = VirtualForceSensor(six, AXES, clock=lambda: clock[0])
         emulator = AtiSerialEmulator(sensor, padded=padded)
-        emulator.begin()
+        emulator.start_backing_device()
         clock[0] += 0.1
         monkeypatch.setattr(emulator, "_has_matching_baud", lambda: True)
         emulator.answer_bytes(mode + b"\rQS\r")
@@ -132,8 +132,9 @@ def test_the_baud_rate_limits_the_rate_of_the_records(monkeypatch):
             clock[0] += 1e-3
             records += emulator.take_due_messages()
         assert len(records) == pytest.approx(wanted, abs=1)
-        decode = decode_binary if mode == b"CD B" else lambda line: decode_ascii(line.removesuffix(b"\r\n"))
-        assert {decode(record) for record in records} == {Record(0, COUNTS)}
+        decode = (decode_binary_record if mode == b"CD B"
+                  else lambda line: decode_ascii_record(line.removesuffix(b"\r\n")))
+        assert {decode(record) for record in records} == {AtiSerialRecord(0, COUNTS)}
 
 
 def test_a_load_beyond_the_range_is_saturated():
@@ -188,20 +189,20 @@ def test_garbled_records_are_counted_and_undetected_ones_differ_by_a_digit():
         sensor.stop()
     assert garbled > 0
     assert sum(sample.counts == COUNTS for sample in samples) > len(samples) / 2
-    true = encode_ascii(Record(0, COUNTS))
+    true = encode_ascii_record(AtiSerialRecord(0, COUNTS))
     for sample in samples:
-        line = encode_ascii(Record(0, sample.counts))
+        line = encode_ascii_record(AtiSerialRecord(0, sample.counts))
         assert sum(a != b for a, b in zip(line, true, strict=True)) <= 1
 
 
 def first_garbled(seed):
-    """Return the number of the first message that `FaultyLine` garbles with this seed."""
-    from haptics.devices.virtual.faults import FaultyLine
+    """Return the number of the first message that `FaultyMessageQueue` garbles with this seed."""
+    from haptics.devices.virtual.faults import FaultyMessageQueue
 
-    line = FaultyLine(Faults(garble=0.3, seed=seed), 0.0)
+    line = FaultyMessageQueue(Faults(garble=0.3, seed=seed), 0.0)
     for number in range(100):
-        line.put(b"x" * 45, 0.0)
-        if line.take_due(0.0) != [b"x" * 45]:
+        line.put_message(b"x" * 45, 0.0)
+        if line.take_due_messages(0.0) != [b"x" * 45]:
             return number
     return 100
 
@@ -227,19 +228,19 @@ def test_commands_of_the_manual(emulator):
     ask(b"SB\r")
     assert ask(b"qr\r").splitlines()[1] == b"0,     0,     0,     0,     0,     0,     0"
     ask(b"SU\r")
-    assert decode_ascii(ask(b"QR\r").splitlines()[1]) == Record(0, COUNTS)
+    assert decode_ascii_record(ask(b"QR\r").splitlines()[1]) == AtiSerialRecord(0, COUNTS)
     for _ in range(5):
         ask(b"SB\r")
     ask(b"SZ\r")
     for silent in (b"SA 16\r", b"CD R\r", b"CD E\r", b"CD U\r"):
         assert ask(silent) == silent + b"\n\r\n>"
-    assert decode_ascii(ask(b"\x14", b"\n").removesuffix(b"\r\n")) == Record(0, COUNTS)
+    assert decode_ascii_record(ask(b"\x14", b"\n").removesuffix(b"\r\n")) == AtiSerialRecord(0, COUNTS)
     ask(b"CD B\r")
     line.write(b"\x14")
-    assert decode_binary(line.read_exactly(13, LONG)) == Record(0, COUNTS)
+    assert decode_binary_record(line.read_exactly(13, LONG)) == AtiSerialRecord(0, COUNTS)
     assert b"ERROR" in ask(b"XX\r")
     assert ask(b"\x17").startswith(b"ATI")
-    assert decode_ascii(ask(b"QR\r").splitlines()[1]) == Record(0, COUNTS)
+    assert decode_ascii_record(ask(b"QR\r").splitlines()[1]) == AtiSerialRecord(0, COUNTS)
     line.close()
 
 
@@ -297,10 +298,10 @@ class Talker(TerminalEmulator):
     def address(self):
         return self.path
 
-    def begin(self):
+    def start_backing_device(self):
         return
 
-    def end(self):
+    def stop_backing_device(self):
         return
 
     def answer_bytes(self, data):
@@ -406,15 +407,19 @@ def test_unread_records_are_lost_and_marked_as_a_gap(emulator, monkeypatch):
 @pytest.mark.parametrize(("name", "sentence"), [
     ("ati-serial:", r"^ati-serial\.name: the port of the controller is missing; give it first, as in ati-serial:/dev"),
     ("ati-serial:baud=9600", "the port of the controller is missing"),
-    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: must be above 0; got 0\. Give the counts per unit of the sensor's "
+    ("ati-serial:/dev/ttyUSB0", r"counts_per_N: the counts per unit must be above 0; got 0\. Give the counts per unit "
+     r"of the sensor's "
                                 r"calibration sheet"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: must be above 0; got 0"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry", "mode: must be one of ascii, binary; got "
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=100", "counts_per_Nm: the counts per unit must be above 0; got 0"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,mode=binry",
+     "mode: the value must be one of ascii, binary; got "
                                                                           "'binry'; did you mean 'binary'"),
     ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,bawd=1", "bawd: unknown setting; did you mean 'baud'"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: must be above 0; got -1"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1", "rate_hz: must be above 0; got -1 Hz"),
-    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300", "average: must be 0 to 255 samples; got "
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,baud=-1", "baud: the baud rate must be above 0; got -1"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,rate_hz=-1",
+     "rate_hz: the sampling rate must be above 0; got -1 Hz"),
+    ("ati-serial:/dev/ttyUSB0,counts_per_N=1,counts_per_Nm=1,average=300",
+     "average: the number of averaged samples must be 0 to 255; got "
                                                                            "300"),
 ])
 def test_invalid_settings_are_refused(name, sentence):
@@ -423,10 +428,11 @@ def test_invalid_settings_are_refused(name, sentence):
 
 
 def test_invalid_settings_of_the_emulator_are_refused():
-    for name, sentence in (("ati-serial:mode=hex", "mode: must be one of ascii, binary; got 'hex'"),
-                           ("ati-serial:baud=0", "baud: must be above 0; got 0"),
-                           ("ati-serial:counts_per_N=-1", "counts_per_N: must be above 0; got -1")):
+    for name, sentence in (("ati-serial:mode=hex", "mode: the value must be one of ascii, binary; got 'hex'"),
+                           ("ati-serial:baud=0", "baud: counts per unit and baud rate must be above 0; got 0"),
+                           ("ati-serial:counts_per_N=-1", "counts_per_N: counts per unit and baud rate must be above "
+                            "0; got -1")):
         with pytest.raises(InputError, match=sentence):
             open_emulator(name, bench())
-    with pytest.raises(InputError, match="mode: must be ascii or binary; got 'hex'"):
+    with pytest.raises(InputError, match="mode: the mode of the records must be ascii or binary; got 'hex'"):
         AtiSerialSensor("/dev/ttyUSB0", 1.0, 1.0, mode="hex")

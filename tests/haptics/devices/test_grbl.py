@@ -33,7 +33,7 @@ def pass_time(emulator, stage, clock, seconds):
             stage._last_call = time.monotonic()  # as a call of `position` would do
         goal = stage._goal
         if goal is not None and stage._sent != goal[0]:
-            return emulator.queued > 0.02
+            return emulator.queued_duration > 0.02
         return (goal is None and stage._homing_until is None) or emulator._stage.position().moving
 
     while seconds > 1e-9:
@@ -145,9 +145,9 @@ def test_a_halt_cancels_queued_motions(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     pass_time(emulator, stage, clock, 0.3)
-    assert emulator.queued > 0.0
+    assert emulator.queued_duration > 0.0
     stage.halt()
-    wait_until(lambda: emulator.queued == 0.0, event="the end of the queue, on a clock that stands")
+    wait_until(lambda: emulator.queued_duration == 0.0, event="the end of the queue, on a clock that stands")
     stage.stop()
 
 
@@ -173,7 +173,7 @@ def test_an_alarm_sets_the_status_and_motions_raise(emulator, clock, number, wor
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
     pass_time(emulator, stage, clock, 0.3)
-    emulator.alarm(number)
+    emulator.cause_alarm(number)
     wait_until(lambda: stage.position().status & SampleStatus.FAULT, event="the alarm")
     sample = stage.position()
     assert not sample.homed and not sample.moving
@@ -191,7 +191,7 @@ def test_failed_homing_raises(clock):
         stage.start()
         stage.home()
         wait_until(lambda: emulator._homing, event="homing")
-        emulator.alarm(9)
+        emulator.cause_alarm(9)
         with pytest.raises(DeviceError, match="did not home: homing found no limit switch; check its wiring"):
             wait_until(lambda: not stage.position().moving)
         assert not stage.position().homed
@@ -246,7 +246,7 @@ def test_a_machine_on_hold_refuses_motions(emulator, clock):
 def test_a_jog_left_by_another_program_is_cancelled(emulator, clock):
     stage = homed(emulator, clock)
     stage.move(0.008, 0.004)
-    wait_until(lambda: emulator.queued > 0.05)
+    wait_until(lambda: emulator.queued_duration > 0.05)
     connection, stage._connection = stage._connection, None
     connection.close()  # like the death of the program
     again = open_stage(emulator.address)

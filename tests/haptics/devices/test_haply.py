@@ -19,7 +19,7 @@ from haptics.devices.virtual.hand import VirtualHand
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.haply import START, TIMES, HaplyEmulator, emulate_haply
 from haptics.loop.ticker import Ticker
-from haptics.protocols.haply import HapticState, encode_state, read_force
+from haptics.protocols.haply import HaplyDeviceState, decode_force_message, encode_state_message
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
 
@@ -49,7 +49,7 @@ class TestContract(HapticDeviceContract):
         for _ in range(count):
             poses.append(device.pose(start))
             device.render(wrench)
-            ticker.wait()
+            ticker.wait_for_deadline()
         return [pose for pose in poses if pose is not None] if wrench != NO_WRENCH else poses
 
     @pytest.fixture
@@ -171,9 +171,9 @@ def said_first(message):
 
 @pytest.mark.parametrize(("first", "sentence"), [
     ('{"session_id": 1, "inverse3": []}', "has no Inverse3; connect the device"),
-    ("garbage", r"unknown message \(not valid JSON\); install version 3.1"),
+    ("garbage", r"unknown message \(the message must be valid JSON\); install version 3.1"),
     ('{"inverse3": [{"device_id": "1", "state": {}}]}', r"unknown message \(cursor_position is missing\)"),
-    (encode_state(HapticState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
+    (encode_state_message(HaplyDeviceState("04BA", (0.0, 0.0, 0.1), status={"power_supply": False}), (0.0, 0.0, 0.0)),
      "04BA has no power for its motors; plug")])
 def test_a_service_without_a_usable_device_raises(first, sentence):
     with Says(said_first(first)) as server, pytest.raises(DeviceError, match=sentence):
@@ -210,11 +210,12 @@ def test_invalid_answers_are_ignored_and_only_invalid_answers_give_no_pose():
     place, answers = [0.1], iter(range(10**9))
 
     def talk(connection):
-        state = HapticState("1", (0.0, 0.0, 0.1))
-        connection.send(encode_state(state, (0.0, 0.0, 0.0)))
+        state = HaplyDeviceState("1", (0.0, 0.0, 0.1))
+        connection.send(encode_state_message(state, (0.0, 0.0, 0.0)))
         for _ in connection:
             good = place[0] is not None and next(answers) % 2 == 0
-            connection.send(encode_state(HapticState("1", (0.0, 0.0, place[0])), (0.0, 0.0, 0.0)) if good else "{]")
+            state = HaplyDeviceState("1", (0.0, 0.0, place[0]))
+            connection.send(encode_state_message(state, (0.0, 0.0, 0.0)) if good else "{]")
 
     with Says(talk) as server:
         device = HaplyDevice(server.address, origin=(0.0, 0.0, 0.0))
@@ -236,7 +237,7 @@ def test_a_slow_service_does_not_delay_the_loop():
         for _ in range(100):
             none += device.pose(0.0) is None
             device.render(NO_WRENCH)
-            ticker.wait()
+            ticker.wait_for_deadline()
         passed = time.monotonic() - began
         device.stop()
     # Waiting for an answer in each tick would take 20 s.
@@ -248,10 +249,10 @@ def test_forces_do_not_accumulate_at_a_slow_service():
     seen = []
 
     def talk(connection):
-        state = encode_state(HapticState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
+        state = encode_state_message(HaplyDeviceState("1", (0.0, 0.0, 0.1)), (0.0, 0.0, 0.0))
         connection.send(state)
         for message in connection:
-            seen.append(read_force(message, "1"))
+            seen.append(decode_force_message(message, "1"))
             time.sleep(0.05)
             connection.send(state)
 
@@ -286,17 +287,17 @@ def test_a_stopped_loop_applies_no_force(started, service):
 def test_the_emulator_removes_the_force_after_a_silence(service):
     from websockets.sync.client import connect
 
-    from haptics.protocols.haply import encode_force, read_state
+    from haptics.protocols.haply import decode_device_state, encode_force_message
 
     with connect(service.address.removeprefix("haply:")) as client:
-        first = read_state(client.recv())
-        client.send(encode_force(first.device_id, (0.0, 0.0, 3.0)))
-        assert read_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
+        first = decode_device_state(client.recv())
+        client.send(encode_force_message(first.device_id, (0.0, 0.0, 3.0)))
+        assert decode_device_state(client.recv()).device_id == "049D" and service.force == (0.0, 0.0, 3.0)
         with pytest.raises(TimeoutError):
             client.recv(timeout=2 * TIMES.release_time)  # the service sends nothing unrequested
         wait_until(lambda: service.force == (0.0, 0.0, 0.0))
         client.send("nonsense")
-        assert read_state(client.recv()).device_id == "049D", "each message has one answer"
+        assert decode_device_state(client.recv()).device_id == "049D", "each message has one answer"
     assert service.refused == 1 and service.messages == 2
 
 

@@ -92,7 +92,7 @@ def test_a_hand_keeps_its_speed_limit():
     hand.aim(0.02)
     way = depths(hand, np.arange(0.0, 1.0, 1e-3))
     assert np.diff(way).max() == pytest.approx(0.05e-3) and way[-1] == pytest.approx(0.02) and way.max() < 0.0201
-    with pytest.raises(InputError, match="depth: must be a finite number; got nan"):
+    with pytest.raises(InputError, match="depth: the target depth must be a finite number; got nan"):
         hand.aim(math.nan)
 
 
@@ -223,14 +223,14 @@ def test_a_hand_moves_along_the_axis_of_its_approach_and_sideways():
     hand.aim(3e-3)
     way = hand.pose(3.0).position
     np.testing.assert_allclose(way[1], -4e-3, atol=1e-8)
-    with pytest.raises(InputError, match="across: must be two finite numbers"):
+    with pytest.raises(InputError, match="across: the target across the axis must be two finite numbers"):
         hand.aim(1e-3, (math.nan, 0.0))
 
 
 def test_a_hand_that_takes_over_keeps_position_and_orientation():
     pose = Pose((3e-3, -2e-3, -4e-3), (math.cos(0.1), 0.0, -math.sin(0.1), 0.0))
     hand = HandMotion(None)
-    hand.take_over(pose)
+    hand.continue_from_pose(pose)
     np.testing.assert_allclose(hand.pose(1.0).position, pose.position, atol=1e-15)
     assert hand.pose(2.0).orientation == pose.orientation
 

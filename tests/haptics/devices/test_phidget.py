@@ -270,7 +270,7 @@ def test_a_failing_halt_switches_the_current_off(stage, monkeypatch):
 
 def test_a_speed_below_one_count_per_second_is_refused(stage):
     stage.home()
-    with pytest.raises(InputError, match=r"speed: must be at least 2\.5e-06 m/s; got 1e-06 m/s"):
+    with pytest.raises(InputError, match=r"speed: the speed must be at least 2\.5e-06 m/s; got 1e-06 m/s"):
         stage.move(0.001, 1e-6)
 
 
@@ -342,11 +342,15 @@ def test_the_real_package_without_a_controller(capfd, monkeypatch):
     ("phidget:", r"phidget\.name: the serial number of the controller, or 'any', is missing; give it first, as in "
                  r"phidget:1"),
     ("phidget:steps_per_mm=25", "the serial number of the controller, or 'any', is missing"),
-    ("phidget:mine,steps_per_mm=25", "serial: must be the serial number of the controller or 'any', .*; got 'mine'"),
-    ("phidget:123", "steps_per_mm: must be finite and not 0, as in phidget:123456,steps_per_mm=25; got 0"),
-    ("phidget:123,steps_per_mm=25,microsteps=0", "microsteps: must be finite and above 0, .*; got 0"),
-    ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", r"top_speed_mm_s: must be finite and above 0, .*; got -0\.001"),
-    ("phidget:123,steps_per_mm=25,highest_mm=-1", r"limits: must contain 0; got 0 to -0\.001 m"),
+    ("phidget:mine,steps_per_mm=25", "serial: the name must begin with the serial number of the controller or 'any', "
+     ".*; got 'mine'"),
+    ("phidget:123", "steps_per_mm: a setting of the motor must be finite and not 0, as in "
+     "phidget:123456,steps_per_mm=25; got 0"),
+    ("phidget:123,steps_per_mm=25,microsteps=0", "microsteps: a setting of the motor must be finite and above 0, .*; "
+     "got 0"),
+    ("phidget:123,steps_per_mm=25,top_speed_mm_s=-1", r"top_speed_mm_s: a setting of the motor must be finite and "
+     r"above 0, .*; got -0\.001"),
+    ("phidget:123,steps_per_mm=25,highest_mm=-1", r"limits: the travel must contain 0; got 0 to -0\.001 m"),
     ("phidget:123,steps_per_m=25", "steps_per_m: unknown setting; did you mean 'steps_per_mm'"),
 ])
 def test_invalid_settings_are_refused(name, sentence):

@@ -22,7 +22,7 @@ from haptics.devices.virtual.faults import Faults
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.emulators.rdt import RdtEmulator
 from haptics.protocols import rdt
-from haptics.protocols.rdt import Record, Settings
+from haptics.protocols.rdt import BoxSettings, RdtRecord
 from tissue_sim.errors import InputError
 
 #: Longest wait of a test, s; reached only if the test hangs.
@@ -77,7 +77,7 @@ class TestRdt(ForceSensorContract):
 
     @pytest.fixture
     def sensor(self, emulated):
-        self.client = open_sensor(emulated(settings=Settings(1e4, 1e6, rate=500.0)).address)
+        self.client = open_sensor(emulated(settings=BoxSettings(1e4, 1e6, rate=500.0)).address)
         yield self.client
         self.client.stop()
 
@@ -90,7 +90,7 @@ class TestRdt(ForceSensorContract):
 
 
 def test_the_settings_page_gives_the_scale(opened):
-    client = opened(settings=Settings(1000.0, 50.0, "lbf", "lbf-in", 500.0, "Net F/T", "FT123"))
+    client = opened(settings=BoxSettings(1000.0, 50.0, "lbf", "lbf-in", 500.0, "Net F/T", "FT123"))
     sample = received(client, 1)[0]
     assert sample.counts[2] == round(1000.0 * LOAD[2] / 4.4482216152605)
     assert sample.values[2] == pytest.approx(LOAD[2], abs=0.6 * 4.45e-3)
@@ -180,8 +180,8 @@ class Page:
     (404, b"", "answers with HTTP status 404, so it is no ATI box"),
     (200, b"<html>printer", "must be the XML page of an ATI box"),
     (200, b"<n><cfgcpf>1</cfgcpf><cfgcpt>1</cfgcpt><scfgfu>stone</scfgfu></n>",
-     "must be a known unit of force; got 'stone' from the box"),
-    (200, rdt.write_settings_page(Settings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
+     "the unit of force must be a known unit; got 'stone' from the box"),
+    (200, rdt.write_settings_page(BoxSettings(1.0, 1.0)), "sends no records by UDP; switch RDT on"),
 ])
 def test_another_device_at_the_address_raises(code, body, said, monkeypatch):
     monkeypatch.setattr(rdt_device, "STREAM", replace(rdt_device.STREAM, first_record=0.1))
@@ -222,31 +222,32 @@ def test_addresses_are_read(text, address):
 
 
 def numbered(*pairs, status=0):
-    return [Record(sequence, sample, status, (0,) * 6) for sequence, sample in pairs]
+    return [RdtRecord(sequence, sample, status, (0,) * 6) for sequence, sample in pairs]
 
 
 def test_a_restart_of_the_box_is_detected():
     """The sequence restarts at 1; the sample number continues, or restarts after a loss of power."""
     counter = RecordCounter()
-    counter.accept(numbered((1, 70), (2, 80), (3, 90)), 0.0)
-    (_, number, status), *rest = counter.accept(numbered((1, 170), (2, 180)), 0.01)
+    counter.select_new_records(numbered((1, 70), (2, 80), (3, 90)), 0.0)
+    (_, number, status), *rest = counter.select_new_records(numbered((1, 170), (2, 180)), 0.01)
     assert (number, status, counter.restarts) == (3, SampleStatus.GAP, 1)
     assert [number for _, number, _ in rest] == [4]
-    (_, number, status), = counter.accept(numbered((1, 5)), 10.0)
+    (_, number, status), = counter.select_new_records(numbered((1, 5)), 10.0)
     assert (number, status, counter.restarts) == (5, SampleStatus.GAP, 2)
 
 
 def test_a_delayed_record_is_late_and_no_restart():
     counter = RecordCounter()
-    counter.accept(numbered((1, 1), (2, 2), (4, 4)), 0.0)
-    assert counter.accept(numbered((3, 3)), 0.001) == [] and (counter.late, counter.lost) == (1, 0)
-    assert counter.accept(numbered((3, 3), (4, 4)), 0.001) == [] and counter.twice == 2 and not counter.restarts
+    counter.select_new_records(numbered((1, 1), (2, 2), (4, 4)), 0.0)
+    assert counter.select_new_records(numbered((3, 3)), 0.001) == [] and (counter.late, counter.lost) == (1, 0)
+    assert counter.select_new_records(numbered((3, 3), (4, 4)), 0.001) == []
+    assert counter.twice == 2 and not counter.restarts
 
 
 def test_sequence_numbers_continue_beyond_32_bits():
     counter = RecordCounter()
-    counter.accept(numbered((2**32 - 1, 7)), 0.0)
-    (_, number, status), = counter.accept(numbered((0, 8)), 0.001)
+    counter.select_new_records(numbered((2**32 - 1, 7)), 0.0)
+    (_, number, status), = counter.select_new_records(numbered((0, 8)), 0.001)
     assert (number, status, counter.lost, counter.restarts) == (1, SampleStatus.GOOD, 0, 0)
 
 
@@ -254,12 +255,12 @@ def test_sequence_numbers_continue_beyond_32_bits():
 def test_sequence_numbers_are_unique_and_in_order(order):
     counter, given_out = RecordCounter(), []
     for sequence in order:
-        given_out += counter.accept(numbered((sequence + 1, sequence + 1)), 0.0)
+        given_out += counter.select_new_records(numbered((sequence + 1, sequence + 1)), 0.0)
     numbers = [number for _, number, _ in given_out]
     assert numbers == sorted(set(numbers)) and counter.accepted == len(given_out)
     assert counter.accepted + counter.late + counter.twice == len(order)
 
 
 def test_a_passed_threshold_is_no_fault():
-    (_, _, status), = RecordCounter().accept(numbered((1, 1), status=0x00010000), 0.0)
+    (_, _, status), = RecordCounter().select_new_records(numbered((1, 1), status=0x00010000), 0.0)
     assert status == SampleStatus.GOOD

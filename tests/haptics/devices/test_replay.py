@@ -110,11 +110,12 @@ def test_the_tare_is_the_present_sample():
 
 
 @pytest.mark.parametrize(("made_of", "options", "sentence"), [
-    (recording(force=1.0), {"speed": 0.0}, "speed: must be a finite number above 0; got 0"),
-    (recording(force=1.0), {"resolution": math.nan}, "resolution: must be a finite number above 0; got nan"),
-    (recording([1.0], force=1.0), {}, "time: must have two different times for a replay"),
-    (recording([1.0, 1.0], force=1.0), {}, "time: must have two different times for a replay"),
-    (Recording({"force": [1.0, 2.0]}), {}, "time: must be recorded for a replay"),
+    (recording(force=1.0), {"speed": 0.0}, "speed: replay speed and resolution must be finite numbers above 0; got 0"),
+    (recording(force=1.0), {"resolution": math.nan}, "resolution: replay speed and resolution must be finite numbers "
+     "above 0; got nan"),
+    (recording([1.0], force=1.0), {}, "time: the recording must have two different times for a replay"),
+    (recording([1.0, 1.0], force=1.0), {}, "time: the recording must have two different times for a replay"),
+    (Recording({"force": [1.0, 2.0]}), {}, "time: the times must be recorded for a replay"),
     (recording(displacement=1.0), {}, "this recording has no 'force'; it has time, displacement"),
 ])
 def test_unusable_recordings_are_refused(made_of, options, sentence):

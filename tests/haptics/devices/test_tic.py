@@ -19,7 +19,7 @@ from haptics.devices.tic import TicStage, open_tic
 from haptics.devices.virtual.faults import Faults
 from haptics.emulators.emulator import open_emulator
 from haptics.emulators.tic import TicEmulator
-from haptics.protocols.tic import Errors, InputState, Variable
+from haptics.protocols.tic import ErrorFlags, InputState, VariableOffset
 from tissue_sim.errors import InputError
 
 
@@ -99,7 +99,7 @@ def test_a_silent_program_stops_the_motor_and_the_next_sample_has_a_fault(clock)
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
-        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
         clock.now += 10.0
         sample = stage.position()
         assert sample.status & SampleStatus.FAULT and sample.homed and not sample.moving
@@ -118,7 +118,7 @@ def test_a_timeout_at_rest_is_no_fault(clock):
         clock.now += 10.0
         assert not stage.position().moving
         for _ in range(2):
-            wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+            wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
             assert stage.position().status == SampleStatus.GOOD
         stage.move(0.003, 0.004)
         clock.now += 10.0
@@ -131,7 +131,7 @@ def test_a_timeout_during_homing_is_a_fault(clock):
         stage = open_stage(emulator.address)
         stage.start()
         stage.home()
-        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
         sample = stage.position()
         assert sample.status & SampleStatus.FAULT and not sample.homed and not sample.moving
         stage.stop()
@@ -142,7 +142,7 @@ def test_a_tic_without_safe_start_does_not_resume_by_itself(clock):
         stage = homed(emulator, clock)
         stage.move(0.008, 0.004)
         clock.now += 0.5
-        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
         stage.position()
         stage.position()
         clock.now += 10.0
@@ -151,9 +151,9 @@ def test_a_tic_without_safe_start_does_not_resume_by_itself(clock):
 
 
 @pytest.mark.parametrize(("error", "words"), [
-    (Errors.LOW_VIN, "VIN.*switch the motor's supply on"), (Errors.DRIVER_ERROR, "motor driver.*check motor"),
-    (Errors.KILL_SWITCH, "kill switch; release"), (Errors.DEENERGIZED, "de-energized.*Resume"),
-    (Errors.INPUT_INVALID, "control mode"), (Errors.ERR_LINE_HIGH, "ERR line"),
+    (ErrorFlags.LOW_VIN, "VIN.*switch the motor's supply on"), (ErrorFlags.DRIVER_ERROR, "motor driver.*check motor"),
+    (ErrorFlags.KILL_SWITCH, "kill switch; release"), (ErrorFlags.DEENERGIZED, "de-energized.*Resume"),
+    (ErrorFlags.INPUT_INVALID, "control mode"), (ErrorFlags.ERR_LINE_HIGH, "ERR line"),
 ])
 def test_errors_of_the_motor_set_the_status_and_motions_raise(emulator, clock, error, words):
     stage = homed(emulator, clock)
@@ -168,7 +168,7 @@ def test_errors_of_the_motor_set_the_status_and_motions_raise(emulator, clock, e
     with pytest.raises(DeviceError, match=words):
         stage.home()
     assert not stage.position().moving
-    emulator.imposed = Errors(0)
+    emulator.imposed = ErrorFlags(0)
     stage.home()
     assert stage.position().moving
     stage.stop()
@@ -176,9 +176,9 @@ def test_errors_of_the_motor_set_the_status_and_motions_raise(emulator, clock, e
 
 def test_a_motor_without_power_loses_its_zero(emulator, clock):
     stage = homed(emulator, clock)
-    emulator.imposed = Errors.LOW_VIN
+    emulator.imposed = ErrorFlags.LOW_VIN
     wait_until(lambda: not stage.position().homed, event="the loss of the zero")
-    emulator.imposed = Errors(0)
+    emulator.imposed = ErrorFlags(0)
     with pytest.raises(DeviceError, match="home it first"):
         stage.move(0.001, 0.004)
     stage.stop()
@@ -220,10 +220,10 @@ def test_homing_without_a_limit_switch_raises(emulator, clock):
     (lambda stage: stage.move(0.004, 0.001), InputState.POSITION), (lambda stage: stage.halt(), InputState.VELOCITY)])
 def test_the_input_state_is_that_of_the_requested_motion(emulator, clock, request_motion, state):
     """Values of the variable at 0x4C: 2 halt, 3 target position, 4 target velocity (section 7)."""
-    assert emulator._pack_variables()[Variable.INPUT_STATE] == InputState.HALT == 2
+    assert emulator._pack_variables()[VariableOffset.INPUT_STATE] == InputState.HALT == 2
     stage = homed(emulator, clock)
     request_motion(stage)
-    wait_until(lambda: emulator._pack_variables()[Variable.INPUT_STATE] == state, event="the requested motion")
+    wait_until(lambda: emulator._pack_variables()[VariableOffset.INPUT_STATE] == state, event="the requested motion")
     stage.stop()
 
 
@@ -339,7 +339,7 @@ def test_a_silent_line_raises_and_stops_the_motor(clock):
         with pytest.raises(DeviceError, match=r"answered \d+ of \d+ bytes within .* check that it has power"):
             while True:
                 stage.position()
-        wait_until(lambda: emulator._errors & Errors.COMMAND_TIMEOUT, event="the command timeout")
+        wait_until(lambda: emulator._errors & ErrorFlags.COMMAND_TIMEOUT, event="the command timeout")
         stood = emulator._stage.position().position
         clock.now += 10.0
         assert emulator._stage.position().position == stood

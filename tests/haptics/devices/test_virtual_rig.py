@@ -6,7 +6,7 @@ from device_contracts import ForceSensorContract, StageContract
 
 import tissue_sim as ts
 from haptics.devices.contracts import StageLimits
-from haptics.devices.virtual.faults import Faults, read_faults
+from haptics.devices.virtual.faults import Faults, parse_faults
 from haptics.devices.virtual.rig import ElasticSpecimen, HistoryDependentSpecimen, VirtualRig
 from tissue_sim.errors import InputError
 
@@ -83,7 +83,7 @@ def pressed():
                 clock.now += 0.01
                 for sample in sensor.read():
                     taken = 50.0 + (sample.sequence + 1) / 100.0
-                    rows.append((taken, stage.tool_position(taken), sample.values[0]))
+                    rows.append((taken, stage.tool_position_at(taken), sample.values[0]))
         return np.array(rows).T
 
     return pressed
@@ -135,7 +135,7 @@ def test_faults_of_sensor_and_motor(pressed):
 @pytest.mark.parametrize(("text", "field"), [("loss=2", "loss"), ("delay_ms=-1", "delay"), ("drft=1", "drft")])
 def test_invalid_faults_are_refused(text, field):
     with pytest.raises(InputError) as caught:
-        read_faults(text)
+        parse_faults(text)
     assert caught.value.field == field
 
 

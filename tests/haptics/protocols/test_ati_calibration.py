@@ -36,7 +36,8 @@ def test_the_matrix_consists_of_the_rows():
     assert calibration.matrix == MATRIX and calibration.reach == MAXIMA and calibration.volts == (-10.0, 10.0)
     assert (calibration.serial, calibration.part, calibration.date) == ("FT00001", "SI-40-2", "1/2/2003")
     assert calibration.rows == "UserAxis"
-    assert calibration.wrench((0.0, 0.0, 2.0, 0.0, 0.0, 1.0)) == pytest.approx((9.1, -4.9, 32.5, -1.5, -1.0, -0.4))
+    wrench = calibration.compute_wrench((0.0, 0.0, 2.0, 0.0, 0.0, 1.0))
+    assert wrench == pytest.approx((9.1, -4.9, 32.5, -1.5, -1.0, -0.4))
     assert read_calibration(file_of().encode()) == calibration
 
 
@@ -112,7 +113,7 @@ def test_the_output_range_is_read(attributes, volts):
     ('max="120"', "", "the max of UserAxis Fz must be 1 finite number; got none"),
     ('max="120"', 'max="0"', "UserAxis Fz must have a value and a max above 0; got a max of 0"),
     ('OutputRange="20"', 'OutputRange="-20"', "OutputRange must be above 0 and at most 100 V; got -20 V"),
-    ("<!-- NOTE: made up -->", '<!DOCTYPE a [<!ENTITY b "c">]>', "must not define entities"),
+    ("<!-- NOTE: made up -->", '<!DOCTYPE a [<!ENTITY b "c">]>', "must not define XML entities"),
 ])
 def test_invalid_files_are_refused_with_the_cause(old, new, sentence):
     text = file_of()

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.protocols import grbl
-from haptics.protocols.grbl import Jog, Report
+from haptics.protocols.grbl import JogCommand, StatusReport
 
 CASES = int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500"))
 
@@ -17,15 +17,16 @@ triples = st.tuples(thousandths, thousandths, thousandths)
 
 @pytest.mark.parametrize(("line", "report"), [
     # Grbl 1.1, doc/markdown/interface.md, "Real-time Status Reports": fields and their values.
-    ("<Idle|MPos:0.000,0.000,0.000|FS:0,0>", Report("Idle", machine=(0.0, 0.0, 0.0), feed=0.0)),
-    ("<Jog|MPos:0.000,-10.000,5.000|F:500>", Report("Jog", machine=(0.0, -10.0, 5.0), feed=500.0)),
+    ("<Idle|MPos:0.000,0.000,0.000|FS:0,0>", StatusReport("Idle", machine=(0.0, 0.0, 0.0), feed=0.0)),
+    ("<Jog|MPos:0.000,-10.000,5.000|F:500>", StatusReport("Jog", machine=(0.0, -10.0, 5.0), feed=500.0)),
     ("<Run|WPos:-2.500,0.000,11.000|Bf:15,128|Ln:99999|FS:500,8000>",
-     Report("Run", work=(-2.5, 0.0, 11.0), feed=500.0)),
+     StatusReport("Run", work=(-2.5, 0.0, 11.0), feed=500.0)),
     ("<Hold:1|MPos:1.000,2.000,3.000|FS:0,0|WCO:0.000,1.551,5.664>",
-     Report("Hold", 1, (1.0, 2.0, 3.0), offset=(0.0, 1.551, 5.664), feed=0.0)),
+     StatusReport("Hold", 1, (1.0, 2.0, 3.0), offset=(0.0, 1.551, 5.664), feed=0.0)),
     ("<Alarm|MPos:0.000,0.000,0.000|FS:0,0|Pn:XYZPDHRS>",
-     Report("Alarm", machine=(0.0, 0.0, 0.0), feed=0.0, pins="XYZPDHRS")),
-    ("<Idle|MPos:0.000,0.000,0.000|FS:0,0|Ov:100,100,100|A:S>", Report("Idle", machine=(0.0, 0.0, 0.0), feed=0.0)),
+     StatusReport("Alarm", machine=(0.0, 0.0, 0.0), feed=0.0, pins="XYZPDHRS")),
+    ("<Idle|MPos:0.000,0.000,0.000|FS:0,0|Ov:100,100,100|A:S>",
+     StatusReport("Idle", machine=(0.0, 0.0, 0.0), feed=0.0)),
 ])
 def test_reports_of_the_documentation_are_read(line, report):
     assert grbl.parse_report(line) == report
@@ -45,10 +46,10 @@ def test_other_lines_of_the_documentation_are_read():
 
 def test_jogs_of_the_documentation_are_read():
     # jogging.md: the three examples, with the feed that each needs.
-    assert grbl.parse_jog("$J=X10.0 Y-1.5 F100") == Jog(100.0, {"X": 10.0, "Y": -1.5})
+    assert grbl.parse_jog("$J=X10.0 Y-1.5 F100") == JogCommand(100.0, {"X": 10.0, "Y": -1.5})
     inches = grbl.parse_jog("$J=G91 G20 X0.5 F10")
     assert inches.relative and inches.targets == {"X": pytest.approx(12.7)} and inches.feed == pytest.approx(254)
-    assert grbl.parse_jog("$J=G53 Y5.0 F100") == Jog(100.0, {"Y": 5.0}, machine=True)
+    assert grbl.parse_jog("$J=G53 Y5.0 F100") == JogCommand(100.0, {"Y": 5.0}, machine=True)
     for line in ("$J=X1", "$J=F100", "$J=X1F0", "$J=M3X1F1", "$J", "G1X1F100", "$J=X1X2F1", "$J=G2X1F1"):
         assert grbl.parse_jog(line) is None
 
@@ -56,19 +57,19 @@ def test_jogs_of_the_documentation_are_read():
 def test_all_errors_and_alarms_have_a_text():
     # doc/csv/error_codes_en_US.csv and alarm_codes_en_US.csv.
     assert set(grbl.ALARMS) == set(range(1, 10)) and set(range(1, 17)) <= set(grbl.ERRORS)
-    assert "home it" in grbl.alarm_text(1) and "tables" in grbl.alarm_text(77) and grbl.alarm_text(None)
-    assert "G-code" in grbl.error_text(33)
+    assert "home it" in grbl.describe_alarm(1) and "tables" in grbl.describe_alarm(77) and grbl.describe_alarm(None)
+    assert "G-code" in grbl.describe_error(33)
 
 
 @given(st.sampled_from("XYZ"), thousandths, st.integers(1, 10**6).map(lambda number: number / 100))
 @settings(max_examples=CASES, deadline=None)
 def test_a_jog_line_is_parsed_to_the_same_jog(axis, target, feed):
     jog = grbl.parse_jog(grbl.encode_jog(axis, target, feed).decode().strip())
-    assert jog == Jog(pytest.approx(feed, abs=1e-3), {axis: pytest.approx(target, abs=1e-4)}, machine=True)
+    assert jog == JogCommand(pytest.approx(feed, abs=1e-3), {axis: pytest.approx(target, abs=1e-4)}, machine=True)
 
 
 reports = st.builds(
-    lambda state, substate, place, by_machine, offset, pins, feed: Report(
+    lambda state, substate, place, by_machine, offset, pins, feed: StatusReport(
         state, substate, place if by_machine else None, None if by_machine else place, offset, pins, feed),
     st.sampled_from(grbl.STATES), st.none() | st.integers(0, 3), triples, st.booleans(), st.none() | triples,
     st.sampled_from(["", "Z", "XYZ", "PH"]), st.none() | st.integers(0, 5000).map(float))

@@ -8,29 +8,29 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from haptics.protocols import rdt
-from haptics.protocols.rdt import Record, Request, Settings
+from haptics.protocols.rdt import BoxSettings, RdtRecord, RdtRequest
 from tissue_sim.errors import InputError
 
 CASES = int(os.environ.get("TISSUE_SIM_FUZZ_CASES", "500"))
 counts = st.integers(-2**31, 2**31 - 1)
 words = st.integers(0, 2**32 - 1)
-records = st.builds(Record, words, words, words, st.tuples(*[counts] * 6))
+records = st.builds(RdtRecord, words, words, words, st.tuples(*[counts] * 6))
 
 
 def test_requests_equal_the_manual():
     """Net F/T manual, section RDT: header 0x1234, command, number of samples, in network byte order."""
-    assert rdt.pack_request(Request(rdt.Command.REAL_TIME, 0)) == bytes.fromhex("1234000200000000")
-    assert rdt.pack_request(Request(rdt.Command.BUFFERED, 258)) == bytes.fromhex("1234000300000102")
-    assert rdt.pack_request(Request(rdt.Command.BIAS)) == bytes.fromhex("1234004200000000")
-    assert rdt.pack_request(Request(rdt.Command.STOP)) == bytes.fromhex("1234000000000000")
-    assert rdt.unpack_request(bytes.fromhex("1234000300000102")) == Request(rdt.Command.BUFFERED, 258)
+    assert rdt.pack_request(RdtRequest(rdt.RdtCommand.REAL_TIME, 0)) == bytes.fromhex("1234000200000000")
+    assert rdt.pack_request(RdtRequest(rdt.RdtCommand.BUFFERED, 258)) == bytes.fromhex("1234000300000102")
+    assert rdt.pack_request(RdtRequest(rdt.RdtCommand.BIAS)) == bytes.fromhex("1234004200000000")
+    assert rdt.pack_request(RdtRequest(rdt.RdtCommand.STOP)) == bytes.fromhex("1234000000000000")
+    assert rdt.unpack_request(bytes.fromhex("1234000300000102")) == RdtRequest(rdt.RdtCommand.BUFFERED, 258)
 
 
 def test_a_record_equals_the_manual():
     """Net F/T manual: rdt_sequence, ft_sequence, status, Fx, Fy, Fz, Tx, Ty, Tz; here with a negative force."""
     data = bytes.fromhex("00000001 00000064 00000000 0000000a ffffffff 000f4240 00000000 80000000 7fffffff".replace(
         " ", ""))
-    assert rdt.unpack_records(data) == [Record(1, 100, 0, (10, -1, 1_000_000, 0, -2**31, 2**31 - 1))]
+    assert rdt.unpack_records(data) == [RdtRecord(1, 100, 0, (10, -1, 1_000_000, 0, -2**31, 2**31 - 1))]
 
 
 @given(st.lists(records, min_size=1, max_size=rdt.DATAGRAM.max_records))
@@ -64,7 +64,7 @@ def test_other_bytes_are_no_request(data):
 ])
 def test_status_words_equal_the_manual(status, fault, out_of_range, said):
     """Ethernet Axia manual 9610-05-Ethernet Axia-09, tables 4.7 and 4.9, with the example 80000005."""
-    assert (rdt.is_fault(status), rdt.is_out_of_range(status)) == (fault, out_of_range)
+    assert (rdt.has_fault(status), rdt.has_exceeded_range(status)) == (fault, out_of_range)
     assert said in rdt.describe_status(status) and f"0x{status:08x}" in rdt.describe_status(status)
 
 
@@ -75,21 +75,22 @@ def test_status_words_equal_the_manual(status, fault, out_of_range, said):
 ])
 def test_units_are_read_from_the_box(force, torque, newtons, newton_metres):
     """Factors according to NIST SP 811, appendix B."""
-    box = Settings(1000.0, 10.0, force, torque)
-    assert box.newtons == pytest.approx(newtons / 1000.0, rel=1e-12)
-    assert box.newton_metres == pytest.approx(newton_metres / 10.0, rel=1e-12)
+    box = BoxSettings(1000.0, 10.0, force, torque)
+    assert box.newtons_per_count == pytest.approx(newtons / 1000.0, rel=1e-12)
+    assert box.newton_metres_per_count == pytest.approx(newton_metres / 10.0, rel=1e-12)
 
 
 @pytest.mark.parametrize("name", ["stone", "", "Nm"])
 def test_an_unknown_unit_is_refused_with_the_remedy(name):
-    with pytest.raises(InputError, match=r"must be a known unit of torque; .* one of N-m, .* configurations page"):
-        _ = Settings(1.0, 1.0, "N", name).newton_metres
-    with pytest.raises(InputError, match="must be a known unit of force"):
-        _ = Settings(1.0, 1.0, "furlong", "N-m").newtons
+    with pytest.raises(InputError, match=r"the unit of torque must be a known unit; .* one of N-m, .* configurations "
+                       r"page"):
+        _ = BoxSettings(1.0, 1.0, "N", name).newton_metres_per_count
+    with pytest.raises(InputError, match="the unit of force must be a known unit"):
+        _ = BoxSettings(1.0, 1.0, "furlong", "N-m").newtons_per_count
 
 
 def test_a_written_settings_page_is_read_back():
-    box = Settings(1e6, 2.5e5, "lbf", "lbf-in", 7000.0, "Net F/T <1>", "FT12345")
+    box = BoxSettings(1e6, 2.5e5, "lbf", "lbf-in", 7000.0, "Net F/T <1>", "FT12345")
     assert rdt.read_settings_page(rdt.write_settings_page(box)) == box
 
 
@@ -98,7 +99,7 @@ def test_a_page_of_a_real_box_is_read():
     page = (b'<?xml version="1.0"?><netft xmlns="urn:x"><runstat>0x00000000</runstat><setcfgsel>0</setcfgsel>'
             b"<cfgcpf>1000000</cfgcpf><cfgcpt>1000000000</cfgcpt><scfgfu>N</scfgfu><scfgtu>N-mm</scfgtu>"
             b"<cfgcalsn>FT01234</cfgcalsn></netft>")
-    assert rdt.read_settings_page(page) == Settings(1e6, 1e9, "N", "N-mm", None, "", "FT01234")
+    assert rdt.read_settings_page(page) == BoxSettings(1e6, 1e9, "N", "N-mm", None, "", "FT01234")
 
 
 @pytest.mark.parametrize(("page", "field"), [

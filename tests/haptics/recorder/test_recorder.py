@@ -20,9 +20,9 @@ def state_of(bench):
 
 def stands_still(bench):
     """Return whether the tool does not move during the next 10 s."""
-    before = bench.virtual.stage.tool_position(bench.clock())
+    before = bench.virtual.stage.tool_position_at(bench.clock())
     bench.clock.now += 10.0
-    return bench.virtual.stage.tool_position(bench.clock()) == before
+    return bench.virtual.stage.tool_position_at(bench.clock()) == before
 
 
 def test_a_run_records_the_plan(bench):
@@ -152,7 +152,7 @@ def test_a_stop_request_stops_at_once(bench):
 def test_the_tool_stays_or_retracts_after_a_stop(bench, retracts, position):
     with pytest.raises(StoppedError):
         bench.run(limits=bench.limits(force=0.8, retracts=retracts))
-    tool = bench.virtual.stage.tool_position(bench.clock())
+    tool = bench.virtual.stage.tool_position_at(bench.clock())
     assert tool == pytest.approx(position, abs=2e-5) if retracts else tool > SURFACE + 1e-3
 
 
@@ -181,7 +181,7 @@ def test_a_glued_specimen_is_not_pulled_after_a_stop(bench):
     with pytest.raises(StoppedError):
         bench.run(plan=bench.plan(contact="here"), limits=bench.limits(force=0.8, retracts=True),
                   rig=bench.rig(BilateralSpring(), surface=0.0, start_at=0.0))
-    assert bench.virtual.stage.tool_position(bench.clock()) == pytest.approx(0.0, abs=3e-5)
+    assert bench.virtual.stage.tool_position_at(bench.clock()) == pytest.approx(0.0, abs=3e-5)
 
 
 class PullingSpring(Spring):

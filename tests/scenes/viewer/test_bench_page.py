@@ -7,7 +7,7 @@ import pytest
 
 from haptics.devices.contracts import DeviceError
 from haptics.devices.virtual.force_sensor import VirtualForceSensor
-from haptics.recorder.live import LIVE_FILE, LiveFile, as_json
+from haptics.recorder.live import LIVE_FILE, LiveProgressFile, convert_progress_to_json
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
 from scenes.viewer.bench.page import bench_html
@@ -22,12 +22,12 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
     assert "No run in" in source.read().title and "tissue-sim record" in source.read().message
     folder = RunFolder(tmp_path / "run", "digest")
     with folder:
-        folder.update(state="running")
+        folder.update_state(state="running")
         assert "may have been killed" in source.read().message
         moment = RunProgress("needle", "ramp", 2, 5e-3, 3e-3, 0.4, 0.25)
-        (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(as_json(moment)), encoding="utf-8")
+        (tmp_path / "run" / LIVE_FILE).write_text(json.dumps(convert_progress_to_json(moment)), encoding="utf-8")
         partial = folder.open_partial("needle_2", HEADER)
-        partial.add([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(5)])
+        partial.queue_rows([(0.01 * row, 0.1 * row, 0.02 * row, "ramp") for row in range(5)])
         partial.close()
         view = source.read()
         assert view.title == "needle 2: ramp; 0 recordings done" and not view.message
@@ -37,15 +37,15 @@ def test_the_folder_of_a_running_recorder_is_read(tmp_path):
             file.write("0.05,0.5,0.1,ramp\n0.06,0.6,0.1")  # half a row is none yet
         assert source.read().time.size == 6
         (tmp_path / "run" / LIVE_FILE).unlink()
-        folder.update(state="stopped", stops=[{"message": "the force was 9 N"}])
+        folder.update_state(state="stopped", stops=[{"message": "the force was 9 N"}])
         assert source.read().message == "the force was 9 N"
 
 
 def test_the_live_file_is_written_by_another_thread_and_removed_at_the_end(tmp_path):
-    live = LiveFile(tmp_path)
+    live = LiveProgressFile(tmp_path)
     file = tmp_path / LIVE_FILE
-    with live.publish():
-        live.show(RunProgress("a", "approach", 0, 1e-3, float("nan"), float("nan"), 0.0))
+    with live.run_writing_thread():
+        live.set_progress(RunProgress("a", "approach", 0, 1e-3, float("nan"), float("nan"), 0.0))
         while not file.exists():
             pass
         assert json.loads(file.read_text(encoding="utf-8")) == {

@@ -117,7 +117,8 @@ def test_a_pause_holds_the_tool(needle_loop, until):
 def test_a_refused_command_changes_nothing(needle_loop, until):
     simulation = needle_loop.simulation
     force = until(needle_loop, at_rest(2e-3)).readouts.force
-    for command, values, expected in (("aim", {"depth": float("nan")}, "depth: must be a finite number"),
+    for command, values, expected in (("aim", {"depth": float("nan")},
+                                       "depth: the target depth must be a finite number"),
                                       ("set_parameters", {"C10": -1.0}, "must give a positive shear modulus"),
                                       ("set_parameters", {"C77": 1.0}, "C77")):
         with pytest.raises(ts.InputError, match=expected):
@@ -215,7 +216,7 @@ class Written:
         """Append ticks at intervals of 1 ms."""
         for _ in range(count):
             self.number += 1
-            self.writer.append(*tick(self.number, **values))
+            self.writer.append_tick(*tick(self.number, **values))
 
 
 @pytest.fixture

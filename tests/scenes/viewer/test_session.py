@@ -100,7 +100,7 @@ def test_aim_is_limited_to_the_range_of_the_scene(session):
     for wish, target in ((1.0, 4e-3), (-1.0, -CLEARANCE), (1e-3, 1e-3)):
         assert done(session, "aim", depth=wish) is None
         assert session.frame().target == target
-    assert "depth: must be a finite number" in done(session, "aim", depth=math.nan)
+    assert "depth: the target depth must be a finite number" in done(session, "aim", depth=math.nan)
     assert session.frame().target == 1e-3, "a refused command changes nothing"
 
 
