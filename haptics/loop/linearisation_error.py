@@ -53,9 +53,13 @@ class LinearisationError:
     ball of radius R at depth d it is 2 mu sqrt(R / d) (second derivative of Hertz's force, halved). The depth is that
     of the tool, and at least its distance from the pose of the model. Where the depth is unknown, the limit is mu.
 
+    A tool that a model leaves without a force may still touch tissue that rises faster than the model knows. The force
+    of this contact is at most that of undeformed tissue on a flat punch with the radius of the contact, 8 mu a depth.
+
     Args:
         radius: radius of the contact, m.
         shear_modulus: shear modulus of the tissue, Pa.
+        tip_radius: radius of curvature of the tool, m; None, or below `radius`: `radius`.
 
     Attributes:
         radius: radius of the contact, m.
@@ -66,9 +70,11 @@ class LinearisationError:
         reach: distance between the models from which `growth` was learned, m.
         time: time of the newest model from which the estimate was learned, s; minus infinity if there is none.
         short: `LinearisationErrorSettings.short` times the radius, m.
+        tip_radius: radius of curvature of the tool, m.
     """
 
-    def __init__(self, radius: float, shear_modulus: float = 0.0):
+    def __init__(self, radius: float, shear_modulus: float = 0.0, tip_radius: float | None = None):
+        self.tip_radius = max(radius, tip_radius or 0.0)
         self.radius, self.short, self.shear_modulus = radius, ERROR_ESTIMATE.short * radius, shear_modulus
         self.discard_estimate()
 
@@ -108,7 +114,7 @@ class LinearisationError:
         reached = min(max(depth, distance), self.radius)
         if reached <= 0.0:
             return self.growth
-        return max(self.growth, 2.0 * self.shear_modulus * math.sqrt(self.radius / reached))
+        return max(self.growth, 2.0 * self.shear_modulus * math.sqrt(self.tip_radius / reached))
 
     def is_error_known(self, distance: float) -> bool:
         """Return whether the error at this distance, m, from the pose of a model is known."""
@@ -129,3 +135,13 @@ class LinearisationError:
         age_factor = max(1.0, age / (2.0 * self.interval)) if self.interval > 0.0 else 1.0
         growth = self._compute_growth_coefficient(distance, depth)
         return self.base * age_factor + growth * distance * (distance + 2.0 * tangent)
+
+    def estimate_error_without_contact(self, distance: float, age: float, depth: float, tangent: float) -> float:
+        """Return the estimated error of a zero force, N; infinite if it is unknown.
+
+        The error by linearisation is at most the force of a flat punch on undeformed tissue, and zero above the
+        undeformed surface. Arguments as in `estimate_force_error`.
+        """
+        punch_force = 8.0 * self.shear_modulus * self.radius * max(depth, 0.0)
+        return min(self.estimate_force_error(0.0, age) + punch_force,
+                   self.estimate_force_error(distance, age, depth, tangent))

@@ -42,6 +42,7 @@ class ModelTransition:
     Args:
         stepper: solver of the contact with the newest model.
         shear_modulus: shear modulus of the tissue, Pa.
+        tip_radius: radius of curvature of the tool, m; None: the radius of the contact.
 
     Attributes:
         offset: remaining difference of the models so far, N and N m, which is added to the wrench.
@@ -49,9 +50,10 @@ class ModelTransition:
         free: last pose of the tool without contact force, near the surface or above it.
     """
 
-    def __init__(self, stepper: CondensedStepper, shear_modulus: float):
+    def __init__(self, stepper: CondensedStepper, shear_modulus: float, tip_radius: float | None = None):
         self._stepper, radius = stepper, stepper.surface.radius
-        self._correction, self.estimate = BroydenCorrection(radius), LinearisationError(radius, shear_modulus)
+        self._correction = BroydenCorrection(radius)
+        self.estimate = LinearisationError(radius, shear_modulus, tip_radius)
         self.reset(stepper.surface.start)
 
     def reset(self, pose: Pose) -> None:
@@ -164,11 +166,14 @@ class ModelTransition:
         is_loaded = any(step.wrench)
         if not (is_loaded or self.is_near_surface(pose)):
             return math.inf, math.inf
-        distance = self.compute_distance_from_model(self._newest_model, pose) if is_loaded else 0.0
+        newest, estimate = self._newest_model, self.estimate
+        distance = self.compute_distance_from_model(newest, pose) if is_loaded or newest.has_contact else 0.0
         offset = self._convert_to_equivalent_force(self.offset)
         depth = self._stepper.surface.start.position[2] - pose.position[2]
-        error = self.estimate.estimate_force_error(distance, age, depth, self._tangent_distance) + offset
-        return error, offset if math.isinf(error) and distance <= self.estimate.short else error
+        evaluate = estimate.estimate_force_error if is_loaded else estimate.estimate_error_without_contact
+        error = evaluate(distance, age, depth, self._tangent_distance) + offset
+        is_trusted = not is_loaded or distance <= estimate.short
+        return error, offset if math.isinf(error) and is_trusted else error
 
     @property
     def _tangent_distance(self) -> float:

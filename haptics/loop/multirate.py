@@ -137,7 +137,8 @@ class MultiRateTissue(KernelOwner):
         surface = self._link.contact_surface
         self._stepper = CondensedStepper(surface)
         self._stepper.set_model(self._first)
-        self._transition = ModelTransition(self._stepper, self.model.material.mu0)
+        self._transition = ModelTransition(self._stepper, self.model.material.mu0,
+                                           self.model.experiment.tool.radius)
         x, y, z = surface.start.position
         # Touch the tissue once so that all functions of a tick are compiled, then return to the start.
         for depth in MULTIRATE.touch_depths:

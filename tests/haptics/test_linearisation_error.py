@@ -55,6 +55,24 @@ def test_the_curvature_of_a_contact_is_that_of_hertz_at_the_depth_of_the_tool():
     assert agreed.estimate_force_error(distance, depth=10.0 * RADIUS) == pytest.approx(2.0 * MODULUS * distance**2)
 
 
+def test_the_curvature_is_that_of_the_tip_where_the_contact_is_smaller():
+    estimate = LinearisationError(RADIUS, MODULUS, tip_radius=4.0 * RADIUS)
+    estimate.update_estimate(0.0, 2e-3, 1e-3, 1.0, 0.05)
+    growth = 2.0 * MODULUS * math.sqrt(4.0 * RADIUS / 2e-3)
+    assert estimate.estimate_force_error(1e-3, depth=2e-3) == pytest.approx(growth * 1e-3**2)
+
+
+def test_a_force_of_zero_is_wrong_by_at_most_a_flat_punch_on_undeformed_tissue():
+    estimate, base, punch = learned(), 0.02, 8.0 * MODULUS * RADIUS
+    assert estimate.estimate_error_without_contact(2e-3, 0.0, 1e-6, 0.0) == pytest.approx(base + punch * 1e-6)
+    # Above the undeformed surface the force is zero; the error of the newest model remains.
+    assert estimate.estimate_error_without_contact(2e-3, 0.0, -1e-3, 0.0) == pytest.approx(base)
+    # Near the pose of the model the error by linearisation is smaller.
+    near = estimate.estimate_error_without_contact(1e-4, 0.0, 5e-4, 0.0)
+    assert near == pytest.approx(estimate.estimate_force_error(1e-4, depth=5e-4))
+    assert math.isinf(LinearisationError(RADIUS, MODULUS).estimate_error_without_contact(0.0, 0.0, 1e-3, 0.0))
+
+
 def test_a_tangent_of_an_earlier_pose_adds_an_error_that_is_linear_in_the_distance():
     """The force is growth z**2; a model at 2 mm with the stiffness of 1.5 mm, used at 1.8 mm."""
     growth, made, tangent, used = 5e3, 2e-3, 1.5e-3, 1.8e-3
