@@ -143,7 +143,7 @@ class _DerivativeObserver:
         if self._approach is not None and isinstance(derivatives, SpatialDerivatives):
             force = derivatives.vector @ self._approach.against
         self.rates.append(factor * force)
-        self.kinks.append(derivatives is not None and derivatives.pop_changed())
+        self.kinks.append(derivatives is not None and derivatives.pop_contact_change())
 
 
 def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tissue_sim.errors import MissingBackendError
-from tissue_sim.fem.axisymmetric.scratch import scratch as solver_scratch
+from tissue_sim.fem.axisymmetric.scratch import get_scratch_field as solver_scratch
 from tissue_sim.fem.taichi import launch
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import scratch
+from tissue_sim.fem.taichi.scratch import get_scratch_field
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +35,11 @@ def test_what_others_have_compiled_is_kept():
 
 def test_a_kept_kernel_is_found_whatever_was_used_before(root):
     """Taichi knows it by the numbers of its fields, in the order in which they were made: there is one."""
-    assert solver_scratch() is scratch(4, 1)
+    assert solver_scratch() is get_scratch_field(4, 1)
     makers = [path for path in (root / "tissue_sim").rglob("*.py") if ".field(" in path.read_text(encoding="utf-8")]
     assert [path.name for path in makers] == ["scratch.py"]
     with pytest.raises(ValueError, match="got a request for 4000 of 4"):
-        scratch(4, 4000)
+        get_scratch_field(4, 4000)
 
 
 def test_bound_call_is_a_plain_call(kernel):

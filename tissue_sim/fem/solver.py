@@ -167,7 +167,7 @@ class Derivatives(Protocol):
 
     force: np.ndarray
 
-    def pop_changed(self) -> bool:
+    def pop_contact_change(self) -> bool:
         """Whether the contact changed since the last call, so that the force has a kink as a function of parameters."""
 
 

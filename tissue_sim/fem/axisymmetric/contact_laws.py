@@ -11,7 +11,7 @@ from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import TRIED, Formula, expressions, traced
 
 
-class LawFunctions(NamedTuple):
+class ContactLawFunctions(NamedTuple):
     """Contact laws in the form that the kernel of a step calls.
 
     Attributes:
@@ -26,14 +26,14 @@ class LawFunctions(NamedTuple):
     stiffens: bool
 
 
-def law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
+def pack_contact_law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
     """Return the settings of `traction`: contact area of the tool, m2, then reach (m) and parameters of each law."""
     numbers = [[law.reach, *Formula.of(law).numbers(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
 
 @cache
-def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
+def make_contact_law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> ContactLawFunctions:
     """Return the Taichi functions of the sum of several contact laws.
 
     Raises:
@@ -41,21 +41,21 @@ def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
     """
     ti = initialise()
     count = 1 + sum(1 + len(formula.parameters) for formula in formulas)
-    tried = _sum_tractions(formulas, [TRIED] * 3, [TRIED] * count)
+    tried = _sum_law_tractions(formulas, [TRIED] * 3, [TRIED] * count)
     constant = [not hasattr(value, "lanes") for value in tried]
 
-    def total(gap, pressure, slip, settings):
-        values = _sum_tractions(formulas, [gap, pressure, slip], settings)
+    def build_traction_expressions(gap, pressure, slip, settings):
+        values = _sum_law_tractions(formulas, [gap, pressure, slip], settings)
         return expressions(values, traced([gap], lanes=False)[0])
 
     @ti.func
     def traction(gap, pressure, slip, settings: ti.template()):
-        return ti.static(total(gap, pressure, slip, [settings[i] for i in range(count)]))
+        return ti.static(build_traction_expressions(gap, pressure, slip, [settings[i] for i in range(count)]))
 
-    return LawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
+    return ContactLawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
 
 
-def _sum_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
+def _sum_law_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
     """Return normal and tangential traction, and their derivatives with gap and slip, summed over all laws."""
     (gap, pressure, slip), (face, *numbers) = traced(place, lanes=False), traced(settings, lanes=False)
     total = [0.0] * 4

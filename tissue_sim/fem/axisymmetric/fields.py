@@ -23,7 +23,7 @@ class Fields:
         material: material of the specimen.
         bulk_modulus: K of the elements, Pa.
         states: states of the solver, shape (samples, unknowns).
-        gradients: see `Reference.node_gradients`, 1/m, shape (elements, q, nodes, 3).
+        gradients: see `ReferenceQuadrature.node_gradients`, 1/m, shape (elements, q, nodes, 3).
         pressure_modes: orthonormal pressure modes at the quadrature points, shape (elements, q, modes).
         weights: volumes of the quadrature points, m3, shape (elements, q).
         moduli: moduli of the elements in units of the material's modulus, shape (elements,).

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 
-class Count(IntEnum):
+class CountIndex(IntEnum):
     """Indices of `Equations.counts`, the integers that a step reads and writes.
 
     Attributes:
@@ -38,7 +38,7 @@ class Count(IntEnum):
     SKEWED = 12
 
 
-class Setting(IntEnum):
+class SettingIndex(IntEnum):
     """Indices of `Equations.settings`, the numbers that a step reads.
 
     Attributes:
@@ -72,7 +72,7 @@ class Setting(IntEnum):
     DENSITY = 12
 
 
-class Report(IntEnum):
+class ReportIndex(IntEnum):
     """Indices of `Equations.report`, the results of a step.
 
     Attributes:
@@ -131,7 +131,7 @@ class NewtonSettings:
     The kernel contains the values as constants.
 
     Attributes:
-        friction_floor: friction below this fraction of `Setting.FLOOR` is neglected.
+        friction_floor: friction below this fraction of `SettingIndex.FLOOR` is neglected.
         reuse_ratio: the factorisation is reused if a linear solve reduces the residual to this fraction or less.
         reuse_solves: the factorisation is also reused if this number of additional solves, each with the last
             reduction, reaches the tolerance.

@@ -15,8 +15,8 @@ _COMPONENTS = (0, 3, 1, 2)
 
 
 @cache
-def effects_function(formulas: tuple[Formula, ...]):
-    """Return the Taichi function ``add_effects(F, P, A, states, settings) -> (S, P, A, states)``.
+def make_effect_stress_function(formulas: tuple[Formula, ...]):
+    """Return the Taichi function ``add_effect_stresses(F, P, A, states, settings) -> (S, P, A, states)``.
 
     The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
     stress of the effects. All arguments are vectors; see `tissue_sim.fem.point_effects.PointEffects`.
@@ -24,17 +24,18 @@ def effects_function(formulas: tuple[Formula, ...]):
     ti = initialise()
     count = 1 + sum(len(formula.parameters) for formula in formulas)
 
-    def added(F, P, A, states, settings):
-        return _add_effects(formulas, F, P, A, states, settings)
+    def build_effect_expressions(F, P, A, states, settings):
+        return _sum_effect_expressions(formulas, F, P, A, states, settings)
 
     @ti.func
-    def add_effects(F, P, A, states, settings: ti.template()):
-        return ti.static(added(F, P, A, states, [settings[i] for i in range(count)]))
+    def add_effect_stresses(F, P, A, states, settings: ti.template()):
+        return ti.static(build_effect_expressions(F, P, A, states, [settings[i] for i in range(count)]))
 
-    return add_effects
+    return add_effect_stresses
 
 
-def _add_effects(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
+def _sum_effect_expressions(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list,
+                            settings: list) -> tuple:
     """Evaluate the formulas of effects at a quadrature point on Taichi expressions."""
     F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
     states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)

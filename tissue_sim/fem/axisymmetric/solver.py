@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import Contact, SpanColumn
+from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactSpanColumn
 from tissue_sim.fem.axisymmetric.creep import creep
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.axisymmetric.predictor import extrapolation_weights
-from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, realtime_levels
+from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels
 from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
-from tissue_sim.fem.axisymmetric.touch import bind_ahead, place_at_first_touch
+from tissue_sim.fem.axisymmetric.touch import bind_points_reached_early, place_at_first_touch
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
 from tissue_sim.fem.solver import ErrorEstimate, Neighbours, OwnStiffness, ResolutionLevel, Solver, Step, StepStatus
@@ -29,7 +29,7 @@ from tissue_sim.pose import NO_ROTATION, Pose
 from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
 
 if TYPE_CHECKING:
-    from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
+    from tissue_sim.fem.axisymmetric.sensitivity import MaterialSensitivity
 
 #: Largest depth of the tool over the height of the specimen. At a stretch of 0.444 the free surface of compressed
 #: incompressible neo-Hookean tissue becomes unstable (surface instability); beyond it equilibria are not unique.
@@ -40,7 +40,7 @@ _STATUSES = {int(status): status for status in StepStatus}
 
 
 @dataclass(frozen=True, eq=False)
-class Sample:
+class FieldSample:
     """Committed state for the computation of fields.
 
     Attributes:
@@ -74,18 +74,19 @@ class AxisymmetricSolver(KernelOwner, Solver):
     """
 
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str], *,
-                 contact: Contact | None = None, specific_weight: float = 0.0, element_layers: np.ndarray | None = None,
-                 contact_radius: float = 1.0, start: AxisymmetricSolver | None = None):
+                 contact: ContactPairs | None = None, specific_weight: float = 0.0,
+                 element_layers: np.ndarray | None = None, contact_radius: float = 1.0,
+                 start: AxisymmetricSolver | None = None):
         self.mesh = mesh
         self.equations: Equations = Equations(mesh, material, supports, tool, contact, specific_weight, element_layers,
                                               contact_radius, None if start is None else start.equations)
         equations = self.equations
         self.committed = equations.state
         #: Derivatives with respect to the material; None unless `differentiate` was called.
-        self._sensitivity: Sensitivity | None = None
+        self._sensitivity: MaterialSensitivity | None = None
         # Target depth of the last iteration (m), and its number of linear solves.
         self._target_depth, self._iterated, self._pose = 0.0, 0, Pose.at_depth(0.0)
-        self.datum = equations.settings[newton.Setting.TOUCH] = 0.0 if contact is None else place_at_first_touch(
+        self.datum = equations.settings[newton.SettingIndex.TOUCH] = 0.0 if contact is None else place_at_first_touch(
             mesh, contact, equations.surface, equations.start.reshape(-1, 2))
         self.committed.store_initial_bonds()
         self._max_depth = MAX_RELATIVE_DEPTH * float(np.ptp(mesh.nodes[:, 1]))
@@ -119,13 +120,13 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """Move the tool to a depth (m), or to the depth of a pose, and solve for equilibrium; see `Solver.step`."""
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
-            rate = state.motion.prepare(state.latest, dt)
-        return self.try_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate, inertial=inertial,
-                             resumes=resumes, own_stiffness=own_stiffness)
+            rate = state.motion.prepare(state.latest_state, dt)
+        return self.solve_depth_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate,
+                                     inertial=inertial, resumes=resumes, own_stiffness=own_stiffness)
 
-    def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
-                 rate: float, *, inertial: bool = False, resumes: bool = False,
-                 own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+    def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
+                         rate: float, *, inertial: bool = False, resumes: bool = False,
+                         own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
         """Solve a step with the force `rate` times mass times displacement from rest (`Equations.rest`).
 
         Args:
@@ -142,22 +143,24 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations, state = self.equations, self.committed
         if not resumes:
             by_time = inertial and len(state.times) > 1
-            equations.predict(extrapolation_weights(state.times, dt, predictor_order) if by_time
-                              else extrapolation_weights(state.depths, depth, predictor_order))
+            equations.set_extrapolation_weights(compute_extrapolation_weights(state.times, dt,
+                                                                              predictor_order) if by_time
+                                                else compute_extrapolation_weights(state.depths, depth,
+                                                                                   predictor_order))
         equations.prepare(dt)
-        equations.settings[newton.Setting.INERTIA] = rate
+        equations.settings[newton.SettingIndex.INERTIA] = rate
         self._iterated *= resumes
-        equations.solve(depth, tolerance, max_iterations, resumed_depth=self._target_depth if resumes else None,
-                        iterated=self._iterated)
+        equations.solve_equilibrium(depth, tolerance, max_iterations,
+                                    resumed_depth=self._target_depth if resumes else None, iterated=self._iterated)
         self._target_depth = depth
-        self._iterated += int(equations.report[newton.Report.ITERATIONS])
+        self._iterated += int(equations.report[newton.ReportIndex.ITERATIONS])
         status, iterations, residual, force, violation, slipping, stiffness = equations.report.tolist()
-        asked = bool(equations.counts[newton.Count.STIFFNESS_ASKED])
+        asked = bool(equations.counts[newton.CountIndex.STIFFNESS_ASKED])
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
                             stiffness if asked else None)
         if result.status is StepStatus.CONVERGED and asked and inertial:
             is_due = OwnStiffness.is_due(own_stiffness, iterations < max_iterations)
-            own = equations.stiffness_without_mass() if is_due else None
+            own = equations.compute_static_stiffness() if is_due else None
             result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
                              stiffness_matrix=None if own is None else axial_stiffness(own))
         if result.status is StepStatus.CONVERGED:
@@ -166,7 +169,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             if self._sensitivity is not None:
                 self._sensitivity.advance()
             if state.motion is not None:
-                state.motion.commit(state.latest, state.x, dt, inertial)
+                state.motion.commit(state.latest_state, state.x, dt, inertial)
             state.commit(depth, dt if inertial else 0.0, watched=asked)
         return result
 
@@ -178,9 +181,9 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def follow_motion(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
         equations = self.equations
-        self.committed.motion = Motion(equations.masses, equations.rest, density * equations.node_masses)
-        equations.settings[newton.Setting.DENSITY] = density
-        self._masses = density * equations.all_masses()
+        self.committed.motion = Motion(equations.masses, equations.rest, density * equations.shared_dof_volumes)
+        equations.settings[newton.SettingIndex.DENSITY] = density
+        self._masses = density * equations.compute_dof_volumes()
         return True
 
     def ahead(self, dt: float) -> NextForce | None:
@@ -195,26 +198,26 @@ class AxisymmetricSolver(KernelOwner, Solver):
         _, _, _, force, _, _, stiffness = equations.report.tolist()
         if motion is None or stiffness <= 0.0:
             return None
-        more, stiffer = map(float, motion.ahead(self.committed.latest, dt, self._masses,
+        more, stiffer = map(float, motion.ahead(self.committed.latest_state, dt, self._masses,
                                                 equations.compute_displacement_per_depth()))
         return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
         """Enable the computation of the stiffness (derivative of the force with respect to the depth) in every step."""
-        self.equations.counts[newton.Count.STIFFNESS_ASKED] = 1
+        self.equations.counts[newton.CountIndex.STIFFNESS_ASKED] = 1
 
     @classmethod
     def realtime_levels(cls, model: Model) -> Sequence[ResolutionLevel]:
         """See `Solver.realtime_levels`."""
-        return realtime_levels(model.experiment)
+        return list_realtime_levels(model.experiment)
 
     @classmethod
     def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
         """See `Solver.error_estimate`."""
         return RESOLUTIONS[resolution].error_estimate if resolution in RESOLUTIONS else None
 
-    def differentiate(self, neighbours: Neighbours) -> Sensitivity | None:
-        """Compute exact derivatives of the force with respect to the material in every step; see `Sensitivity`.
+    def differentiate(self, neighbours: Neighbours) -> MaterialSensitivity | None:
+        """Compute exact derivatives of the force with respect to the material in every step; see `MaterialSensitivity`.
 
         To be called before the first step.
 
@@ -225,37 +228,37 @@ class AxisymmetricSolver(KernelOwner, Solver):
         if neighbours and (equations.effects.formulas or equations.specific_weight
                            or (equations.contact is not None and equations.contact.laws)):
             return None
-        from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
+        from tissue_sim.fem.axisymmetric.sensitivity import MaterialSensitivity
 
-        self._sensitivity = Sensitivity(self.equations, neighbours)
+        self._sensitivity = MaterialSensitivity(self.equations, neighbours)
         return self._sensitivity
 
     @property
     def relaxes(self) -> bool:
         """See `FreeTool.relaxes`."""
-        return self.equations.remembers
+        return self.equations.has_material_history
 
     def clearance(self, pose: Pose) -> float | None:
         """See `FreeTool.clearance`; None for a tool that is bonded to tissue, and with contact laws."""
         equations, surface = self.equations, self.equations.surface
         own, contact = surface.moves, equations.contact
         if (contact is None or contact.laws or self._holds_tissue or not own.any() or surface.anchors[own, 0].any()
-                or surface.spans[own, SpanColumn.STAYS].any()):
+                or surface.spans[own, ContactSpanColumn.STAYS].any()):
             return None
-        positions = surface.positions(self.committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
+        positions = surface.deformed_positions(self.committed.latest_state[: 2 * len(self.mesh.nodes)].reshape(-1, 2))
         positions[own, 1] += pose.depth - self.datum
-        return float(surface.gaps(positions)[own].min())
+        return float(surface.signed_gaps(positions)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
         """See `FreeTool.move_in_air`."""
-        self.committed.move_tool(pose.depth)
+        self.committed.set_tool_depth(pose.depth)
 
     def move_to_next_touch(self, pose: Pose) -> bool:
         """Move a lifted tool to its next touch; return whether the touch begins as a first touch.
 
         See `FreeTool.move_to_next_touch`.
         """
-        tolerance = AT_REST * float(self.equations.settings[newton.Setting.CONTACT_TOLERANCE])
+        tolerance = AT_REST * float(self.equations.settings[newton.SettingIndex.CONTACT_TOLERANCE])
         begins = not self.relaxes and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
         if begins:
             self.committed.lift_off()
@@ -271,8 +274,9 @@ class AxisymmetricSolver(KernelOwner, Solver):
         committed = self.committed
         if committed.motion is not None:
             committed.motion.restart()
-        bind_ahead(self.equations.surface, committed.latest[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
-                   committed.depths[0] - self.datum, pose.depth - committed.depths[0])
+        bind_points_reached_early(self.equations.surface,
+                                  committed.latest_state[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
+                                  committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""
@@ -310,12 +314,12 @@ class AxisymmetricSolver(KernelOwner, Solver):
         Counted if stiffness is requested. The number is at least 1 if contact iterates on the linearised tissue,
         because linear extrapolation then reaches the change of contact.
         """
-        return max(self.committed.unchanged, int(self.equations.has_contact_rounds))
+        return max(self.committed.unchanged, int(self.equations.iterates_contact_on_linearisation))
 
     @property
     def state(self) -> np.ndarray:
         """Copy of the last committed state: nodal displacements (m), pressure amplitudes, contact forces (N)."""
-        return self.committed.latest.copy()
+        return self.committed.latest_state.copy()
 
     @property
     def sag(self) -> float:
@@ -326,15 +330,15 @@ class AxisymmetricSolver(KernelOwner, Solver):
         r = self.mesh.nodes[top, 0]
         return -float(simpson(self.equations.start[2 * top + 1] * r, x=r) / simpson(r, x=r))
 
-    def field_sample(self) -> Sample:
+    def field_sample(self) -> FieldSample:
         """Return the data of the last committed state from which `fields` computes fields."""
         equations = self.equations
-        if not equations.remembers:
-            return Sample(self.state, None)
+        if not equations.has_material_history:
+            return FieldSample(self.state, None)
         stresses = equations.memory.total()
-        return Sample(self.state, stresses + equations.effects.stress if equations.effects.formulas else stresses)
+        return FieldSample(self.state, stresses + equations.effects.stress if equations.effects.formulas else stresses)
 
-    def fields(self, samples: Sequence[Sample]) -> Fields:
+    def fields(self, samples: Sequence[FieldSample]) -> Fields:
         """Return the fields of states that `field_sample` returned."""
         equations = self.equations
         reference = equations.reference
@@ -355,7 +359,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": self.equations.free}}
         if contact is not None:
             report |= {"penetration_mm": 0.0, "penetration_tolerance_mm": contact.tolerance * 1e3}
-            if self.equations.surface.slips:
+            if self.equations.surface.can_slip:
                 report["slipping_points"] = 0
         if self.equations.specific_weight:
             report["self_weight"] = {"sag_mm": self.sag * 1e3,

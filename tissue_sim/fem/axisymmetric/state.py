@@ -15,11 +15,11 @@ from tissue_sim.fem.point_effects import PointEffects
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """Copy of a `State`, for `State.restore`.
+    """Copy of a `SolverState`, for `SolverState.restore`.
 
     Attributes:
         arrays: arrays of the state, contact, effects, memory and motion.
-        depths, times, largest_force, unchanged: see `State`.
+        depths, times, largest_force, unchanged: see `SolverState`.
         touching: contact state at the last equilibrium.
     """
 
@@ -31,7 +31,7 @@ class SavedState:
     touching: tuple[bytes, bytes]
 
 
-class State:
+class SolverState:
     """State that a step changes, and the last committed states.
 
     Args:
@@ -69,7 +69,7 @@ class State:
         self._first_bonds = self.surface.anchors.copy(), self.surface.slipped.copy()
 
     @property
-    def latest(self) -> np.ndarray:
+    def latest_state(self) -> np.ndarray:
         """Last committed state, a view, shape (unknowns,)."""
         return self.history[self.slots[0]]
 
@@ -102,7 +102,7 @@ class State:
             self.unchanged = self.unchanged + 1 if touching == self._touching else 0
             self._touching = touching
 
-    def move_tool(self, depth: float) -> None:
+    def set_tool_depth(self, depth: float) -> None:
         """Assign another depth of a tool without contact to the latest state, and forget the earlier states.
 
         Args:
@@ -117,7 +117,7 @@ class State:
             nodal: number of displacement components, the first entries of the state.
             tolerance: largest difference, m.
         """
-        return float(np.abs(self.latest[:nodal] - self._untouched[:nodal]).max()) <= tolerance
+        return float(np.abs(self.latest_state[:nodal] - self._untouched[:nodal]).max()) <= tolerance
 
     def lift_off(self) -> None:
         """Restore the displacements and bonds before the first touch; the memory of the tissue stays."""
@@ -129,19 +129,19 @@ class State:
 
     def save(self) -> SavedState:
         """Return a copy of the committed state."""
-        return SavedState(tuple(array.copy() for array in self._kept), tuple(self.depths), tuple(self.times),
+        return SavedState(tuple(array.copy() for array in self._saved_arrays), tuple(self.depths), tuple(self.times),
                           self.largest_force, self.unchanged, self._touching)
 
     def restore(self, saved: SavedState) -> None:
         """Return to a saved state."""
         # The arrays of the motion come last; either of the two may lack them.
-        for array, before in zip(self._kept, saved.arrays, strict=False):
+        for array, before in zip(self._saved_arrays, saved.arrays, strict=False):
             array[:] = before
         self.depths, self.times, self.largest_force = list(saved.depths), list(saved.times), saved.largest_force
         self.unchanged, self._touching = saved.unchanged, saved.touching
 
     @property
-    def _kept(self) -> tuple[np.ndarray, ...]:
+    def _saved_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that `save` copies."""
         return (self.history, self.slots, self.surface.anchors, self.surface.slipped, self.effects.states,
                 *self.memory.kept, *(() if self.motion is None else self.motion.kept))

@@ -9,11 +9,11 @@ from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
-from tissue_sim.fem.energy import inverse_root_function, soften_function
+from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import LANES, ElementSize, scratch
+from tissue_sim.fem.taichi.scratch import LANES, ElementSize, get_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
@@ -57,10 +57,10 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.nodes, element.pressure_modes, element.quadrature[1].size
-    s = scratch(LANES, SCRATCH)
+    s = get_scratch_field(LANES, SCRATCH)
     stress_and_tangent = point.function(energy)
-    inverse_root, cofactor = inverse_root_function(), point.cofactor_function()
-    soften, relax = soften_function(9), point.relax_function()
+    inverse_cube_root, cofactor = make_inverse_cube_root_function(), point.cofactor_function()
+    apply_softening, relax = make_softening_function(9), point.relax_function()
     vec = ti.types.vector(LANES, ti.f64)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
@@ -75,7 +75,7 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
                  largest: ti.template(), stresses: ti.template(), energies: ti.template()):
         """Compute stress and dJ/dF of a point times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
-        W, P, T = stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
+        W, P, T = stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = cofactor(F)
         if remembers > 0.0:
             f = past[PastColumn.FACTOR]
@@ -85,8 +85,8 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
             P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
             if past[PastColumn.LOSS] != 0.0:
                 most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                P2, T2 = soften(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
-                                past[PastColumn.LOSS_SHARE], P1, T1)
+                P2, T2 = apply_softening(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
+                                         past[PastColumn.LOSS_SHARE], P1, T1)
                 for m in ti.static(range(9)):
                     P1[m] = P2[m]
                 for n in ti.static(range(45)):

@@ -10,7 +10,12 @@ Every function works on vectors, one point in each lane.
 from functools import cache
 from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import invariant_derivatives, packed_indices, stretch_derivatives, taichi_function
+from tissue_sim.fem.energy import (
+    make_invariant_derivatives,
+    make_stretch_derivatives,
+    make_taichi_expressions,
+    packed_symmetric_indices,
+)
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.public_names import LazyModule
@@ -21,7 +26,7 @@ else:
     sp = LazyModule("sympy")
 
 #: Row and column of every entry of a symmetric 9 x 9 tangent in packed storage.
-PACKED = packed_indices(9)
+PACKED = packed_symmetric_indices(9)
 #: Index of entry (m, n) in packed storage.
 PLACE = tuple(tuple(PACKED.index((max(m, n), min(m, n))) for n in range(9)) for m in range(9))
 #: Rows and columns of the components of a symmetric tensor.
@@ -51,7 +56,7 @@ def _isochoric_chain():
 
     The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
     """
-    return taichi_function(_isochoric_derivatives, ("solid chain",), __file__)
+    return make_taichi_expressions(_isochoric_derivatives, ("solid chain",), __file__)
 
 
 def _isochoric_derivatives():
@@ -138,7 +143,7 @@ def _make_invariant_function(energy: KernelEnergy):
     ti = initialise()
     count = energy.count
 
-    derivatives = invariant_derivatives(energy)
+    derivatives = make_invariant_derivatives(energy)
     chain = _isochoric_chain()
     cofactor = cofactor_function()
 
@@ -191,7 +196,7 @@ def _make_stretch_function(energy: KernelEnergy):
     ti = initialise()
     count = energy.count
 
-    derivatives = stretch_derivatives(energy)
+    derivatives = make_stretch_derivatives(energy)
 
     @ti.func
     def stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):

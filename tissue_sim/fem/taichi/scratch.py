@@ -31,7 +31,7 @@ class ElementSize:
     modes: int
 
 
-def scratch(lanes: int, size: int):
+def get_scratch_field(lanes: int, size: int):
     """Return the field; a kernel may use its first `size` vectors while the kernel runs.
 
     Args:
