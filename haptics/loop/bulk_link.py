@@ -225,7 +225,7 @@ class BulkProcess:
 
     def send(self, state: ContactState) -> None:
         """Write a state to the shared file of states, without waiting."""
-        self._states.write(state.pack().tobytes())
+        self._states.write(state.pack_to_array().tobytes())
 
     def receive(self, now: float) -> CondensedContact | None:
         """Read the next piece of a model; return the model when it is complete, a newer correction, or None."""
@@ -270,7 +270,7 @@ class BulkProcess:
         if self._check != checksum or models.head(number) != (length, checksum):
             return None  # the slot was overwritten during reading: start again
         self._received, self._buffers = number, self._buffers[::-1]
-        return CondensedContact.unpack(np.frombuffer(self._buffers[1], count=length // 8))
+        return CondensedContact.unpack_from_array(np.frombuffer(self._buffers[1], count=length // 8))
 
     def _receive_correction(self) -> CondensedContact | None:
         """Return a model with a later state of the bulk and the tangent of the last complete model, or None."""
@@ -281,7 +281,7 @@ class BulkProcess:
         if newest is None:
             return None
         self._corrected, content = newest
-        return CondensedContact.unpack(np.frombuffer(content), self._model)
+        return CondensedContact.unpack_from_array(np.frombuffer(content), self._model)
 
     def set_material(self, material: Material, number: int) -> None:
         """Send a material and its number to the process."""

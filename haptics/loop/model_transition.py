@@ -11,7 +11,7 @@ import numpy as np
 from haptics.loop.broyden_correction import BroydenCorrection
 from haptics.loop.linearisation_error import LinearisationError
 from tissue_sim.fem.condensed.model import CondensedContact
-from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
+from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
 from tissue_sim.pose import Pose, Screw, added, motion, scaled
 from tissue_sim.tool_force import Matrix
 
@@ -67,10 +67,10 @@ class ModelTransition:
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
         measured from the last pose in the air, or from its own pose if this is in the air and nearer.
         """
-        distance = self._stepper.distance(motion(model.pose, pose))
+        distance = self._stepper.max_travel(motion(model.pose, pose))
         if model.has_contact:
             return distance
-        from_air = self._stepper.distance(motion(self.free, pose))
+        from_air = self._stepper.max_travel(motion(self.free, pose))
         return min(distance, from_air) if self.is_near_surface(model.pose) else from_air
 
     def is_near_surface(self, pose: Pose) -> bool:
@@ -80,7 +80,8 @@ class ModelTransition:
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
-    def take_over(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose, after: ContactStep) -> None:
+    def take_over(self, before: ContactStepResult, old: CondensedContact, last: Pose, pose: Pose,
+                  after: ContactStepResult) -> None:
         """Continue the wrench of the old model; the difference to the new model becomes an offset.
 
         Args:
@@ -135,7 +136,7 @@ class ModelTransition:
             force, torque = self.offset[:3], self.offset[3:]
             self.offset = _shorten(force, TRANSITION.force_step) + _shorten(torque, TRANSITION.torque_step)
 
-    def answer(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
+    def answer(self, step: ContactStepResult, pose: Pose) -> tuple[Screw, Matrix]:
         """Return wrench and stiffness of a step on the newest model with offset and Broyden correction."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
@@ -143,7 +144,7 @@ class ModelTransition:
             stiffness = self._correction.corrected_stiffness(stiffness)
         return added(wrench, self.offset), stiffness
 
-    def error(self, step: ContactStep, pose: Pose, age: float) -> tuple[float, float]:
+    def error(self, step: ContactStepResult, pose: Pose, age: float) -> tuple[float, float]:
         """Return the estimated error of the wrench of a step, and the error that decides its status, N.
 
         Both are errors of the force, or of the torque divided by the contact radius if larger. The first is infinite
@@ -174,9 +175,9 @@ class ModelTransition:
         model = self._newest
         if not model.has_contact:
             return 0.0
-        distance = self._stepper.distance(motion(model.tangent_pose, model.pose))
+        distance = self._stepper.max_travel(motion(model.tangent_pose, model.pose))
         if self.is_near_surface(model.tangent_pose):
-            distance = min(distance, self._stepper.distance(motion(self.free, model.pose)))
+            distance = min(distance, self._stepper.max_travel(motion(self.free, model.pose)))
         return distance
 
     @property

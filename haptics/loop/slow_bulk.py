@@ -29,7 +29,7 @@ from tissue_sim.fem.condensed.model import (
     CondensedContact,
     ContactState,
     ContactSurface,
-    max_packed_size,
+    max_packed_linearisation_size,
 )
 from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
 from tissue_sim.material.material import Material
@@ -106,7 +106,7 @@ def serve(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         return
     pattern = _take_snapshot(bulk, first)
-    whole, part = (8 * max_packed_size(bulk.surface, is_whole) for is_whole in (True, False))
+    whole, part = (8 * max_packed_linearisation_size(bulk.surface, is_whole) for is_whole in (True, False))
     with (SlotWriter(models_path, KIND_MODEL, SLOTS.count, whole) as models,
           SlotWriter(corrections_path, KIND_CORRECTION, SLOTS.count, part) as corrections,
           SnapshotBoard(surface_path, pattern) as board):
@@ -139,11 +139,11 @@ def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisat
             continue
         began = time.monotonic()
         seen, content = newest
-        model = predictive.linearise(ContactState.unpack(np.frombuffer(content)), lead, serves)
+        model = predictive.linearise(ContactState.unpack_from_array(np.frombuffer(content)), lead, serves)
         if model is None:
             time.sleep(BULK_PROCESS.idle_sleep)  # no linearisation at this state: wait for the next state
             continue
-        (models if model.has_own_tangent else corrections).write(model.pack().tobytes())
+        (models if model.has_own_tangent else corrections).write(model.pack_to_array().tobytes())
         now = time.monotonic()
         lead = PREDICTION.lead_factor * (now - began)
         if model.has_own_tangent:

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from tissue_sim.fem.condensed.flat_contact import FlatContact
+from tissue_sim.fem.condensed.flat_contact import TangentPlaneContact
 from tissue_sim.fem.condensed.tables import (
     LIST_COLUMNS,
     LOCAL_COLUMNS,
     NODE_COLUMNS,
     SETTING_COUNT,
     STATE_COLUMNS,
+    KernelSetting,
     ListColumn,
     LocalColumn,
     NodeColumn,
-    Setting,
     StateColumn,
 )
 from tissue_sim.fem.contact_settings import Bond
@@ -43,7 +43,7 @@ def tissue(seed, soft, coefficient, friction_of_all=True):
     local[:, LocalColumn.FRICTION] = coefficient if friction_of_all else coefficient * (np.arange(NODES) % 2)
     lists[:, ListColumn.NODE] = np.arange(NODES)
     settings, states = np.zeros(SETTING_COUNT), np.zeros((NODES, STATE_COLUMNS), dtype=np.int32)
-    settings[Setting.COUNT], states[:, StateColumn.BOND] = NODES, Bond.TOUCHED
+    settings[KernelSetting.COUNT], states[:, StateColumn.BOND] = NODES, Bond.TOUCHED
     return {"settings": settings, "states": states, "carried": np.zeros((NODES, NODE_COLUMNS)), "lists": lists,
             "local": local, "compliance": compliance}
 
@@ -53,7 +53,7 @@ def tissue(seed, soft, coefficient, friction_of_all=True):
 @pytest.mark.parametrize("seed", range(4))
 def test_forces_fulfil_the_conditions_of_contact(seed, coefficient, soft):
     arrays = tissue(seed, soft, coefficient, friction_of_all=seed % 2 == 0)
-    assert FlatContact(arrays, 1.0, 1e-9).solve(1e-10)
+    assert TangentPlaneContact(arrays, 1.0, 1e-9).solve_contact_forces(1e-10)
     local, states = arrays["local"], arrays["states"]
     forces = arrays["carried"][:, NodeColumn.FORCE:NodeColumn.FORCE + 3]
     normals = local[:, LocalColumn.NORMAL:LocalColumn.NORMAL + 3]

@@ -83,8 +83,8 @@ class DampedStepSolver(Protocol):
         """Return to a saved state."""
 
 
-def creep(solver: DampedStepSolver, depth: float, dt: float, tolerance: float, max_iterations: int,
-          allowed: Callable[[], int] | None = None) -> Generator[Step]:
+def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tolerance: float, max_iterations: int,
+                         allowed: Callable[[], int] | None = None) -> Generator[Step]:
     """Yield the steps of the continuation to a depth; the last one has converged without damping.
 
     The first step is damped towards the extrapolated motion of the tissue, the others towards the last state. If the

@@ -1,7 +1,7 @@
 """Layout of the scratch field in which a kernel stores intermediate results of the batch that it evaluates."""
 
-from tissue_sim.fem.taichi import get_scratch_field as shared
-from tissue_sim.fem.taichi.get_scratch_field import LANES, ElementSize
+from tissue_sim.fem.taichi import scratch as shared
+from tissue_sim.fem.taichi.scratch import LANES, ElementSize
 
 #: Size of the largest element.
 _LARGEST = ElementSize(nodes=9, points=9, modes=3)

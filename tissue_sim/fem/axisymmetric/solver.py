@@ -10,13 +10,13 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactSpanColumn
-from tissue_sim.fem.axisymmetric.creep import creep
+from tissue_sim.fem.axisymmetric.creep import iterate_damped_steps
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels
 from tissue_sim.fem.axisymmetric.state import SavedState
-from tissue_sim.fem.axisymmetric.surface import DeformedSurface, deformed_surface
+from tissue_sim.fem.axisymmetric.surface import DeformedSurface, extract_deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bind_points_reached_early, place_at_first_touch
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.inertia import Motion
@@ -176,7 +176,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
               allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Step to a depth (m), or to that of a pose, with decreasing artificial damping; see `Solver.creep`."""
-        return creep(self, depth_of(pose), dt, tolerance, max_iterations, allowed)
+        return iterate_damped_steps(self, depth_of(pose), dt, tolerance, max_iterations, allowed)
 
     def follow_motion(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
@@ -350,7 +350,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def deformed_surface(self) -> DeformedSurface:
         """Return the surface at the last committed state, with z relative to the height of the first touch."""
-        return deformed_surface(self.mesh, self.state, self.datum)
+        return extract_deformed_surface(self.mesh, self.state, self.datum)
 
     def report(self) -> dict[str, Any]:
         """Return the metadata of recordings about the solver; see `Solver.report`."""

@@ -45,7 +45,7 @@ class DeformedSurface:
         return np.concatenate([centre, rings]), np.concatenate([fan, quads + 1])
 
 
-def deformed_surface(mesh: Mesh, state: np.ndarray, datum: float) -> DeformedSurface:
+def extract_deformed_surface(mesh: Mesh, state: np.ndarray, datum: float) -> DeformedSurface:
     """Return the surface of a mesh in a solver state, with z relative to the height of the first touch, m (datum)."""
     top, side = mesh.sets["top"], mesh.sets["side"]
     order = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])

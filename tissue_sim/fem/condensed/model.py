@@ -123,16 +123,16 @@ class CondensedContact:
 
     @property
     def has_own_tangent(self) -> bool:
-        """Whether the linearisation has a new tangent; otherwise it shares the tangent of `base`."""
+        """Whether the linearisation has its own tangent; otherwise its tangent is that of linearisation `base`."""
         return self.base == self.number
 
     @property
     def holds_tissue(self) -> bool:
-        """Whether tissue is bonded to the tool."""
+        """Whether tissue is bonded to the tool, so that `stiffness` is nonzero."""
         return bool(self.stiffness.any())
 
-    def pack(self) -> np.ndarray:
-        """Pack the linearisation in one array of numbers."""
+    def pack_to_array(self) -> np.ndarray:
+        """Return the linearisation as one array of numbers, for `unpack_from_array`."""
         n = len(self.nodes)
         head = (self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
                 self.material, self.has_contact, *self.pose.position, *self.pose.orientation)
@@ -144,11 +144,11 @@ class CondensedContact:
         return np.concatenate(own)
 
     @classmethod
-    def unpack(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
-        """Return the linearisation from an array of `pack`.
+    def unpack_from_array(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
+        """Return the linearisation that `pack_to_array` packed.
 
         Args:
-            numbers: array of `pack`; the arrays of the result are views of this array.
+            numbers: array of `pack_to_array`; the arrays of the result are views of this array.
             base: a linearisation with the same tangent, needed if the packed one has no own tangent.
 
         Returns:
@@ -158,7 +158,7 @@ class CondensedContact:
         number, base_number, epoch, time, count, reach, modulus, residual, material, has_contact, *pose = head
         n, rest = int(count), numbers[_MODEL_HEAD:]
         own = {"number": int(number), "base": int(base_number), "epoch": int(epoch), "time": time,
-               "pose": _make_pose(pose), "wrench": rest[:6],
+               "pose": _build_pose(pose), "wrench": rest[:6],
                "free_displacement": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach, "modulus": modulus,
                "residual": residual, "material": int(material), "has_contact": bool(has_contact)}
         if number != base_number:
@@ -166,14 +166,14 @@ class CondensedContact:
         tangent, nodes, stiffness, tool_coupling, compliance = np.split(
             rest[6 + 3 * n :], np.cumsum([_TANGENT_HEAD, n, 36, 18 * n]))
         tangent_time, *tangent_pose = tangent.tolist()
-        return cls(tangent_time=tangent_time, tangent_pose=_make_pose(tangent_pose), nodes=nodes.astype(np.intp),
+        return cls(tangent_time=tangent_time, tangent_pose=_build_pose(tangent_pose), nodes=nodes.astype(np.intp),
                    stiffness=stiffness.reshape(6, 6),
                    tool_coupling=tool_coupling.reshape(3 * n, 6),
                    compliance=compliance.reshape(3 * n, 3 * n), **own)
 
 
-def max_packed_size(surface: ContactSurface, whole: bool = True) -> int:
-    """Return the largest size of a packed `CondensedContact`.
+def max_packed_linearisation_size(surface: ContactSurface, whole: bool = True) -> int:
+    """Return the largest number of entries of a packed `CondensedContact`.
 
     Args:
         surface: constants of the contact.
@@ -212,23 +212,23 @@ class ContactState:
     states: np.ndarray
     touched: bool = True
 
-    def pack(self) -> np.ndarray:
-        """Pack the state in one array of numbers."""
+    def pack_to_array(self) -> np.ndarray:
+        """Return the state as one array of numbers, for `unpack_from_array`."""
         head = (self.model, self.epoch, self.touched, self.time, *self.pose.position, *self.pose.orientation,
                 self.earlier, *self.before.position, *self.before.orientation)
         return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.states.ravel()])
 
     @classmethod
-    def unpack(cls, numbers: np.ndarray) -> ContactState:
-        """Return the state from an array of `pack`."""
+    def unpack_from_array(cls, numbers: np.ndarray) -> ContactState:
+        """Return the state that `pack_to_array` packed."""
         model, epoch, touched, time, *poses = numbers[:_STATE_HEAD].tolist()
         forces, anchors, states = np.split(numbers[_STATE_HEAD:], 3)
-        return cls(int(model), int(epoch), time, _make_pose(poses[:7]), poses[7], _make_pose(poses[8:]),
+        return cls(int(model), int(epoch), time, _build_pose(poses[:7]), poses[7], _build_pose(poses[8:]),
                    forces.reshape(-1, 3), anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
 
 
 def packed_state_size(surface: ContactSurface) -> int:
-    """Return the size of a packed `ContactState` of a surface."""
+    """Return the number of entries of a packed `ContactState` of a surface."""
     return _STATE_HEAD + 9 * len(surface.places)
 
 
@@ -236,8 +236,8 @@ def packed_state_size(surface: ContactSurface) -> int:
 Executor = Callable[[Callable[[], None]], Callable[[], bool]]
 
 
-def run_now(compute: Callable[[], None]) -> Callable[[], bool]:
-    """Run a computation before the return: the synchronous `Executor`."""
+def run_synchronously(compute: Callable[[], None]) -> Callable[[], bool]:
+    """Run a computation at once; synchronous `Executor`, whose result reports a complete computation."""
     compute()
     return lambda: True
 
@@ -253,7 +253,7 @@ class BulkLinearisation(Protocol):
 
     @property
     def surface(self) -> ContactSurface:
-        """Constants of the contact between tissue and tool."""
+        """Nodes of the tissue surface and shape of the tool, constant during the simulation."""
 
     def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
         """Advance Newton's iteration of the bulk with the contact forces, and return its linearisation.
@@ -290,6 +290,6 @@ LINEARISATIONS: Registry[LinearisationMaker] = Registry(
     "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_linearisation"})
 
 
-def _make_pose(numbers: list[float]) -> Pose:
+def _build_pose(numbers: list[float]) -> Pose:
     x, y, z, a, b, c, d = numbers
     return Pose((x, y, z), (a, b, c, d))

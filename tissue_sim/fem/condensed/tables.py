@@ -5,7 +5,7 @@ from enum import IntEnum
 from tissue_sim.fem.taichi.scratch import LANES, VECTORS
 
 
-class Setting(IntEnum):
+class KernelSetting(IntEnum):
     """Indices of `settings`: inputs of the contact kernel, and the switches that the kernel resets.
 
     Attributes:
@@ -44,10 +44,10 @@ class Setting(IntEnum):
 
 
 #: Size of `settings`.
-SETTING_COUNT = Setting.STEP + 6
+SETTING_COUNT = KernelSetting.STEP + 6
 
 
-class Result(IntEnum):
+class KernelResult(IntEnum):
     """Indices of `results`: outputs of one iteration of the contact kernel.
 
     Attributes:
@@ -72,7 +72,7 @@ class Result(IntEnum):
 
 
 #: Size of `results`.
-RESULT_COUNT = len(Result)
+RESULT_COUNT = len(KernelResult)
 
 
 # Taichi takes 0.3 us for each array argument when a kernel starts, so the data of the nodes are packed in few arrays.
@@ -139,7 +139,7 @@ class ListColumn(IntEnum):
         ACTIVE: list of the nodes in the linear equations.
         LOADED: list of the nodes that carry a force.
         NEAR: list of the nodes near the tool.
-        UNKNOWN: list of the nodes in the equations of a `FlatContact`.
+        UNKNOWN: list of the nodes in the equations of a `TangentPlaneContact`.
         FIRST_ROW: first equation of each node of `UNKNOWN`.
         ROWS: number of equations of each node of `UNKNOWN`.
     """

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_now
+from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_synchronously
 from tissue_sim.fem.contact_settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import library
 from tissue_sim.fem.solid.bodies import Body, nearest
@@ -102,7 +102,7 @@ class SolidLinearisation:
         # Whether the tangent in use belongs to an earlier iterate.
         self._stale = False
         self._settles = np.zeros(solver._free.size)  # first half of a solution, see `CondensedTangent.begin`
-        self.executor: Executor = run_now
+        self.executor: Executor = run_synchronously
         self.residual = 0.0
 
     def _describe(self, candidates: int) -> ContactSurface:
@@ -199,7 +199,7 @@ class SolidLinearisation:
             pose = solver.pose if self._holds else state.pose
             if not self._assemble_forces(True):
                 continue
-            self._begin(state, pose, ahead, run_now)
+            self._begin(state, pose, ahead, run_synchronously)
             if self._change_tangent(state, pose, ahead):
                 self._stale = False
                 self._settle()
