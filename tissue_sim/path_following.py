@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
-from tissue_sim.fem.solver import OwnStiffness, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Solver, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
 from tissue_sim.path_settings import PATH
@@ -242,8 +242,8 @@ class ToolPathMixin:
             solves, residual = solves + step.iterations, step.residual
             # The static stiffness takes one answer, computed or not; a reserved solve is not part of the allowance.
             allowance.subtract_solves(
-                step.iterations, 1 + (weighs and asks is OwnStiffness.IF_LEFT and step.iterations < allowed))
-            if not step.found_own_stiffness:
+                step.iterations, 1 + (weighs and asks is StaticStiffnessRequest.IF_LEFT and step.iterations < allowed))
+            if not step.has_static_and_step_stiffness:
                 self._clock.update_estimate(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
                 continue
@@ -327,14 +327,16 @@ class ToolPathMixin:
             return PATH.straightness * self._largest_part
         return math.inf
 
-    def _choose_stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
+    def _choose_stiffness_request(self, allowance: Allowance, allowed: int) -> StaticStiffnessRequest:
         """Decide whether a part of at most `allowed` linear solves also computes the static stiffness."""
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
-            return OwnStiffness.OMITTED
+            return StaticStiffnessRequest.OMITTED
         if age >= PATH.reserved_after * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
-            return OwnStiffness.RESERVED
-        return OwnStiffness.IF_LEFT if allowance.count_fitting_solves(answers=2) > 0 else OwnStiffness.OMITTED
+            return StaticStiffnessRequest.RESERVED
+        if allowance.count_fitting_solves(answers=2) > 0:
+            return StaticStiffnessRequest.IF_LEFT
+        return StaticStiffnessRequest.OMITTED
 
     @property
     def _counts_mass(self) -> bool:

@@ -24,7 +24,7 @@ import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
 from haptics.loop.bulk_link import DelayedBulk
 from haptics.loop.multirate import MultiRateTissue
-from tissue_sim.fem.linear.sparse import SparseSolver, library
+from tissue_sim.fem.linear.sparse import SparseSolver, sparse_library_name
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.fem.solver import StepStatus
@@ -161,8 +161,8 @@ def main() -> None:
     for size in options.sizes[:1] if options.quick else options.sizes:
         exact = synchronous(size, poses)
         rows += [two_rates(size, *delays, poses, exact) for delays in DELAYS]
-    show(about("multirate", ("pypardiso",) if library() == "pardiso" else ()) | {
-        "library": library(), "costs_s": costs, "drag": rows}, draw, as_json=options.json)
+    show(about("multirate", ("pypardiso",) if sparse_library_name() == "pardiso" else ()) | {
+        "library": sparse_library_name(), "costs_s": costs, "drag": rows}, draw, as_json=options.json)
 
 
 def draw(result: dict, console) -> None:

@@ -5,8 +5,8 @@ import pytest
 from scipy.linalg import solve_banded, solveh_banded
 
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.linear.cholesky import cholesky_functions
-from tissue_sim.fem.linear.lu import lu_functions
+from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -14,7 +14,8 @@ def kernels(functions: band.Factorisation):
     """A kernel that completes a symmetric matrix, adds entries (row, column, value) to it and factorises it from one
     block row on, and one that solves."""
     ti = initialise()
-    complete, mirror, add_any = band.complete_function(), band.mirror_function(), band.add_any_function()
+    complete, mirror = band.make_fill_diagonal_blocks_function(), band.make_copy_lower_to_upper_function()
+    add_any = band.make_add_unsymmetric_entry_function()
     init, solve = functions
     block = ti.types.vector(band.BLOCK, ti.f64)
     blocks, entries, inverses, vectors = (
@@ -46,12 +47,12 @@ def kernels(functions: band.Factorisation):
 
 @pytest.fixture(scope="module")
 def lu():
-    return kernels(lu_functions())
+    return kernels(make_lu_functions())
 
 
 @pytest.fixture(scope="module")
 def cholesky():
-    return kernels(cholesky_functions())
+    return kernels(make_cholesky_functions())
 
 
 def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0, later: np.ndarray | None = None):
@@ -59,7 +60,7 @@ def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0,
     entries (row, column, value), and others `later`, after a first factorisation; and whether it was good. All entries
     that are not symmetric stand in the block row `skewed` and column or behind."""
     run_init, run_solve = functions
-    size, blocks = lower.shape[1], band.pack(lower)
+    size, blocks = lower.shape[1], band.pack_band_blocks(lower)
     rows, width = blocks.shape[:2]
     # Entries that must not be read are NaN.
     upper, factor, upper_factor = np.full((3, *blocks.shape), np.nan)
@@ -144,14 +145,14 @@ def test_entries_that_come_later_cost_the_rows_behind_them(lu, size, half_band, 
     for each in (added, more):
         np.add.at(matrix, tuple(each[:, :2].astype(int).T), each[:, 2])
     assert good
-    np.testing.assert_allclose(solution(right), np.linalg.solve(matrix, right), rtol=1e-11, atol=1e-13)
+    np.testing.assert_allclose(solution(right), np.linalg.solve_band(matrix, right), rtol=1e-11, atol=1e-13)
 
 
 def test_symmetric_matrix_is_the_case_without_entries(lu):
     symmetric, _, right = problem(50, 12, 1)
     x, good = solved(lu, symmetric, 12, np.zeros((0, 3)), right)
     assert good
-    np.testing.assert_allclose(x, np.linalg.solve(symmetric, right), rtol=1e-12)
+    np.testing.assert_allclose(x, np.linalg.solve_band(symmetric, right), rtol=1e-12)
 
 
 def test_entries_beyond_the_equations_are_left_out(lu):
@@ -160,7 +161,7 @@ def test_entries_beyond_the_equations_are_left_out(lu):
     outside = np.array([[20.0, 3.0, 1e9], [3.0, 20.0, 1e9], [25.0, 25.0, 1e9]])
     x, good = solved(lu, symmetric, 6, outside, right)
     assert good
-    np.testing.assert_allclose(x, np.linalg.solve(symmetric, right), rtol=1e-12)
+    np.testing.assert_allclose(x, np.linalg.solve_band(symmetric, right), rtol=1e-12)
 
 
 @pytest.mark.parametrize("pivot", [0.0, np.nan])
@@ -180,7 +181,7 @@ def test_an_indefinite_matrix_is_factorised(lu):
     assert np.linalg.eigvals(matrix).real.min() < 0
     x, good = solved(lu, symmetric, 9, added, right)
     assert good
-    np.testing.assert_allclose(x, np.linalg.solve(matrix, right), rtol=1e-9)
+    np.testing.assert_allclose(x, np.linalg.solve_band(matrix, right), rtol=1e-9)
 
 
 @pytest.mark.parametrize(("size", "half_band"), [(37, 5), (64, 8), (1, 0), (200, 44), (150, 149)])
@@ -190,7 +191,7 @@ def test_cholesky_against_lapack(cholesky, size, half_band):
     lower[0] = 3 * half_band + 1
     for d in range(1, half_band + 1):
         lower[d, size - d:] = 0
-    np.testing.assert_array_equal(band.unpack(band.pack(lower), size, half_band), lower)
+    np.testing.assert_array_equal(band.unpack_band_blocks(band.pack_band_blocks(lower), size, half_band), lower)
     solution, good = factorised(cholesky, lower, np.zeros((0, 3)))
     assert good
     for right in rng.normal(size=(2, size)):

@@ -16,7 +16,7 @@ from tissue_sim.fem.condensed.tables import (
     NodeColumn,
     StateColumn,
 )
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.contact_settings import ContactBond
 
 NODES = 40
 
@@ -43,7 +43,7 @@ def tissue(seed, soft, coefficient, friction_of_all=True):
     local[:, LocalColumn.FRICTION] = coefficient if friction_of_all else coefficient * (np.arange(NODES) % 2)
     lists[:, ListColumn.NODE] = np.arange(NODES)
     settings, states = np.zeros(SETTING_COUNT), np.zeros((NODES, STATE_COLUMNS), dtype=np.int32)
-    settings[KernelSetting.COUNT], states[:, StateColumn.BOND] = NODES, Bond.TOUCHED
+    settings[KernelSetting.COUNT], states[:, StateColumn.BOND] = NODES, ContactBond.TOUCHED
     return {"settings": settings, "states": states, "carried": np.zeros((NODES, NODE_COLUMNS)), "lists": lists,
             "local": local, "compliance": compliance}
 

@@ -11,7 +11,7 @@ STICK = -1.0
 ALL_POINTS = 1_000_000
 
 
-class Bond(IntEnum):
+class ContactBond(IntEnum):
     """Bond of a contact point of the tissue to a rigid body.
 
     Attributes:

@@ -32,7 +32,7 @@ class FreeTool:
 
     def identity(self) -> str:
         """Digest of what a saved state belongs to: the undeformed mesh."""
-        return digest(getattr(self.mesh, "nodes", None), getattr(self.mesh, "connectivity", None))
+        return digest_arrays(getattr(self.mesh, "nodes", None), getattr(self.mesh, "connectivity", None))
 
     def height_above(self, pose: Pose) -> float:
         """Distance that the tool must go down from a pose until it touches the undeformed tissue.
@@ -91,7 +91,7 @@ class FreeTool:
         """Set the velocity of the tissue to zero."""
 
 
-def digest(*arrays: np.ndarray | None) -> str:
+def digest_arrays(*arrays: np.ndarray | None) -> str:
     """Hexadecimal digest of the contents of arrays; "" if there are none."""
     known = [array for array in arrays if array is not None]
     found = hashlib.blake2b(digest_size=16)

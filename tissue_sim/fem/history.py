@@ -11,7 +11,7 @@ from tissue_sim.material.viscoelasticity import Prony
 
 
 class PastColumn(IntEnum):
-    """Columns of `Memory.past`, the numbers of the history that are equal at all points."""
+    """Columns of `MaterialMemory.past`, the numbers of the history that are equal at all points."""
 
     #: Instantaneous stress over the stress of the law, 1.
     FACTOR = 0
@@ -23,7 +23,7 @@ class PastColumn(IntEnum):
     LOSS_SHARE = 4
 
 
-class Memory:
+class MaterialMemory:
     """Hereditary stresses and the largest energy density so far; arrays that the kernel of a step reads and writes.
 
     The recursion is that of `tissue_sim.material.viscoelasticity`: the stress of the law is linear in time within a
@@ -66,9 +66,9 @@ class Memory:
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
             self.inherited[:] = 0.0
-        self.prepare(0.0)
+        self.prepare_step(0.0)
 
-    def prepare(self, dt: float) -> None:
+    def prepare_step(self, dt: float) -> None:
         """Set the length of the next step, dt in s: 0 for a sudden step, infinity for the relaxed state."""
         self.dt = dt
         if self._prony is None:
@@ -97,7 +97,7 @@ class Memory:
             self.before[:] = self.stresses
         np.maximum(self.largest, self.energies, out=self.largest)
 
-    def total(self) -> np.ndarray:
+    def total_stress(self) -> np.ndarray:
         """Return the isochoric stress of the last committed step with relaxation, Pa, shape (elements, q, components).
 
         The second Piola-Kirchhoff stress is (1 - sum g) S + sum Q_i.

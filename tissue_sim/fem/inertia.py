@@ -31,7 +31,7 @@ class StepRatios:
 _RATIOS = StepRatios()
 
 
-class Motion:
+class InertialMotion:
     """Velocity of the degrees of freedom at the last equilibrium, m/s, and the history that BDF2 needs.
 
     Args:
@@ -51,7 +51,7 @@ class Motion:
         self._before = np.zeros(1)
         self._weights = (1.0, -1.0, 0.0)
 
-    def prepare(self, state: np.ndarray, dt: float) -> float:
+    def prepare_step(self, state: np.ndarray, dt: float) -> float:
         """Compute `rest` for an inertial step.
 
         Args:
@@ -109,11 +109,12 @@ class Motion:
         self._earlier_place[:] = before[:size]
         self._before[:] = dt
 
-    def ahead(self, state: np.ndarray, dt: float, mass: np.ndarray, direction: np.ndarray) -> tuple[
+    def predict_inertial_force_change(self, state: np.ndarray, dt: float, mass: np.ndarray,
+                                      direction: np.ndarray) -> tuple[
             np.ndarray, np.ndarray]:
         """Predict the change of the inertial forces in a next step without motion, after a committed inertial step.
 
-        The next step must call `prepare` again.
+        The next step must call `prepare_step` again.
 
         Args:
             state: committed state, displacements first, m.
@@ -126,18 +127,18 @@ class Motion:
             Change of the inertial force along each motion, N, shape () or (n,); change of its stiffness, N/m, shape ()
             or (n, n).
         """
-        rate = self.prepare(state, dt)
+        rate = self.prepare_step(state, dt)
         change, weighted = self._scratch, mass * direction.T
         np.subtract(state[: change.size], self._rest, out=change)
         change *= rate
         change -= self._acceleration
         return weighted @ change, weighted @ direction * (rate - self._rate)
 
-    def restart(self) -> None:
+    def restart_at_first_order(self) -> None:
         """Make the next step of first order: second-order differences across an impact are not valid."""
         self._before[:] = 0.0
 
-    def stop(self) -> None:
+    def reset_velocity(self) -> None:
         """Set the velocity of all degrees of freedom to zero."""
         self.velocity[:], self._before[:] = 0.0, 0.0
 

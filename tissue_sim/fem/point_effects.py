@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from tissue_sim.errors import InputError, located
-from tissue_sim.fem.taichi.trace import TRIED, Formula, traced
+from tissue_sim.fem.taichi.trace import TRIED, Formula, trace_values
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Longest time step that is passed to a formula, s, because kernels have no infinity.
@@ -30,9 +30,9 @@ class PointEffects:
         self._points = points
         self.formulas: tuple[Formula[PointEffect], ...] = ()
         self.settings = np.zeros(1)
-        self._allocate(())
+        self._allocate_states(())
 
-    def _allocate(self, rest: tuple[float, ...]) -> None:
+    def _allocate_states(self, rest: tuple[float, ...]) -> None:
         # Without effects the kernel does not read the arrays.
         shape = (*self._points, len(rest) + 4) if self.formulas else (1, 1, 1)
         self.states = np.zeros(shape)
@@ -46,12 +46,12 @@ class PointEffects:
             InputError: a kernel cannot execute a formula, or a formula returns other shapes than required.
         """
         points = [effect for effect in effects if isinstance(effect, PointEffect)]
-        formulas = tuple(Formula.of(effect) for effect in points)
+        formulas = tuple(Formula.from_instance(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
-                require_formula(formula)
+                require_valid_formula(formula)
             self.formulas = formulas
-            self._allocate(tuple(value for effect in points for value in effect.rest))
+            self._allocate_states(tuple(value for effect in points for value in effect.rest))
         numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
         settings = np.array([0.0, *chain.from_iterable(numbers)])
         if settings.shape == self.settings.shape:
@@ -59,7 +59,7 @@ class PointEffects:
         else:
             self.settings = settings
 
-    def prepare(self, dt: float) -> None:
+    def prepare_step(self, dt: float) -> None:
         """Set the length of the next step, dt in s."""
         self.settings[0] = min(dt, LONGEST)
 
@@ -69,20 +69,21 @@ class PointEffects:
             self.states[:] = self.found
 
     @property
-    def stress(self) -> np.ndarray:
+    def total_stress(self) -> np.ndarray:
         """Sum of the stresses of all effects at the last committed step, Pa, shape (elements, q, 4)."""
         return self.states[..., -4:]
 
 
-def require_formula(formula: Formula[PointEffect]) -> None:
+def require_valid_formula(formula: Formula[PointEffect]) -> None:
     """Execute a formula once outside of a kernel and check the shapes of its result.
 
     Raises:
         InputError: the formula uses an operation that kernels do not support, or returns other shapes.
     """
     kind, field = formula.kind, f"effects.{formula.kind.name}"
-    parameters = traced([TRIED] * len(formula.parameters), lanes=False)
-    C, state, (dt,) = traced([TRIED] * 6, True), traced([TRIED] * len(kind.rest), True), traced([TRIED], False)
+    parameters = trace_values([TRIED] * len(formula.parameters), lanes=False)
+    C, state, (dt,) = trace_values([TRIED] * 6,
+                                   True), trace_values([TRIED] * len(kind.rest), True), trace_values([TRIED], False)
     with located(field=field):
         stress, tangent, found = formula.bind(parameters).response(C, state, dt)
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)

@@ -59,7 +59,7 @@ class StepStatus(IntEnum):
         }[self]
 
 
-class OwnStiffness(IntEnum):
+class StaticStiffnessRequest(IntEnum):
     """Request for the static stiffness of the tissue, without its mass, after an inertial step; True is `IF_LEFT`."""
 
     #: The stiffness is not computed.
@@ -70,9 +70,9 @@ class OwnStiffness(IntEnum):
     RESERVED = 2
 
     @staticmethod
-    def is_due(request: int, has_left: bool) -> bool:
+    def is_stiffness_due(request: int, has_left: bool) -> bool:
         """Whether a converged step computes the stiffness, given whether a linear solve is left to the step."""
-        return request == OwnStiffness.RESERVED or (bool(request) and has_left)
+        return request == StaticStiffnessRequest.RESERVED or (bool(request) and has_left)
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ class Step:
         return self.wrench[2]
 
     @property
-    def found_own_stiffness(self) -> bool:
+    def has_static_and_step_stiffness(self) -> bool:
         """Whether this is an inertial step for which the static stiffness was computed as well."""
         return self.step_stiffness_matrix is not None and self.stiffness_matrix is not None
 
@@ -158,7 +158,7 @@ class ErrorEstimate:
     fraction: float
 
 
-class Derivatives(Protocol):
+class ForceDerivatives(Protocol):
     """Derivatives of the force along z with respect to material parameters, updated by each step of a solver.
 
     Attributes:
@@ -172,7 +172,7 @@ class Derivatives(Protocol):
 
 
 @runtime_checkable
-class SpatialDerivatives(Derivatives, Protocol):
+class ForceVectorDerivatives(ForceDerivatives, Protocol):
     """Derivatives of a solver that computes the force vector.
 
     Attributes:
@@ -238,7 +238,7 @@ class Solver(FreeTool, ABC):
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+             own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for equilibrium; the state is committed only if the step converges.
 
         Args:
@@ -250,7 +250,7 @@ class Solver(FreeTool, ABC):
             inertial: whether the mass of the tissue acts; requires `follow_motion` before, and dt > 0.
             resumes: continue Newton's iteration of the last step, which did not converge; dt counts from the last
                 converged step.
-            own_stiffness: whether an inertial step also computes the static stiffness; see `OwnStiffness`.
+            own_stiffness: whether an inertial step also computes the static stiffness; see `StaticStiffnessRequest`.
         """
 
     def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
@@ -337,7 +337,7 @@ class Solver(FreeTool, ABC):
         """
         return None
 
-    def differentiate(self, neighbours: Neighbours) -> Derivatives | None:
+    def differentiate(self, neighbours: Neighbours) -> ForceDerivatives | None:
         """Compute exact derivatives from now on, to be called before the first step; None if the solver has none."""
         return None
 

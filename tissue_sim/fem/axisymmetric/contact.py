@@ -153,8 +153,8 @@ class ContactPoints:
         face: numbers of the points under a face without slip of the tool.
         areas: surface area of each point, m2, shape (n,).
         springs: penalty stiffness of each point, N/m, shape (n,).
-        anchors: bond (a `tissue_sim.fem.contact_settings.Bond`) and anchor of each point at the last equilibrium;
-            the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
+        anchors: bond (a `tissue_sim.fem.contact_settings.ContactBond`) and anchor of each point at the last
+            equilibrium; the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
         initial: the same at the beginning of a step, with the bonds of points that the tool reaches in the step.
         held: the same during a step.
         met: the same after the step, if the step converges.

@@ -22,16 +22,16 @@ from typing import NamedTuple
 from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactRateColumn, ContactSpanColumn, FactorisedRateColumn
 from tissue_sim.fem.axisymmetric.contact_gap import make_closest_point_function
 from tissue_sim.fem.axisymmetric.contact_laws import make_contact_law_functions
-from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, Bond
+from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import Formula
 
-#: `Bond.FREE` as a float, because the kernels store bonds in arrays of floats.
-FREE = float(Bond.FREE)
-#: `Bond.HELD` as a float.
-HELD = float(Bond.HELD)
-#: `Bond.TOUCHED` as a float.
-TOUCHED = float(Bond.TOUCHED)
+#: `ContactBond.FREE` as a float, because the kernels store bonds in arrays of floats.
+FREE = float(ContactBond.FREE)
+#: `ContactBond.HELD` as a float.
+HELD = float(ContactBond.HELD)
+#: `ContactBond.TOUCHED` as a float.
+TOUCHED = float(ContactBond.TOUCHED)
 #: Settings of the active set; the kernels contain the values as constants.
 ACTIVE_SET = ActiveSetSettings(augmentation_factor=1e-3)
 #: Relative tolerance of Coulomb's friction cone, and of negligible friction.

@@ -8,7 +8,7 @@ import numpy as np
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import TRIED, Formula, expressions, traced
+from tissue_sim.fem.taichi.trace import TRIED, Formula, extract_expressions, trace_values
 
 
 class ContactLawFunctions(NamedTuple):
@@ -28,7 +28,7 @@ class ContactLawFunctions(NamedTuple):
 
 def pack_contact_law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
     """Return the settings of `traction`: contact area of the tool, m2, then reach (m) and parameters of each law."""
-    numbers = [[law.reach, *Formula.of(law).numbers(law)] for law in laws]
+    numbers = [[law.reach, *Formula.from_instance(law).numbers(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
 
@@ -46,7 +46,7 @@ def make_contact_law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> Con
 
     def build_traction_expressions(gap, pressure, slip, settings):
         values = _sum_law_tractions(formulas, [gap, pressure, slip], settings)
-        return expressions(values, traced([gap], lanes=False)[0])
+        return extract_expressions(values, trace_values([gap], lanes=False)[0])
 
     @ti.func
     def traction(gap, pressure, slip, settings: ti.template()):
@@ -57,7 +57,7 @@ def make_contact_law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> Con
 
 def _sum_law_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
     """Return normal and tangential traction, and their derivatives with gap and slip, summed over all laws."""
-    (gap, pressure, slip), (face, *numbers) = traced(place, lanes=False), traced(settings, lanes=False)
+    (gap, pressure, slip), (face, *numbers) = trace_values(place, lanes=False), trace_values(settings, lanes=False)
     total = [0.0] * 4
     for formula in formulas:
         reach, *parameters = numbers[: 1 + len(formula.parameters)]

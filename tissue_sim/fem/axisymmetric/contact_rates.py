@@ -13,7 +13,7 @@ from tissue_sim.fem.axisymmetric.contact import (
     ContactSpanColumn,
     FactorisedRateColumn,
 )
-from tissue_sim.fem.linear.band import BLOCK, add_any_function, add_entry_function
+from tissue_sim.fem.linear.band import BLOCK, make_add_lower_entry_function, make_add_unsymmetric_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
 
 #: A derivative counts as changed if it differs by more than this fraction of the penalty stiffness of its point.
@@ -34,7 +34,7 @@ class ContactRateFunctions(NamedTuple):
 def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
     """Return the functions; if `slips` is false, no contact point can slip and the matrix is symmetric."""
     ti = initialise()
-    add_entry, add_any = add_entry_function(), add_any_function()
+    add_lower_entry, add_unsymmetric_entry = make_add_lower_entry_function(), make_add_unsymmetric_entry_function()
 
     @ti.func
     def clear_factorised_rates(count, known: ti.template()):
@@ -101,9 +101,9 @@ def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
                                 value = share * (rates[i, e] - known[i, e])
                                 if ti.static(slips):
                                     if unsymmetric > 0:
-                                        add_any(row, column, value, free, width, entries, upper)
+                                        add_unsymmetric_entry(row, column, value, free, width, entries, upper)
                                 if unsymmetric == 0:
-                                    add_entry(row, column, value, free, width, entries)
+                                    add_lower_entry(row, column, value, free, width, entries)
                 for k in ti.static(range(4)):
                     known[i, k] = rates[i, k]
                 for k in ti.static(range(KNOWN_RATE_COLUMNS - FactorisedRateColumn.LAW_RR)):

@@ -22,7 +22,7 @@ from tissue_sim.fem.axisymmetric.numbering import number_equations
 from tissue_sim.fem.axisymmetric.reference import compute_reference_quadrature
 from tissue_sim.fem.axisymmetric.state import SolverState
 from tissue_sim.fem.axisymmetric.touch import bind_face_points_reached
-from tissue_sim.fem.history import Memory
+from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
@@ -69,7 +69,7 @@ class Equations:
         self.reference = reference = compute_reference_quadrature(mesh)
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
-        self.surface, self.memory = ContactPoints(mesh, contact), Memory(reference.weights.shape, 4)
+        self.surface, self.memory = ContactPoints(mesh, contact), MaterialMemory(reference.weights.shape, 4)
         self.effects = PointEffects(reference.weights.shape)
         self._allocate_tangent_arrays()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
@@ -92,7 +92,7 @@ class Equations:
             self.settings[newton.SettingIndex.CONTACT_TOLERANCE: newton.SettingIndex.INERTIA] = (
                 contact.tolerance, sum_pulls_at_touch(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
-        self._laws, self._law_settings = tuple(map(Formula.of, laws)), pack_contact_law_settings(laws, face)
+        self._laws, self._law_settings = tuple(map(Formula.from_instance, laws)), pack_contact_law_settings(laws, face)
         self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
         self.set_material(material)
         if start is not None:
@@ -102,7 +102,7 @@ class Equations:
 
     def _allocate_tangent_arrays(self) -> None:
         """Allocate the arrays of the matrix, its factorisation and the right-hand sides."""
-        rows, width = band.block_shape(self.free, self.half_band)
+        rows, width = band.band_block_shape(self.free, self.half_band)
         self.batches.compute_scatter_indices(self.mesh, self.equation, self.free, self.direction, (rows, width))
         # The last entry collects the values that belong to no equation.
         self._scattered = np.zeros(rows * width * band.BLOCK**2 + 1)
@@ -142,7 +142,7 @@ class Equations:
             kernel = newton.make_step_kernel(self.mesh.element.name, energy, self.surface.can_slip,
                                              self.effects.formulas, self._laws)
             arrays = self._step_kernel_arrays()
-            if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_of(kernel, arrays)):
+            if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_bound_to(kernel, arrays)):
                 self._kernel = BoundKernel(kernel, arrays)
         self.surface.set_penalty_stiffness(PENALTY.normal * material.mu0)
         # Forces of rounding errors, per m of depth and for the coordinates of the contact points.
@@ -187,10 +187,10 @@ class Equations:
         """Whether the tissue has relaxation, softening or point effects, so that the kernel stores stresses."""
         return self.memory.works or bool(self.effects.formulas)
 
-    def prepare(self, dt: float) -> None:
-        """Set the duration dt (s) of the next step in the memory and the effects; see `Memory.prepare`."""
-        self.memory.prepare(dt)
-        self.effects.prepare(dt)
+    def prepare_step(self, dt: float) -> None:
+        """Set the duration dt (s) of the next step in the memory and the effects; see `MaterialMemory.prepare_step`."""
+        self.memory.prepare_step(dt)
+        self.effects.prepare_step(dt)
 
     def set_extrapolation_weights(self, weights: list[float]) -> None:
         """Set the weights of the stored states in the initial state of the next step.
@@ -302,10 +302,10 @@ class Equations:
             Array of shape (half_band + 1, free).
         """
         self.set_extrapolation_weights([1.0, 0.0, 0.0])
-        self.prepare(0.0)
+        self.prepare_step(0.0)
         # With a negative tolerance and no iteration the matrix stays as assembled.
         self.solve_equilibrium(self.state.depths[0], -1.0, 0)
-        return band.unpack(self.entries, self.free, self.half_band)
+        return band.unpack_band_blocks(self.entries, self.free, self.half_band)
 
     @cached_property
     def shared_dof_volumes(self) -> np.ndarray:

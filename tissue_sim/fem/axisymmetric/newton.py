@@ -21,8 +21,8 @@ from tissue_sim.fem.axisymmetric.newton_tables import (
     StartMode,
 )
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear.cholesky import cholesky_functions
-from tissue_sim.fem.linear.lu import lu_functions
+from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
@@ -51,8 +51,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    complete, mirror = band_matrix.complete_function(), band_matrix.mirror_function()
-    cholesky, lu = cholesky_functions(), lu_functions()
+    fill_diagonal_blocks = band_matrix.make_fill_diagonal_blocks_function()
+    copy_lower_to_upper = band_matrix.make_copy_lower_to_upper_function()
+    cholesky, lu = make_cholesky_functions(), make_lu_functions()
     contact, rates = contact_kernels.make_contact_force_functions(laws), make_contact_rate_functions(slips)
     # Contact laws act at a distance, so that the contact cannot iterate on the linearised elements.
     has_contact_rounds = not laws
@@ -219,9 +220,9 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                             if counts[CountIndex.UNSYMMETRIC] == 0:
                                 # A Cholesky factorisation cannot be updated to an unsymmetric one.
                                 counts[CountIndex.UNSYMMETRIC], begin = 1, 0
-                                complete(blocks, rows, width)
+                                fill_diagonal_blocks(blocks, rows, width)
                             if skewed < counts[CountIndex.SKEWED]:
-                                mirror(blocks, upper_blocks, skewed, counts[CountIndex.SKEWED], width)
+                                copy_lower_to_upper(blocks, upper_blocks, skewed, counts[CountIndex.SKEWED], width)
                                 counts[CountIndex.SKEWED] = skewed
                     rates.add_contact_rates_to_matrix(counts[CountIndex.CONTACTS], fresh,
                                                       counts[CountIndex.UNSYMMETRIC], free, width, contact_nodes,
@@ -328,19 +329,19 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                             entries[i // B, width - 1, i % B, i % B] = 1.0
                         if ti.static(slips):
                             if counts[CountIndex.UNSYMMETRIC] == 1:
-                                definite = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
-                                                   begin, counts[CountIndex.SKEWED])
+                                definite = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows,
+                                                             width, begin, counts[CountIndex.SKEWED])
                         if counts[CountIndex.UNSYMMETRIC] == 0:
-                            definite = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
-                                                     begin, rows)
+                            definite = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse,
+                                                               rows, width, begin, rows)
                         counts[CountIndex.FACTORISED] = definite
                         begin = rows if definite == 1 else 0
                     if definite == 1:
                         if ti.static(slips):
                             if counts[CountIndex.UNSYMMETRIC] == 1:
-                                lu.solve(factor, upper_factor, inverse, right, rows, width)
+                                lu.solve_band(factor, upper_factor, inverse, right, rows, width)
                         if counts[CountIndex.UNSYMMETRIC] == 0:
-                            cholesky.solve(factor, upper_factor, inverse, right, rows, width)
+                            cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
                     if asked == 1 and definite == 1:
                         for i in range(free):
                             stiff -= reaction[i] * right[i // B][i % B]

@@ -8,7 +8,7 @@ from typing import Any
 
 from tissue_sim.fem.axisymmetric.energy import PACKED
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import Formula, expressions, traced
+from tissue_sim.fem.taichi.trace import Formula, extract_expressions, trace_values
 
 #: Indices of RR, RZ, ZZ and hoop among the six components of a symmetric tensor.
 _COMPONENTS = (0, 3, 1, 2)
@@ -37,8 +37,8 @@ def make_effect_stress_function(formulas: tuple[Formula, ...]):
 def _sum_effect_expressions(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list,
                             settings: list) -> tuple:
     """Evaluate the formulas of effects at a quadrature point on Taichi expressions."""
-    F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
-    states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)
+    F, P, A = trace_values(F, lanes=True), trace_values(P, lanes=True), trace_values(A, lanes=True)
+    states, (dt, *numbers) = trace_values(states, lanes=True), trace_values(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]
     S: list[Any] = [0.0] * 4
     D: list[list[Any]] = [[0.0] * 4 for _ in range(4)]
@@ -60,4 +60,5 @@ def _sum_effect_expressions(formulas: tuple[Formula, ...], F: list, P: list, A: 
     A = [A[n] + geometric.get((i, k), 0.0) + sum((B[m][i] * DB[m][k] for m in range(4)), 0.0)
          for n, (i, k) in enumerate(PACKED)]
     like = F[0]
-    return expressions(S, like), expressions(P, like), expressions(A, like), expressions(found, like)
+    return (extract_expressions(S, like), extract_expressions(P, like), extract_expressions(A, like),
+            extract_expressions(found, like))

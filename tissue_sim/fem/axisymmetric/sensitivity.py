@@ -83,7 +83,8 @@ class MaterialSensitivity:
             "point_rates": self._point_rates, "force_rates": self.force,
             "motion": np.zeros(equations.equation.size + equations.residual.size),
             "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
-        self._differentiate_forces, self._differentiate_state = (BoundKernel.of(kernel, arrays) for kernel in kernels)
+        self._differentiate_forces, self._differentiate_state = (
+            BoundKernel.bind_by_name(kernel, arrays) for kernel in kernels)
 
     def _differentiate_material_inputs(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
         """Return the derivatives of law, bulk modulus, layers and memory with the parameters, by kernel names."""

@@ -20,8 +20,8 @@ from tissue_sim.fem.axisymmetric.sensitivity_points import make_sensitivity_func
 from tissue_sim.fem.axisymmetric.sensitivity_product import make_tangent_product_functions
 from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear.cholesky import cholesky_functions
-from tissue_sim.fem.linear.lu import lu_functions
+from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
@@ -75,7 +75,7 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    cholesky, lu = cholesky_functions(), lu_functions()
+    cholesky, lu = make_cholesky_functions(), make_lu_functions()
 
     @ti.func
     def compute_contact_force_rate(i, k, dr, dz, held: ti.template(), slip_signs: ti.template(), springs: ti.template(),
@@ -123,10 +123,10 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
         good = 1
         if ti.static(slips):
             if counts[CountIndex.UNSYMMETRIC] == 1:
-                good = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0,
-                               counts[CountIndex.SKEWED])
+                good = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0,
+                                         counts[CountIndex.SKEWED])
         if counts[CountIndex.UNSYMMETRIC] == 0:
-            good = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
+            good = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
         return good
 
     @ti.func
@@ -212,9 +212,9 @@ def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers:
                     right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
             if ti.static(slips):
                 if counts[CountIndex.UNSYMMETRIC] == 1:
-                    lu.solve(factor, upper_factor, inverse, right, rows, width)
+                    lu.solve_band(factor, upper_factor, inverse, right, rows, width)
             if counts[CountIndex.UNSYMMETRIC] == 0:
-                cholesky.solve(factor, upper_factor, inverse, right, rows, width)
+                cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
             for dof in range(equation.shape[0]):
                 i = equation[dof]
                 motion[dof] = 0.0

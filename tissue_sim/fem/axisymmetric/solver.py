@@ -19,8 +19,16 @@ from tissue_sim.fem.axisymmetric.state import SavedState
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, extract_deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bind_points_reached_early, place_at_first_touch
 from tissue_sim.fem.free_tool import AT_REST
-from tissue_sim.fem.inertia import Motion
-from tissue_sim.fem.solver import ErrorEstimate, Neighbours, OwnStiffness, ResolutionLevel, Solver, Step, StepStatus
+from tissue_sim.fem.inertia import InertialMotion
+from tissue_sim.fem.solver import (
+    ErrorEstimate,
+    Neighbours,
+    ResolutionLevel,
+    Solver,
+    StaticStiffnessRequest,
+    Step,
+    StepStatus,
+)
 from tissue_sim.kernel_owner import KernelOwner
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
@@ -116,17 +124,17 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+             own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a depth (m), or to the depth of a pose, and solve for equilibrium; see `Solver.step`."""
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
-            rate = state.motion.prepare(state.latest_state, dt)
+            rate = state.motion.prepare_step(state.latest_state, dt)
         return self.solve_depth_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate,
                                      inertial=inertial, resumes=resumes, own_stiffness=own_stiffness)
 
     def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
                          rate: float, *, inertial: bool = False, resumes: bool = False,
-                         own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+                         own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Solve a step with the force `rate` times mass times displacement from rest (`Equations.rest`).
 
         Args:
@@ -138,7 +146,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             rate: factor, 1/s2; of artificial damping, N/m4; 0: quasi-static.
             inertial: whether the force is that of inertia.
             resumes: whether the iteration of the last call continues.
-            own_stiffness: an `OwnStiffness`.
+            own_stiffness: an `StaticStiffnessRequest`.
         """
         equations, state = self.equations, self.committed
         if not resumes:
@@ -147,7 +155,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                                                               predictor_order) if by_time
                                                 else compute_extrapolation_weights(state.depths, depth,
                                                                                    predictor_order))
-        equations.prepare(dt)
+        equations.prepare_step(dt)
         equations.settings[newton.SettingIndex.INERTIA] = rate
         self._iterated *= resumes
         equations.solve_equilibrium(depth, tolerance, max_iterations,
@@ -159,7 +167,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         result = Step.axial(_STATUSES[int(status)], int(iterations), residual, force, violation, int(slipping),
                             stiffness if asked else None)
         if result.status is StepStatus.CONVERGED and asked and inertial:
-            is_due = OwnStiffness.is_due(own_stiffness, iterations < max_iterations)
+            is_due = StaticStiffnessRequest.is_stiffness_due(own_stiffness, iterations < max_iterations)
             own = equations.compute_static_stiffness() if is_due else None
             result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
                              stiffness_matrix=None if own is None else axial_stiffness(own))
@@ -181,7 +189,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def follow_motion(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
         equations = self.equations
-        self.committed.motion = Motion(equations.masses, equations.rest, density * equations.shared_dof_volumes)
+        self.committed.motion = InertialMotion(equations.masses, equations.rest, density * equations.shared_dof_volumes)
         equations.settings[newton.SettingIndex.DENSITY] = density
         self._masses = density * equations.compute_dof_volumes()
         return True
@@ -198,7 +206,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         _, _, _, force, _, _, stiffness = equations.report.tolist()
         if motion is None or stiffness <= 0.0:
             return None
-        more, stiffer = map(float, motion.ahead(self.committed.latest_state, dt, self._masses,
+        more, stiffer = map(float, motion.predict_inertial_force_change(self.committed.latest_state, dt, self._masses,
                                                 equations.compute_displacement_per_depth()))
         return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
 
@@ -273,7 +281,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         """
         committed = self.committed
         if committed.motion is not None:
-            committed.motion.restart()
+            committed.motion.restart_at_first_order()
         bind_points_reached_early(self.equations.surface,
                                   committed.latest_state[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
                                   committed.depths[0] - self.datum, pose.depth - committed.depths[0])
@@ -281,7 +289,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""
         if self.committed.motion is not None:
-            self.committed.motion.stop()
+            self.committed.motion.reset_velocity()
 
     def lift_off(self) -> None:
         """Remove the tool in one step; see `Solver.lift_off`."""
@@ -335,8 +343,10 @@ class AxisymmetricSolver(KernelOwner, Solver):
         equations = self.equations
         if not equations.has_material_history:
             return FieldSample(self.state, None)
-        stresses = equations.memory.total()
-        return FieldSample(self.state, stresses + equations.effects.stress if equations.effects.formulas else stresses)
+        stresses = equations.memory.total_stress()
+        if equations.effects.formulas:
+            stresses = stresses + equations.effects.total_stress
+        return FieldSample(self.state, stresses)
 
     def fields(self, samples: Sequence[FieldSample]) -> Fields:
         """Return the fields of states that `field_sample` returned."""

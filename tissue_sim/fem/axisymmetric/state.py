@@ -8,8 +8,8 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric.contact import ContactPoints
 from tissue_sim.fem.axisymmetric.predictor import KEPT
-from tissue_sim.fem.history import Memory
-from tissue_sim.fem.inertia import Motion
+from tissue_sim.fem.history import MaterialMemory
+from tissue_sim.fem.inertia import InertialMotion
 from tissue_sim.fem.point_effects import PointEffects
 
 
@@ -52,7 +52,7 @@ class SolverState:
         motion: velocities and accelerations; None without inertia.
     """
 
-    def __init__(self, x: np.ndarray, surface: ContactPoints, memory: Memory, effects: PointEffects):
+    def __init__(self, x: np.ndarray, surface: ContactPoints, memory: MaterialMemory, effects: PointEffects):
         self.x, self.surface, self.memory, self.effects = x, surface, memory, effects
         self.history = np.zeros((KEPT, x.size))
         self.history[0] = x
@@ -60,7 +60,7 @@ class SolverState:
         self.depths, self.times = [0.0], [0.0]
         self.largest_force = 0.0
         self.unchanged, self._touching = 0, (b"", b"")
-        self.motion: Motion | None = None
+        self.motion: InertialMotion | None = None
         self._untouched = x.copy()
         self.store_initial_bonds()
 
@@ -125,7 +125,7 @@ class SolverState:
         self.history[0] = self._untouched
         self.surface.anchors[:], self.surface.slipped[:] = self._first_bonds
         if self.motion is not None:
-            self.motion.stop()
+            self.motion.reset_velocity()
 
     def save(self) -> SavedState:
         """Return a copy of the committed state."""

@@ -55,7 +55,7 @@ class TangentPlaneContact:
         own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT_COLUMNS)),
                "matrix": self._matrix, "right": self._right}
         with LOCK:
-            self._kernel = BoundKernel.of(make_flat_contact_kernel(), arrays | own)
+            self._kernel = BoundKernel.bind_by_name(make_flat_contact_kernel(), arrays | own)
 
     def solve_contact_forces(self, tolerance: float) -> bool:
         """Solve for forces and contact states of the nodes; both are written to the arrays of the stepper.

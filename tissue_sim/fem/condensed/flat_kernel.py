@@ -5,7 +5,7 @@ from functools import cache
 
 from tissue_sim.fem.condensed.kernel import make_node_compliance_function
 from tissue_sim.fem.condensed.tables import KernelSetting, ListColumn, LocalColumn, NodeColumn, StateColumn
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -153,7 +153,7 @@ def make_flat_contact_kernel():
         give = node_compliance(i, n, compliance)
         along, aside = give[0], give[1]
         nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
-        held, N = states[s, StateColumn.BOND] == Bond.HELD, F.dot(n) + gap / along
+        held, N = states[s, StateColumn.BOND] == ContactBond.HELD, F.dot(n) + gap / along
         rest, rates, sticks = -F, eye, held
         lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW], lists[p, ListColumn.ROWS] = i, first, 0
         for a in ti.static(range(3)):
@@ -241,7 +241,7 @@ def make_flat_contact_kernel():
                 loaded = 0.0
                 for a in ti.static(range(3)):
                     loaded = loaded + ti.abs(carried[s, NodeColumn.FORCE + a]) + ti.abs(local[i, LocalColumn.FORCE + a])
-                if (states[s, StateColumn.BOND] == Bond.HELD or loaded > 0.0
+                if (states[s, StateColumn.BOND] == ContactBond.HELD or loaded > 0.0
                         or local[i, LocalColumn.GAP] < limits[FlatKernelInput.NEAR_GAP]):
                     lists[many, ListColumn.NEAR] = i
                     many = many + 1
@@ -262,7 +262,7 @@ def make_flat_contact_kernel():
                 for q in range(many):
                     j = lists[q, ListColumn.NEAR]
                     s = lists[j, ListColumn.NODE]
-                    if states[s, StateColumn.BOND] != Bond.HELD and states[s, StateColumn.PRESSED] == 0:
+                    if states[s, StateColumn.BOND] != ContactBond.HELD and states[s, StateColumn.PRESSED] == 0:
                         subtract_separated_node_force(j, count, carried, lists, compliance, flat, right)
                 for q in range(count):
                     add_node_coupling(q, count, k, lists, compliance, flat, matrix, right)

@@ -26,7 +26,7 @@ from tissue_sim.fem.condensed.tables import (
     StateColumn,
     SurfaceColumn,
 )
-from tissue_sim.fem.contact_settings import SOLID_PENALTY, Bond
+from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES, get_scratch_field
 
@@ -176,10 +176,10 @@ def make_contact_kernel():
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
         give = node_compliance(i, n, compliance)
-        held = states[s, StateColumn.BOND] == Bond.HELD
+        held = states[s, StateColumn.BOND] == ContactBond.HELD
         changeable = settings[KernelSetting.CHANGEABLE] > 0.0
         if held and settings[KernelSetting.RELEASE] > 0.0 and F.dot(n) > 0.0:
-            states[s, StateColumn.BOND] = Bond.FREE
+            states[s, StateColumn.BOND] = ContactBond.FREE
             held = False
         if changeable and not held:
             states[s, StateColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
@@ -203,7 +203,8 @@ def make_contact_kernel():
             A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            if mu > 0.0 and states[s, StateColumn.BOND] == Bond.TOUCHED and rough > settings[KernelSetting.NEGLIGIBLE]:
+            has_bond = states[s, StateColumn.BOND] == ContactBond.TOUCHED
+            if mu > 0.0 and has_bond and rough > settings[KernelSetting.NEGLIGIBLE]:
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
@@ -225,12 +226,12 @@ def make_contact_kernel():
             violation = ti.max(-gap, 0.0)
         results[KernelResult.VIOLATION] = ti.max(results[KernelResult.VIOLATION], violation)
         touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[KernelSetting.TOLERANCE])
-        states[s, StateColumn.NEW_BOND] = Bond.FREE
+        states[s, StateColumn.NEW_BOND] = ContactBond.FREE
         if mu < 0.0 and is_pressed:
-            states[s, StateColumn.NEW_BOND] = Bond.HELD
+            states[s, StateColumn.NEW_BOND] = ContactBond.HELD
         elif touches and mu > 0.0:
-            states[s, StateColumn.NEW_BOND] = Bond.TOUCHED
-        keeps = sticks or (touches and not is_pressed and states[s, StateColumn.BOND] == Bond.TOUCHED)
+            states[s, StateColumn.NEW_BOND] = ContactBond.TOUCHED
+        keeps = sticks or (touches and not is_pressed and states[s, StateColumn.BOND] == ContactBond.TOUCHED)
         for a in ti.static(range(3)):
             carried[s, NodeColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
             local[i, LocalColumn.ARM + a] = arm[a]
@@ -244,7 +245,7 @@ def make_contact_kernel():
                 local[i, LocalColumn.STIFFNESS + 3 * a + b] = A[a, b]
                 local[i, LocalColumn.ROTATION + 3 * a + b] = T[a, b]
         local[i, LocalColumn.GAP] = gap
-        local[i, LocalColumn.FRICTION] = ti.max(mu, 0.0) if states[s, StateColumn.BOND] == Bond.TOUCHED else 0.0
+        local[i, LocalColumn.FRICTION] = ti.max(mu, 0.0) if states[s, StateColumn.BOND] == ContactBond.TOUCHED else 0.0
         # The matrix is reused while the set of nodes in contact does not change.
         if (lists[i, ListColumn.STATUS] > 0) != (state > 0) or lists[i, ListColumn.STATUS] < 0:
             settings[KernelSetting.REBUILDS] = 1.0

@@ -39,7 +39,7 @@ class ContactSurface:
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.
-        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.Bond`, shape (s,).
+        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.ContactBond`, shape (s,).
         anchors: positions in the frame of the tool where these nodes are bound, m, shape (s, 3).
         start: pose of the tool at the first touch.
         datum: height of the scene's origin in the frame of the mesh, m.
@@ -197,7 +197,7 @@ class ContactState:
         before: pose of the tool at the earlier time.
         forces: forces of the surface's nodes on the tool, N, shape (s, 3).
         anchors: positions in the frame of the tool where nodes are bound, m, shape (s, 3).
-        states: bond (`Bond`), whether pressed, and whether slipping, shape (3, s).
+        states: bond (`ContactBond`), whether pressed, and whether slipping, shape (3, s).
         touched: whether the tool has touched the specimen since the last reset.
     """
 

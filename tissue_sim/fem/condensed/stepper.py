@@ -33,7 +33,7 @@ from tissue_sim.fem.condensed.tables import (
     NodeColumn,
 )
 from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchIndex, make_wrench_kernel
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
@@ -120,7 +120,7 @@ class CondensedStepper:
         self._sum = np.zeros(ANSWER_SIZE)
         with LOCK:
             self._kernel = BoundKernel(make_contact_kernel(), arrays)
-            self._wrench_kernel = BoundKernel.of(make_wrench_kernel(), arrays | {"answer": self._sum})
+            self._wrench_kernel = BoundKernel.bind_by_name(make_wrench_kernel(), arrays | {"answer": self._sum})
         self._flat = TangentPlaneContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf
         self._settings[[KernelSetting.TOLERANCE, KernelSetting.NEGLIGIBLE, KernelSetting.NEAR_GAP]] = (
@@ -147,7 +147,7 @@ class CondensedStepper:
     def place_in_air(self) -> None:
         """Place the tool in the air above an undeformed tissue: no node is bound to it."""
         self.reset()
-        self._bound[:] = Bond.FREE
+        self._bound[:] = ContactBond.FREE
 
     def place_at_first_touch(self, pose: Pose) -> None:
         """Place the tool at a pose of first touch; the next step continues from there.
@@ -157,7 +157,7 @@ class CondensedStepper:
         """
         self.reset()
         if self.max_travel(motion(self.surface.start, pose)) > self.surface.tolerance:
-            self._bound[:] = Bond.FREE
+            self._bound[:] = ContactBond.FREE
         self._pose = pose
 
     def _discard_equations(self) -> None:
@@ -194,7 +194,7 @@ class CondensedStepper:
             dropped = rows < 0
             self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
             self._others = self.surface.places[dropped]
-            self._bound[dropped & (self._bound != Bond.HELD)] = 0
+            self._bound[dropped & (self._bound != ContactBond.HELD)] = 0
             self._nodes[:n], self._tool_coupling[:3 * n], self._compliance[:3 * n, :3 * n] = (
                 model.nodes, model.tool_coupling, model.compliance)
             self._signature[:] = -1

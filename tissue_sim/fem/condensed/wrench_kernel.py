@@ -4,7 +4,7 @@ from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.condensed.tables import KernelSetting, ListColumn, LocalColumn, NodeColumn, StateColumn
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 
 
@@ -41,7 +41,7 @@ def make_wrench_kernel():
     def commit_node_bonds(states: ti.template(), carried: ti.template()):
         """Replace bonds and anchors by those found in the step; a node that is not pressed does not slip."""
         for s in range(states.shape[0]):
-            if states[s, StateColumn.BOND] != Bond.HELD:
+            if states[s, StateColumn.BOND] != ContactBond.HELD:
                 states[s, StateColumn.BOND] = states[s, StateColumn.NEW_BOND]
                 for a in ti.static(range(3)):
                     carried[s, NodeColumn.ANCHOR + a] = carried[s, NodeColumn.NEW_ANCHOR + a]

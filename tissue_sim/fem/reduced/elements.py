@@ -133,11 +133,11 @@ class SampledElements:
         """Arrays of the material history of the last committed step; writing earlier values restores that step."""
         return tuple(array for region in self._regions for array in region.memory.kept)
 
-    def prepare(self, dt: float) -> None:
-        """Prepare the material history for a step of `dt` seconds; see `Memory.prepare`."""
+    def prepare_step(self, dt: float) -> None:
+        """Prepare the material history for a step of `dt` seconds; see `MaterialMemory.prepare_step`."""
         self._now = self._time + dt
         for region in self._regions:
-            region.memory.prepare(dt)
+            region.memory.prepare_step(dt)
 
     def commit(self) -> None:
         """Store time and material history after a converged step."""
@@ -190,7 +190,7 @@ class SampledElements:
             self._select_rows_of_batches(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
             with LOCK:
                 kernel = elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
-                region.kernel = BoundKernel.of(kernel, named)
+                region.kernel = BoundKernel.bind_by_name(kernel, named)
             self._moduli[part] = stated.mu0 * batches.moduli[part]
         self._next = -1
         stiffer = np.divide(self._moduli, before, out=np.ones_like(before), where=before > 0.0)
@@ -235,7 +235,7 @@ class SampledElements:
         if not self._at_rest.any():
             return
         self.pressures[:], self._weight_forces[:] = self.rest_pressures, 0.0
-        self.prepare(np.inf)
+        self.prepare_step(np.inf)
         self._now = self._time
         self.evaluate(np.zeros(self.modes), False, 0)
         self._weight_forces[:] = self._forces

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tissue_sim.fem.free_tool import digest
+from tissue_sim.fem.free_tool import digest_arrays
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
@@ -53,7 +53,7 @@ class PlacedReduced(KernelOwner, Solver):
     def identity(self) -> str:
         """See `FreeTool.identity`. The digest includes mesh, modes and sampled elements."""
         reduced = self.reduced
-        return digest(reduced.mesh.nodes, reduced.mesh.connectivity, reduced.basis, reduced.elements)
+        return digest_arrays(reduced.mesh.nodes, reduced.mesh.connectivity, reduced.basis, reduced.elements)
 
     def height_above(self, pose: Pose) -> float:
         """See `FreeTool.height_above`."""

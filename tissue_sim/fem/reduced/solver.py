@@ -24,7 +24,7 @@ from tissue_sim.fem.solid.frame import Frame
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import node_moduli
-from tissue_sim.fem.solver import Fields, OwnStiffness, Step, StepStatus
+from tissue_sim.fem.solver import Fields, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -110,7 +110,7 @@ class ReducedSolver(PlacedReduced):
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = TOLERANCE, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+             own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for static equilibrium; see `Solver.step`. Inertia is neglected."""
         elements, contact = self.elements, self.contact
         if not resumes:
@@ -124,7 +124,7 @@ class ReducedSolver(PlacedReduced):
             self.amplitudes[:], elements.pressures[:] = 0.0, elements.rest_pressures
             if not elements.has_history:
                 return self._step_without_contact(pose)
-        elements.prepare(dt)
+        elements.prepare_step(dt)
         held, free = self._lifting, self._free
         # The initial guess is the linear response with unchanged contact, or the end of the last step.
         predicts = predictor_order and inside and not resumes

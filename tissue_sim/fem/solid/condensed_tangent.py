@@ -93,16 +93,16 @@ class CondensedTangent:
         return self._sorted
 
     def begin(self, right: np.ndarray) -> np.ndarray:
-        """First half of `solve`: the interface rows hold the displacements; see `CondensedFactor.begin`."""
+        """First half of `solve`: the interface rows hold the displacements; see `CondensedFactor.solve_interface`."""
         assert self.factor is not None
-        return self.factor.begin(right)
+        return self.factor.solve_interface(right)
 
     def push(self, forces: np.ndarray) -> np.ndarray:
         """First half of a solution for forces on the interface only, shape (m, 3)."""
         assert self.factor is not None
-        return self.factor.begin_push(forces.ravel()[self._order])
+        return self.factor.solve_interface_force(forces.ravel()[self._order])
 
     def finish(self, begun: np.ndarray) -> np.ndarray:
         """Second half of a solution: displacements of all free degrees of freedom."""
         assert self.factor is not None
-        return self.factor.finish(begun)
+        return self.factor.complete_solution(begun)

@@ -13,7 +13,7 @@ from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softenin
 from tissue_sim.fem.history import PastColumn
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import LANES, ElementSize, get_scratch_field
+from tissue_sim.fem.taichi.scratch import LANES, LargestElementSize, get_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
@@ -32,7 +32,7 @@ class SettingColumn(IntEnum):
 
 
 #: Size of the largest element.
-_LARGEST = ElementSize(nodes=27, points=27, modes=4)
+_LARGEST = LargestElementSize(nodes=27, points=27, modes=4)
 #: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
 #: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
 #: derivatives of the stress at one point, and the stiffness with all other nodes.

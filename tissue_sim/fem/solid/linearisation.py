@@ -18,7 +18,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_synchronously
 from tissue_sim.fem.contact_settings import SOLID_PENALTY
-from tissue_sim.fem.linear.sparse import library
+from tissue_sim.fem.linear.sparse import sparse_library_name
 from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -89,7 +89,7 @@ class SolidLinearisation:
         self._equations = equation[self._freedoms]
         self._meets = np.flatnonzero((self._equations >= 0).all(axis=1))
         self._count = min(candidates, self._meets.size)
-        self._most = min(self._count * (_SETTINGS.more if library() == "pardiso" else 1), self._meets.size)
+        self._most = min(self._count * (_SETTINGS.more if sparse_library_name() == "pardiso" else 1), self._meets.size)
         self.surface = self._describe(self._count)
         self._untouched = solver.save()
         self._epoch, self._number, self._time = 0, 0, 0.0
@@ -151,7 +151,7 @@ class SolidLinearisation:
         before, here = tuple(array.copy() for array in solver._state), solver.pose
         step = self._step(state)
         after = tuple(array.copy() for array in solver._state)
-        solver.tissue.prepare(max(0.0, state.time - self._time))
+        solver.tissue.prepare_step(max(0.0, state.time - self._time))
         settles, old = self._settles, self._stale
         for share in _SETTINGS.old_fractions if old else _SETTINGS.fractions:
             for array, one, other in zip(solver._state, before, after, strict=True):
@@ -188,7 +188,7 @@ class SolidLinearisation:
         solver.restore(self._untouched)
         for array, rest in zip(solver._committed, solver._rest, strict=True):
             array[:] = rest
-        solver.tissue.prepare(0.0)
+        solver.tissue.prepare_step(0.0)
         solver._restore_committed_state()
 
     def _restart(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:

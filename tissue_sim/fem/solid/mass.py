@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.inertia import Motion
+from tissue_sim.fem.inertia import InertialMotion
 from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -45,14 +45,14 @@ class Mass:
     def __init__(self, mesh: SolidMesh, weights: np.ndarray, density: float, matrix: Any):
         freedoms = 3 * len(mesh.nodes)
         self._masses, self._rest = np.zeros((2, freedoms))
-        self.motion = Motion(self._masses, self._rest, np.repeat(density * lumped_volumes(mesh, weights), 3))
+        self.motion = InertialMotion(self._masses, self._rest, np.repeat(density * lumped_volumes(mesh, weights), 3))
         columns = np.repeat(np.arange(freedoms), np.diff(matrix.indptr))
         self._diagonal = np.flatnonzero(matrix.indices == columns)
         self.rate, self.density = 0.0, density
 
-    def prepare(self, x: np.ndarray, dt: float, inertial: bool) -> None:
+    def prepare_step(self, x: np.ndarray, dt: float, inertial: bool) -> None:
         """Prepare a step of dt seconds from displacements x, m, shape (freedoms,)."""
-        self.rate = self.motion.prepare(x, dt) if inertial else 0.0
+        self.rate = self.motion.prepare_step(x, dt) if inertial else 0.0
 
     def add_inertial_forces(self, x: np.ndarray, residual: np.ndarray, matrix: Any | None) -> None:
         """Add inertial forces at displacements x, m, to the residual, N, and their derivatives to the matrix."""
@@ -62,5 +62,5 @@ class Mass:
                 matrix.data[self._diagonal] += self.rate * self._masses
 
     def ahead(self, x: np.ndarray, dt: float, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predict the change of the inertial forces in a next step without motion of the tool; see `Motion.ahead`."""
-        return self.motion.ahead(x, dt, self._masses, along)
+        """Predict the change of the inertial forces in a next step without motion of the tool; see `InertialMotion`."""
+        return self.motion.predict_inertial_force_change(x, dt, self._masses, along)

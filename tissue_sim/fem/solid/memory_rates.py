@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.history import Memory, PastColumn
+from tissue_sim.fem.history import MaterialMemory, PastColumn
 from tissue_sim.material.viscoelasticity import Prony
 
 
@@ -34,7 +34,7 @@ class MemoryRates:
 
     Args:
         memory: history of the elements of the material.
-        past_rates: derivatives of `Memory.past`, shape (m, 5).
+        past_rates: derivatives of `MaterialMemory.past`, shape (m, 5).
         relaxations: for each parameter the relaxing terms with the parameter increased and decreased.
         widths: differences of the two parameter values, shape (m,).
 
@@ -42,8 +42,8 @@ class MemoryRates:
         inherited: derivatives of the contribution of earlier stresses in the step, shape (m, elements, q, 6).
     """
 
-    def __init__(self, memory: Memory, past_rates: np.ndarray, relaxations: Sequence[tuple[Prony | None, Prony | None]],
-                 widths: np.ndarray):
+    def __init__(self, memory: MaterialMemory, past_rates: np.ndarray,
+                 relaxations: Sequence[tuple[Prony | None, Prony | None]], widths: np.ndarray):
         self.memory, self._past_rates, self._relaxations, self._widths = memory, past_rates, relaxations, widths
         m = widths.size
         self._past_rates[:, PastColumn.INSTANT] = 0.0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.solid.bodies import Body, nearest
 from tissue_sim.fem.solid.contact import ContactNodes
@@ -96,7 +96,8 @@ class PlacedSolver(KernelOwner, Solver):
     def clearance(self, pose: Pose) -> float | None:
         """See `FreeTool.clearance`, with distances of nodes; None if the tool holds tissue, and with contact laws."""
         contact = self.contact
-        if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != Bond.FREE))).any():
+        if self._bonded.size or contact.laws or (
+                contact.moves & (contact.stays | (contact.bound != ContactBond.FREE))).any():
             return None
         frame, displacement, least = Frame(pose, self.datum), self.committed_displacement, math.inf
         for body, own in contact.parts:
@@ -113,7 +114,7 @@ class PlacedSolver(KernelOwner, Solver):
     def stand_still(self) -> None:
         """See `FreeTool.stand_still`."""
         if self._mass is not None:
-            self._mass.motion.stop()
+            self._mass.motion.reset_velocity()
 
     @property
     def committed_displacement(self) -> np.ndarray:

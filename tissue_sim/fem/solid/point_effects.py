@@ -9,7 +9,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tissue_sim.fem.point_effects import LONGEST, require_formula
+from tissue_sim.fem.point_effects import LONGEST, require_valid_formula
 from tissue_sim.fem.solid.batches import ElementBatches, find_entry_indices
 from tissue_sim.fem.taichi.trace import Formula
 from tissue_sim.material.effect import PointEffect, TissueEffect
@@ -54,20 +54,20 @@ class SolidEffects:
         """Set the effects of a material; state variables are kept if the formulas are the same.
 
         Raises:
-            InputError: see `require_formula`.
+            InputError: see `require_valid_formula`.
         """
         points = tuple(effect for effect in effects if isinstance(effect, PointEffect))
-        makes = tuple(Formula.of(effect) for effect in points)
+        makes = tuple(Formula.from_instance(effect) for effect in points)
         if makes != self._makes:
             for make in makes:
-                require_formula(make)
+                require_valid_formula(make)
             rest = [value for effect in points for value in effect.rest]
             self.states = np.broadcast_to(rest, (*self.stress.shape[:2], len(rest))).copy()
             self.stress[:] = 0.0
             self._found, self._makes = self.states.copy(), makes
         self._effects = points
 
-    def prepare(self, dt: float) -> None:
+    def prepare_step(self, dt: float) -> None:
         """Set the length of the next step, dt in s."""
         self._dt = min(dt, LONGEST)
 

@@ -26,7 +26,7 @@ from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import Tangent
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solid.tool_wrench import ToolConstraint, to_matrix_tuples
-from tissue_sim.fem.solver import Neighbours, OwnStiffness, Step, StepStatus
+from tissue_sim.fem.solver import Neighbours, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
@@ -124,11 +124,11 @@ class SolidSolver(PlacedSolver):
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+             own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for equilibrium; see `Solver.step`. The motion is solved linearly first."""
-        self.tissue.prepare(dt)
+        self.tissue.prepare_step(dt)
         if self._mass is not None:
-            self._mass.prepare(self._committed[0], dt, inertial)
+            self._mass.prepare_step(self._committed[0], dt, inertial)
         frame = Frame(pose, self.datum)
         if not resumes:
             self._restore_committed_state()
@@ -136,7 +136,8 @@ class SolidSolver(PlacedSolver):
         if outcome.status is StepStatus.CONVERGED:
             if inertial and self._mass is not None and self._asked:
                 has_left = outcome.iterations < max_iterations
-                own = self._compute_static_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
+                is_due = StaticStiffnessRequest.is_stiffness_due(own_stiffness, has_left)
+                own = self._compute_static_stiffness(frame) if is_due else None
                 outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
             if self._mass is not None:
                 self._mass.motion.commit(self._committed[0], self.x, dt, inertial)

@@ -56,11 +56,11 @@ class BoundKernel(KernelOwner):
         self._start: Callable[[], None] | None = None
 
     @classmethod
-    def of(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
+    def bind_by_name(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
         """Bind those of the arrays whose names are arguments of the kernel."""
         return cls(kernel, {name: arrays[name] for name in _describe_arguments(kernel) if name in arrays})
 
-    def is_of(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
+    def is_bound_to(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
         """Return whether this object launches this kernel with these arrays; a new binding takes a millisecond."""
         return kernel is self.kernel and all(
             array.ctypes.data == arrays[name].ctypes.data and array.shape == arrays[name].shape
@@ -69,7 +69,7 @@ class BoundKernel(KernelOwner):
     def __call__(self) -> None:
         """Run the kernel. The first call compiles it, or loads it from the cache."""
         if self._start is None:
-            self._start = _bind(self.kernel, tuple(self.arrays.values()))
+            self._start = _bind_arrays(self.kernel, tuple(self.arrays.values()))
         self._start()
 
 
@@ -91,7 +91,7 @@ def _parse_annotation(annotation) -> tuple[int, int, np.dtype]:
     return annotation.ndim + 1, element.n, np.dtype(from_taichi(element.dtype))
 
 
-def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
+def _bind_arrays(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
     """Bind arrays to a kernel and return the function that launches it.
 
     This is `Kernel.launch_kernel` of Taichi 1.7.4, split into the part that is done once and the part of each launch.

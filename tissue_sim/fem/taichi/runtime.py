@@ -35,11 +35,11 @@ def initialise():
         MissingBackendError: no Taichi wheel exists for this platform.
     """
     with LOCK:
-        return _initialise()
+        return _import_and_initialise()
 
 
 @cache
-def _initialise():
+def _import_and_initialise():
     # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:
@@ -51,7 +51,7 @@ def _initialise():
             "the finite elements need taichi 1.7.4, which exists for Linux x86-64, Windows x86-64 and macOS on Apple "
             f"silicon ({error}); analytical calibration works without it") from None
     # For its messages Taichi formats the source of every expression, which takes longer than the rest of the parsing.
-    ASTTransformerContext.get_pos_info = _place
+    ASTTransformerContext.get_pos_info = _format_source_position
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.redirect_stdout(io.StringIO()):
@@ -70,7 +70,7 @@ def _initialise():
     return ti
 
 
-def _place(context: Any, node: Any) -> str:
+def _format_source_position(context: Any, node: Any) -> str:
     """Return file, line and function of an expression of a kernel."""
     return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
 
@@ -84,13 +84,13 @@ def _fast_module_lookup() -> Iterator[None]:
     """
     search, importer = inspect.getmodule, threading.get_ident()
 
-    def module(thing: object, _filename: str | None = None) -> ModuleType | None:
+    def get_defining_module(thing: object, _filename: str | None = None) -> ModuleType | None:
         if threading.get_ident() != importer:
             return search(thing, _filename)
         known = getattr(thing, "f_globals", None) or getattr(thing, "__globals__", None) or {}
         return sys.modules.get(known.get("__name__", "")) or search(thing, _filename)
 
-    inspect.getmodule = module  # type: ignore[assignment]
+    inspect.getmodule = get_defining_module  # type: ignore[assignment]
     try:
         yield
     finally:

@@ -17,7 +17,7 @@ VECTORS = 3200
 
 
 @dataclass(frozen=True)
-class ElementSize:
+class LargestElementSize:
     """Size of the largest element for which a kernel reserves vectors of the scratch field.
 
     Attributes:
@@ -44,10 +44,10 @@ def get_scratch_field(lanes: int, size: int):
     if lanes != LANES or size > VECTORS:
         raise ValueError(f"the scratch field has {VECTORS} vectors of {LANES} components; got a request for {size} of "
                          f"{lanes}")
-    return _create_field()
+    return _create_scratch_field()
 
 
 @cache
-def _create_field():
+def _create_scratch_field():
     ti = initialise()
     return ti.Vector.field(LANES, ti.f64, shape=VECTORS)
