@@ -185,7 +185,7 @@ class TestRecordingOfASimulation:
             def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
 
-            def creep(self, trial, dt, max_iterations):
+            def step_with_damping(self, trial, dt, max_iterations):
                 self.crept += 1
                 return iter(())
 
@@ -202,7 +202,7 @@ class TestRecordingOfASimulation:
             def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
 
-            def creep(self, trial, dt, max_iterations):
+            def step_with_damping(self, trial, dt, max_iterations):
                 yield Step.axial(StepStatus.INVERTED, 1, 0.0, 0.0)
                 self.pose = trial
                 yield Step.axial(StepStatus.CONVERGED, 1, 0.0, 1.0)

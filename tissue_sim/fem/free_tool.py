@@ -26,15 +26,15 @@ class FreeTool:
     ignores_twist: ClassVar[bool] = False
 
     @property
-    def relaxes(self) -> bool:
+    def is_time_dependent(self) -> bool:
         """Whether the tissue changes with time while nothing moves, so that it has to be stepped without a tool."""
         return True
 
-    def identity(self) -> str:
+    def mesh_digest(self) -> str:
         """Digest of what a saved state belongs to: the undeformed mesh."""
         return digest_arrays(getattr(self.mesh, "nodes", None), getattr(self.mesh, "connectivity", None))
 
-    def height_above(self, pose: Pose) -> float:
+    def height_above_tissue(self, pose: Pose) -> float:
         """Distance that the tool must go down from a pose until it touches the undeformed tissue.
 
         Called before the first touch.
@@ -44,7 +44,7 @@ class FreeTool:
         """
         return pose.position[2]
 
-    def place_tool(self, pose: Pose) -> bool:
+    def place_tool_at_first_touch(self, pose: Pose) -> bool:
         """Place the tool at the pose of its first touch, on tissue that has not been touched.
 
         A solver whose mesh, contact or reference belongs to one position of the tool moves them to `pose`, so that the
@@ -87,7 +87,7 @@ class FreeTool:
         without this call the tissue that touches within an increment slides without friction until its end.
         """
 
-    def stand_still(self) -> None:
+    def stop_tissue_motion(self) -> None:
         """Set the velocity of the tissue to zero."""
 
 

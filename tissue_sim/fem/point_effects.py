@@ -52,7 +52,7 @@ class PointEffects:
                 require_valid_formula(formula)
             self.formulas = formulas
             self._allocate_states(tuple(value for effect in points for value in effect.rest))
-        numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
+        numbers = (formula.get_parameter_values(effect) for formula, effect in zip(formulas, points, strict=True))
         settings = np.array([0.0, *chain.from_iterable(numbers)])
         if settings.shape == self.settings.shape:
             self.settings[:] = settings  # in place: the kernel has a reference to the array
@@ -81,11 +81,11 @@ def require_valid_formula(formula: Formula[PointEffect]) -> None:
         InputError: the formula uses an operation that kernels do not support, or returns other shapes.
     """
     kind, field = formula.kind, f"effects.{formula.kind.name}"
-    parameters = trace_values([TRIED] * len(formula.parameters), lanes=False)
+    parameters = trace_values([TRIED] * len(formula.parameter_names), lanes=False)
     C, state, (dt,) = trace_values([TRIED] * 6,
                                    True), trace_values([TRIED] * len(kind.rest), True), trace_values([TRIED], False)
     with located(field=field):
-        stress, tangent, found = formula.bind(parameters).response(C, state, dt)
+        stress, tangent, found = formula.with_parameters(parameters).response(C, state, dt)
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
     if shape != (6, 6, {6}, len(kind.rest)):
         raise InputError(f"the response of {kind.__name__} must return 6 stresses, 6 rows of 6 tangent entries and "

@@ -29,8 +29,14 @@ from tissue_sim.tool_force import Matrix, NextForce, axial_stiffness, axial_wren
 #: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
                 "realtime_rungs": "realtime_levels", "comparison": "error_estimate", "sample": "field_sample",
-                "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path"}
-__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate"})
+                "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path",
+                "creep": "step_with_damping", "follow_motion": "enable_inertia", "ahead": "predict_next_force",
+                "unchanged": "equilibria_since_contact_change", "relaxes": "is_time_dependent",
+                "identity": "mesh_digest", "height_above": "height_above_tissue",
+                "place_tool": "place_tool_at_first_touch", "stand_still": "stop_tissue_motion"}
+__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate",
+                                   "OwnStiffness": "StaticStiffnessRequest", "Derivatives": "ForceDerivatives",
+                                   "SpatialDerivatives": "ForceVectorDerivatives"})
 
 
 class StepStatus(IntEnum):
@@ -89,7 +95,7 @@ class Step:
             respect to (position, rotation vector), 6 x 6, N/m, N, N m; None if it was not requested.
         violation: largest violation of a contact condition (penetration, or slip of points that must stick), m.
         slipping: number of surface points that slip against friction.
-        dissipated: energy dissipated by the artificial viscous damping of `Solver.creep`, J.
+        dissipated: energy dissipated by the artificial viscous damping of `Solver.step_with_damping`, J.
         step_stiffness_matrix: the same derivative within an inertial step, which includes the inertia of the tissue;
             None: no other than `stiffness_matrix`.
         force_error: estimated error of the force, N; None if the solver has no estimate.
@@ -195,16 +201,6 @@ class Solver(FreeTool, ABC):
         datum: height of the tool's deepest point at its first touch, in the frame of the mesh, m.
     """
 
-    doubts = OldName("warnings")
-    follow = OldName("project_pose")
-    takes = OldName("accepts_pose")
-    realtime_rungs = OldName("realtime_levels")
-    comparison = OldName("error_estimate")
-    sample = OldName("field_sample")
-    surface = OldName("deformed_surface")
-    approach = OldName("move_to_next_touch")
-    meet = OldName("bind_points_on_path")
-
     mesh: Any = None
     datum: float = 0.0
     #: Highest order of extrapolation that `step` implements.
@@ -220,7 +216,7 @@ class Solver(FreeTool, ABC):
         """Pose of the tool at the last committed state."""
 
     @property
-    def unchanged(self) -> int:
+    def equilibria_since_contact_change(self) -> int:
         """Number of equilibria since the set of touching, sticking or slipping points last changed.
 
         A predictor of higher order than this number would extrapolate across the change.
@@ -247,14 +243,14 @@ class Solver(FreeTool, ABC):
             tolerance: largest relative residual, 1.
             max_iterations: largest number of linear solves.
             predictor_order: highest order of extrapolation from earlier steps (0: none).
-            inertial: whether the mass of the tissue acts; requires `follow_motion` before, and dt > 0.
+            inertial: whether the mass of the tissue acts; requires `enable_inertia` before, and dt > 0.
             resumes: continue Newton's iteration of the last step, which did not converge; dt counts from the last
                 converged step.
             own_stiffness: whether an inertial step also computes the static stiffness; see `StaticStiffnessRequest`.
         """
 
-    def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-              allowed: Callable[[], int] | None = None) -> Generator[Step]:
+    def step_with_damping(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
+                          allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Find the equilibrium at a pose that `step` does not reach, with artificial viscous damping.
 
         Where an equilibrium is lost the tissue snaps through to another one. The damping is reduced to zero on the
@@ -315,7 +311,7 @@ class Solver(FreeTool, ABC):
     def ask_for_stiffness(self) -> None:
         """Let every step compute its stiffness matrix from now on."""
 
-    def follow_motion(self, density: float) -> bool:
+    def enable_inertia(self, density: float) -> bool:
         """Give the tissue a mass, for inertial steps.
 
         Args:
@@ -326,7 +322,7 @@ class Solver(FreeTool, ABC):
         """
         return False
 
-    def ahead(self, dt: float) -> NextForce | None:
+    def predict_next_force(self, dt: float) -> NextForce | None:
         """Predict the force of the next step, directly after an inertial step that converged.
 
         Args:
@@ -365,6 +361,11 @@ class Solver(FreeTool, ABC):
         ``slipping_points``; for a specimen under its weight ``self_weight`` {sag_mm, moulded_height_mm}. Penetration
         and slipping points are maxima over the steps.
         """
+
+
+for _old, _new in _OLD_MEMBERS.items():
+    setattr(Solver, _old, OldName(_new))
+    vars(Solver)[_old].__set_name__(Solver, _old)  # messages contain the class and the old name
 
 
 class SolverMaker(Protocol):

@@ -28,7 +28,7 @@ class ContactLawFunctions(NamedTuple):
 
 def pack_contact_law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
     """Return the settings of `traction`: contact area of the tool, m2, then reach (m) and parameters of each law."""
-    numbers = [[law.reach, *Formula.from_instance(law).numbers(law)] for law in laws]
+    numbers = [[law.reach, *Formula.from_instance(law).get_parameter_values(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
 
@@ -40,7 +40,7 @@ def make_contact_law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> Con
         InputError: a law uses an operation that kernels do not support.
     """
     ti = initialise()
-    count = 1 + sum(1 + len(formula.parameters) for formula in formulas)
+    count = 1 + sum(1 + len(formula.parameter_names) for formula in formulas)
     tried = _sum_law_tractions(formulas, [TRIED] * 3, [TRIED] * count)
     constant = [not hasattr(value, "lanes") for value in tried]
 
@@ -60,10 +60,10 @@ def _sum_law_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, s
     (gap, pressure, slip), (face, *numbers) = trace_values(place, lanes=False), trace_values(settings, lanes=False)
     total = [0.0] * 4
     for formula in formulas:
-        reach, *parameters = numbers[: 1 + len(formula.parameters)]
-        numbers = numbers[1 + len(formula.parameters):]
+        reach, *parameters = numbers[: 1 + len(formula.parameter_names)]
+        numbers = numbers[1 + len(formula.parameter_names):]
         with located(field=f"contact_laws.{formula.kind.name}"):
-            found = formula.bind(parameters).traction(gap, pressure, (slip, 0.0), face)
+            found = formula.with_parameters(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
                 raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}")
         values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]

@@ -22,7 +22,7 @@ def make_effect_stress_function(formulas: tuple[Formula, ...]):
     stress of the effects. All arguments are vectors; see `tissue_sim.fem.point_effects.PointEffects`.
     """
     ti = initialise()
-    count = 1 + sum(len(formula.parameters) for formula in formulas)
+    count = 1 + sum(len(formula.parameter_names) for formula in formulas)
 
     def build_effect_expressions(F, P, A, states, settings):
         return _sum_effect_expressions(formulas, F, P, A, states, settings)
@@ -44,9 +44,9 @@ def _sum_effect_expressions(formulas: tuple[Formula, ...], F: list, P: list, A: 
     D: list[list[Any]] = [[0.0] * 4 for _ in range(4)]
     found: list[Any] = []
     for formula in formulas:
-        parameters, numbers = numbers[: len(formula.parameters)], numbers[len(formula.parameters):]
+        parameters, numbers = numbers[: len(formula.parameter_names)], numbers[len(formula.parameter_names):]
         state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
-        stress, tangent, new = formula.bind(parameters).response(list(C), state, dt)
+        stress, tangent, new = formula.with_parameters(parameters).response(list(C), state, dt)
         S = [S[i] + stress[place] for i, place in enumerate(_COMPONENTS)]
         D = [[D[i][k] + tangent[row][column] for k, column in enumerate(_COMPONENTS)]
              for i, row in enumerate(_COMPONENTS)]

@@ -10,12 +10,12 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactSpanColumn
-from tissue_sim.fem.axisymmetric.creep import iterate_damped_steps
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels
 from tissue_sim.fem.axisymmetric.state import SavedState
+from tissue_sim.fem.axisymmetric.step_with_damping import iterate_damped_steps
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, extract_deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bind_points_reached_early, place_at_first_touch
 from tissue_sim.fem.free_tool import AT_REST
@@ -181,12 +181,12 @@ class AxisymmetricSolver(KernelOwner, Solver):
             state.commit(depth, dt if inertial else 0.0, watched=asked)
         return result
 
-    def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-              allowed: Callable[[], int] | None = None) -> Generator[Step]:
-        """Step to a depth (m), or to that of a pose, with decreasing artificial damping; see `Solver.creep`."""
+    def step_with_damping(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9,
+                          max_iterations: int = 20, allowed: Callable[[], int] | None = None) -> Generator[Step]:
+        """Step to a depth (m), or to the depth of a pose, with decreasing damping; see `Solver.step_with_damping`."""
         return iterate_damped_steps(self, depth_of(pose), dt, tolerance, max_iterations, allowed)
 
-    def follow_motion(self, density: float) -> bool:
+    def enable_inertia(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
         equations = self.equations
         self.committed.motion = InertialMotion(equations.masses, equations.rest, density * equations.shared_dof_volumes)
@@ -194,8 +194,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self._masses = density * equations.compute_dof_volumes()
         return True
 
-    def ahead(self, dt: float) -> NextForce | None:
-        """Predict the force of the next inertial step without motion; see `Solver.ahead`.
+    def predict_next_force(self, dt: float) -> NextForce | None:
+        """Predict the force of the next inertial step if the tool stays; see `Solver.predict_next_force`.
 
         Let D be the displacement of all degrees of freedom per depth of the tool, f the internal forces and a the
         accelerations. The force is D.(f + M a), and its derivative with respect to the depth is D.(K + rate M) D. In a
@@ -242,8 +242,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return self._sensitivity
 
     @property
-    def relaxes(self) -> bool:
-        """See `FreeTool.relaxes`."""
+    def is_time_dependent(self) -> bool:
+        """See `FreeTool.is_time_dependent`."""
         return self.equations.has_material_history
 
     def clearance(self, pose: Pose) -> float | None:
@@ -267,7 +267,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         See `FreeTool.move_to_next_touch`.
         """
         tolerance = AT_REST * float(self.equations.settings[newton.SettingIndex.CONTACT_TOLERANCE])
-        begins = not self.relaxes and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
+        begins = not self.is_time_dependent and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
         if begins:
             self.committed.lift_off()
         else:
@@ -286,8 +286,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                   committed.latest_state[: 2 * len(self.mesh.nodes)].reshape(-1, 2),
                                   committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
-    def stand_still(self) -> None:
-        """See `FreeTool.stand_still`."""
+    def stop_tissue_motion(self) -> None:
+        """See `FreeTool.stop_tissue_motion`."""
         if self.committed.motion is not None:
             self.committed.motion.reset_velocity()
 
@@ -316,13 +316,14 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return self.committed.depths[0]
 
     @property
-    def unchanged(self) -> int:
+    def equilibria_since_contact_change(self) -> int:
         """Number of equilibria since a contact point last touched, separated, stuck or slipped.
 
         Counted if stiffness is requested. The number is at least 1 if contact iterates on the linearised tissue,
         because linear extrapolation then reaches the change of contact.
         """
-        return max(self.committed.unchanged, int(self.equations.iterates_contact_on_linearisation))
+        return max(self.committed.equilibria_since_contact_change,
+                   int(self.equations.iterates_contact_on_linearisation))
 
     @property
     def state(self) -> np.ndarray:
@@ -359,7 +360,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
                       np.array(stresses) if stresses else None)
 
     def deformed_surface(self) -> DeformedSurface:
-        """Return the surface at the last committed state, with z relative to the height of the first touch."""
+        """Return the deformed outline at the last committed state; z = 0 is the height of the first touch."""
         return extract_deformed_surface(self.mesh, self.state, self.datum)
 
     def report(self) -> dict[str, Any]:

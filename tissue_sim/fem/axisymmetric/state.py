@@ -27,7 +27,7 @@ class SavedState:
     depths: tuple[float, ...]
     times: tuple[float, ...]
     largest_force: float
-    unchanged: int
+    equilibria_since_contact_change: int
     touching: tuple[bytes, bytes]
 
 
@@ -59,7 +59,7 @@ class SolverState:
         self.slots = np.arange(KEPT, dtype=np.int32)
         self.depths, self.times = [0.0], [0.0]
         self.largest_force = 0.0
-        self.unchanged, self._touching = 0, (b"", b"")
+        self.equilibria_since_contact_change, self._touching = 0, (b"", b"")
         self.motion: InertialMotion | None = None
         self._untouched = x.copy()
         self.store_initial_bonds()
@@ -79,7 +79,7 @@ class SolverState:
         Args:
             depth: depth of the tool, m.
             duration: duration of an inertial step, s; 0 for a quasi-static step.
-            watched: whether changes of the contact state are counted in `unchanged`.
+            watched: whether changes of the contact state are counted in `equilibria_since_contact_change`.
         """
         self.times = [0.0, *(time - duration for time in self.times)][:KEPT] if duration else [0.0]
         if depth in self.depths and not duration:
@@ -99,7 +99,8 @@ class SolverState:
         surface.anchors[:], surface.slipped[:] = surface.held, surface.slip_signs
         if watched:
             touching = surface.forces.any(axis=-1).tobytes(), surface.slip_signs.tobytes()
-            self.unchanged = self.unchanged + 1 if touching == self._touching else 0
+            is_same = touching == self._touching
+            self.equilibria_since_contact_change = self.equilibria_since_contact_change + 1 if is_same else 0
             self._touching = touching
 
     def set_tool_depth(self, depth: float) -> None:
@@ -121,7 +122,7 @@ class SolverState:
 
     def lift_off(self) -> None:
         """Restore the displacements and bonds before the first touch; the memory of the tissue stays."""
-        self.slots[:], self.depths, self.times, self.unchanged = np.arange(KEPT), [0.0], [0.0], 0
+        self.slots[:], self.depths, self.times, self.equilibria_since_contact_change = np.arange(KEPT), [0.0], [0.0], 0
         self.history[0] = self._untouched
         self.surface.anchors[:], self.surface.slipped[:] = self._first_bonds
         if self.motion is not None:
@@ -130,7 +131,7 @@ class SolverState:
     def save(self) -> SavedState:
         """Return a copy of the committed state."""
         return SavedState(tuple(array.copy() for array in self._saved_arrays), tuple(self.depths), tuple(self.times),
-                          self.largest_force, self.unchanged, self._touching)
+                          self.largest_force, self.equilibria_since_contact_change, self._touching)
 
     def restore(self, saved: SavedState) -> None:
         """Return to a saved state."""
@@ -138,7 +139,7 @@ class SolverState:
         for array, before in zip(self._saved_arrays, saved.arrays, strict=False):
             array[:] = before
         self.depths, self.times, self.largest_force = list(saved.depths), list(saved.times), saved.largest_force
-        self.unchanged, self._touching = saved.unchanged, saved.touching
+        self.equilibria_since_contact_change, self._touching = saved.equilibria_since_contact_change, saved.touching
 
     @property
     def _saved_arrays(self) -> tuple[np.ndarray, ...]:

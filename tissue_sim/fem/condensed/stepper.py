@@ -303,7 +303,8 @@ class CondensedStepper:
                 decided = False
                 settings[KernelSetting.CHANGEABLE], settings[KernelSetting.REBUILDS] = 0.0 if settles else 1.0, 1.0
             else:
-                decided = self._flat.solve(_SETTINGS.flat_tolerance) and iterations <= _SETTINGS.max_flat_iterations
+                solved = self._flat.solve_contact_forces(_SETTINGS.flat_tolerance)
+                decided = solved and iterations <= _SETTINGS.max_flat_iterations
                 settings[KernelSetting.CHANGEABLE], settings[KernelSetting.REBUILDS] = 0.0, 1.0
         if converged:
             if solution is not None:

@@ -186,8 +186,8 @@ class PardisoPatternFactor:
             solver.iparm.ctypes.data_as(numbers), ctypes.byref(ctypes.c_int32(0)), right.ctypes.data_as(reals),
             answer.ctypes.data_as(reals), ctypes.byref(error))
         if error.value:
-            raise PardisoError(f"Pardiso returned error code {error.value} in phase {int(phase)}. See the error codes of MKL "
-                               "Pardiso, or set TISSUE_SIM_SPARSE=scipy.")
+            raise PardisoError(f"Pardiso returned error code {error.value} in phase {int(phase)}. See the error codes "
+                               "of MKL Pardiso, or set TISSUE_SIM_SPARSE=scipy.")
 
     def __del__(self) -> None:
         if hasattr(self, "_solver") and not sys.is_finalizing():

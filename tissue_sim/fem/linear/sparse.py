@@ -245,7 +245,7 @@ class _CondensedPardisoFactor:
         return self.complete_solution(self.solve_interface(right))
 
     def solve_interface(self, right: np.ndarray) -> np.ndarray:
-        begun, interface = self._pattern.substitute_forward(right), self._find_pattern.require_interface_equations()
+        begun, interface = self._pattern.substitute_forward(right), self._pattern.require_interface_equations()
         begun[interface] = self.compliance @ begun[interface]
         return begun
 

@@ -336,7 +336,7 @@ class ReducedSolver(PlacedReduced):
 
     def restore(self, saved: SavedState) -> None:
         """Restore a state that was returned by `save`."""
-        self.place_tool(saved.start or self._start)
+        self.place_tool_at_first_touch(saved.start or self._start)
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force

@@ -63,12 +63,12 @@ class PlacedSolver(KernelOwner, Solver):
     _start: Pose
     _pose: Pose
 
-    def height_above(self, pose: Pose) -> float:
-        """See `FreeTool.height_above`."""
-        return pose.position[2] if self.placement is None else self.placement.height_above(pose)
+    def height_above_tissue(self, pose: Pose) -> float:
+        """See `FreeTool.height_above_tissue`."""
+        return pose.position[2] if self.placement is None else self.placement.height_above_tissue(pose)
 
-    def place_tool(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool`. The mesh is moved, so that it has the same fineness under the tool."""
+    def place_tool_at_first_touch(self, pose: Pose) -> bool:
+        """See `FreeTool.place_tool_at_first_touch`. The mesh is moved, so that it is equally fine under the tool."""
         if self.placement is None or self.placement.is_at(self._start, pose):
             return True
         other = self.placement.make_solver_at_touch(pose, self)
@@ -89,7 +89,7 @@ class PlacedSolver(KernelOwner, Solver):
         if self._asked:
             other.ask_for_stiffness()
         if self._mass is not None:
-            other.follow_motion(self._mass.density)
+            other.enable_inertia(self._mass.density)
         if self.material is not other.material:
             other.set_material(self.material)
 
@@ -107,12 +107,12 @@ class PlacedSolver(KernelOwner, Solver):
         return least
 
     @property
-    def relaxes(self) -> bool:
-        """See `FreeTool.relaxes`."""
+    def is_time_dependent(self) -> bool:
+        """See `FreeTool.is_time_dependent`."""
         return self.tissue.remembers
 
-    def stand_still(self) -> None:
-        """See `FreeTool.stand_still`."""
+    def stop_tissue_motion(self) -> None:
+        """See `FreeTool.stop_tissue_motion`."""
         if self._mass is not None:
             self._mass.motion.reset_velocity()
 
@@ -126,8 +126,8 @@ class PlacedSolver(KernelOwner, Solver):
 
         See `FreeTool.move_to_next_touch`.
         """
-        begins = (self.placement is not None and not self.relaxes and self._is_at_rest
-                  and self.place_tool(raised(pose, -self.height_above(pose))))
+        begins = (self.placement is not None and not self.is_time_dependent and self._is_at_rest
+                  and self.place_tool_at_first_touch(raised(pose, -self.height_above_tissue(pose))))
         if begins:
             self.lift_off()
         else:
@@ -172,8 +172,8 @@ class Placement:
         x, y, z, *turn = motion(start, pose)
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
 
-    def height_above(self, pose: Pose) -> float:
-        """See `FreeTool.height_above`."""
+    def height_above_tissue(self, pose: Pose) -> float:
+        """See `FreeTool.height_above_tissue`."""
         x, y, z = pose.position
         _, a, b, _ = pose.orientation
         sine = 2.0 * math.sqrt(max(0.0, (a * a + b * b) * (1.0 - a * a - b * b)))

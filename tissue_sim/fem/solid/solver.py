@@ -294,13 +294,13 @@ class SolidSolver(PlacedSolver):
             return None
         return to_matrix_tuples(self._make_tool_constraint(frame).stiffness(self._matrix.all, factor, self._free)[0])
 
-    def follow_motion(self, density: float) -> bool:
-        """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.follow_motion`."""
+    def enable_inertia(self, density: float) -> bool:
+        """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.enable_inertia`."""
         self._mass = Mass(self.mesh, self.batches.weights, density, self._matrix.all)
         return True
 
-    def ahead(self, dt: float) -> NextForce | None:
-        """Predict the force of the next step; see `Solver.ahead` and the axisymmetric solver for the method."""
+    def predict_next_force(self, dt: float) -> NextForce | None:
+        """Predict the force of the next step; see `Solver.predict_next_force` and the axisymmetric solver."""
         last = self._last
         if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
             return None
@@ -332,7 +332,7 @@ class SolidSolver(PlacedSolver):
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
         self.contact.forget()
-        self.stand_still()
+        self.stop_tissue_motion()
         self._pose, self._largest_force = self._start, 0.0
         self._restore_committed_state()
 
@@ -342,7 +342,7 @@ class SolidSolver(PlacedSolver):
 
     def restore(self, saved: SavedState) -> None:
         """Restore a state of `save`."""
-        self.place_tool(saved.start or self._start)
+        self.place_tool_at_first_touch(saved.start or self._start)
         for array, before in zip(self._kept, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force

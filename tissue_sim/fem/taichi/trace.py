@@ -57,18 +57,18 @@ class Formula(NamedTuple, Generic[Thing]):
                                if entry.name not in known))
 
     @property
-    def parameters(self) -> tuple[str, ...]:
+    def parameter_names(self) -> tuple[str, ...]:
         """Names of the declared parameters, in order."""
         return tuple(declared(self.kind))
 
-    def numbers(self, thing: Thing) -> list[float]:
+    def get_parameter_values(self, thing: Thing) -> list[float]:
         """Return the parameters of a law or effect, in order."""
-        return [float(getattr(thing, name)) for name in self.parameters]
+        return [float(getattr(thing, name)) for name in self.parameter_names]
 
-    def bind(self, parameters: Iterable[Any]) -> Thing:
+    def with_parameters(self, parameters: Iterable[Any]) -> Thing:
         """Return a law or effect with these parameters, which may be traced numbers and are not checked."""
         thing: Thing = object.__new__(self.kind)
-        for name, value in (*self.constants, *zip(self.parameters, parameters, strict=True)):
+        for name, value in (*self.constants, *zip(self.parameter_names, parameters, strict=True)):
             object.__setattr__(thing, name, value)
         return thing
 
