@@ -33,7 +33,7 @@ from tissue_sim.laws import KernelEnergy
 @cache
 def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[Formula, ...] = (),
                      laws: tuple[Formula, ...] = ()):
-    """Return the kernel of a step for an element type and a law; see `AxisymmetricSolver.solve_step`.
+    """Return the kernel of a step for an element type and a law; see `AxisymmetricSolver.step`.
 
     Args:
         element_name: key of `tissue_sim.mesh.elements.ELEMENTS`.

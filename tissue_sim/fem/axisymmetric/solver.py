@@ -10,12 +10,12 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactSpanColumn
+from tissue_sim.fem.axisymmetric.creep import iterate_damped_steps
 from tissue_sim.fem.axisymmetric.equations import Equations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels
 from tissue_sim.fem.axisymmetric.state import SavedState
-from tissue_sim.fem.axisymmetric.step_with_damping import iterate_damped_steps
 from tissue_sim.fem.axisymmetric.surface import DeformedSurface, extract_deformed_surface
 from tissue_sim.fem.axisymmetric.touch import bind_points_reached_early, place_at_first_touch
 from tissue_sim.fem.free_tool import AT_REST
