@@ -91,10 +91,10 @@ def condensation(size: int, repeats: int) -> dict:
     for nodes in (100, near.size):
         interface = np.sort(bulk._equations[near[:nodes]].ravel())
         began = time.process_time()
-        sparse.condense(matrix, interface)
+        sparse.factorise_condensed(matrix, interface)
         name = "100 nodes" if nodes == 100 else "all"
         row[f"first, {name}"] = time.process_time() - began
-        row[f"condensed, {name}"] = cpu(lambda i=interface: sparse.condense(matrix, i), repeats)
+        row[f"condensed, {name}"] = cpu(lambda i=interface: sparse.factorise_condensed(matrix, i), repeats)
     return row | {"nodes": near.size, "iterate": iterate(size)}
 
 

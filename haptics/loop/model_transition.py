@@ -10,7 +10,7 @@ import numpy as np
 
 from haptics.loop.broyden_correction import BroydenCorrection
 from haptics.loop.linearisation_error import LinearisationError
-from tissue_sim.fem.condensed.model import CondensedContact
+from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
 from tissue_sim.pose import Pose, Screw, added, motion, scaled
 from tissue_sim.tool_force import Matrix
@@ -61,7 +61,7 @@ class ModelTransition:
         self._correction.reset()
         self.estimate.forget()
 
-    def distance(self, model: CondensedContact, pose: Pose) -> float:
+    def distance(self, model: CondensedBulk, pose: Pose) -> float:
         """Return the distance of a pose from the pose of a model, m.
 
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
@@ -80,7 +80,7 @@ class ModelTransition:
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
-    def take_over(self, before: ContactStepResult, old: CondensedContact, last: Pose, pose: Pose,
+    def take_over(self, before: ContactStepResult, old: CondensedBulk, last: Pose, pose: Pose,
                   after: ContactStepResult) -> None:
         """Continue the wrench of the old model; the difference to the new model becomes an offset.
 
@@ -106,7 +106,7 @@ class ModelTransition:
         for part in (expected, scaled(-1.0, missed), scaled(-1.0, correction.wrench(new.pose, pose))):
             self.offset = added(self.offset, part)
 
-    def learn(self, missed: Screw, old: CondensedContact, pose: Pose) -> None:
+    def learn(self, missed: Screw, old: CondensedBulk, pose: Pose) -> None:
         """Update the error estimate with the difference of the newest model and the model before.
 
         Models of undeformed tissue and models of different materials do not change the estimate.
@@ -181,7 +181,7 @@ class ModelTransition:
         return distance
 
     @property
-    def _newest(self) -> CondensedContact:
+    def _newest(self) -> CondensedBulk:
         assert self._stepper.model is not None
         return self._stepper.model
 

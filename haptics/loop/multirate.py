@@ -14,7 +14,7 @@ from haptics.loop.model_transition import ModelTransition
 from haptics.loop.multirate_settings import MULTIRATE
 from haptics.loop.touch_frame import TouchFrame, interpolate_touch_pose
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedContact
+from tissue_sim.fem.condensed.model import CondensedBulk
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
 from tissue_sim.kernel_owner import CopyError, KernelOwner, exclusive
 from tissue_sim.live_material import require_same_layers, require_tissue
@@ -119,7 +119,7 @@ class MultiRateTissue(KernelOwner):
         self._made = self._tangent_made = 0.0
         self._prepared = False
         #: The previous model, if a new model has arrived since the last step.
-        self._known: CondensedContact | None = None
+        self._known: CondensedBulk | None = None
         #: Whether the force converged in the last exchange of a step that waits.
         self._settled = True
 
@@ -256,7 +256,7 @@ class MultiRateTissue(KernelOwner):
             self._known = stepper.model
             self._set_model_and_times(model)
 
-    def _set_model_and_times(self, model: CondensedContact) -> None:
+    def _set_model_and_times(self, model: CondensedBulk) -> None:
         assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
         self._tangent_made = model.tangent_time

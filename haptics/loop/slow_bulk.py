@@ -26,7 +26,7 @@ from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.model import (
     LINEARISATIONS,
     BulkLinearisation,
-    CondensedContact,
+    CondensedBulk,
     ContactState,
     ContactSurface,
     max_packed_linearisation_size,
@@ -55,7 +55,7 @@ class Started(NamedTuple):
     """
 
     surface: ContactSurface
-    model: CondensedContact
+    model: CondensedBulk
     pattern: Snapshot | None
 
 
@@ -154,7 +154,7 @@ def _run_linearisation(bulk: BulkLinearisation, predictive: PredictiveLinearisat
             shown = now
 
 
-def _take_snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
+def _take_snapshot(bulk: BulkLinearisation, model: CondensedBulk) -> Snapshot:
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.condensed.model import (
-    CondensedContact,
+    CondensedBulk,
     ContactState,
     max_packed_linearisation_size,
     packed_state_size,
@@ -154,7 +154,7 @@ def test_models_and_states_travel_as_numbers():
         1, 0.25, Pose((0.0, 0.0, 0.0)))
     model = bulk.linearise(again)
     assert model.pack_to_array().size <= max_packed_linearisation_size(bulk.surface)
-    copy = CondensedContact.unpack_from_array(model.pack_to_array())
+    copy = CondensedBulk.unpack_from_array(model.pack_to_array())
     for name in ("nodes", "free_displacement", "compliance", "tool_coupling", "wrench", "stiffness"):
         np.testing.assert_array_equal(getattr(copy, name), getattr(model, name))
     assert (copy.number, copy.pose, copy.reach) == (2, pose, model.reach)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.condensed.model import CondensedContact, max_packed_linearisation_size
+from tissue_sim.fem.condensed.model import CondensedBulk, max_packed_linearisation_size
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
@@ -89,12 +89,12 @@ def test_what_is_not_whole_travels_without_its_tangent():
     packed = model.pack_to_array()
     largest, largest_whole = (max_packed_linearisation_size(bulk.surface, whole=whole) for whole in (False, True))
     assert packed.size <= largest < 0.02 * largest_whole
-    copy = CondensedContact.unpack_from_array(packed, whole if whole.base == model.base else model)
+    copy = CondensedBulk.unpack_from_array(packed, whole if whole.base == model.base else model)
     np.testing.assert_array_equal(copy.free_displacement, model.free_displacement)
     assert (copy.number, copy.pose, copy.reach) == (model.number, model.pose, model.reach)
     assert copy.compliance.shape == model.compliance.shape
-    assert CondensedContact.unpack_from_array(packed, replace(model, base=model.base + 1)) is None
-    assert CondensedContact.unpack_from_array(packed) is None
+    assert CondensedBulk.unpack_from_array(packed, replace(model, base=model.base + 1)) is None
+    assert CondensedBulk.unpack_from_array(packed) is None
 
 
 def five_times(answer):

@@ -20,7 +20,7 @@ else:
 _NEAR = 0.3
 
 
-def make_taichi_expressions(derive_expressions, kept_as: tuple | None, source: str):
+def make_expression_function(derive_expressions, kept_as: tuple | None, source: str):
     """Return a Python function that builds expressions of Taichi variables when a kernel is compiled.
 
     Args:
@@ -48,7 +48,7 @@ def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
         return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
 
-    return make_taichi_expressions(derive_expressions, _derivation_cache_key(energy, tangents), __file__)
+    return make_expression_function(derive_expressions, _derivation_cache_key(energy, tangents), __file__)
 
 
 def make_stretch_derivatives(energy: KernelEnergy):
@@ -57,7 +57,7 @@ def make_stretch_derivatives(energy: KernelEnergy):
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
 
-    return make_taichi_expressions(derive_expressions, _derivation_cache_key(energy), __file__)
+    return make_expression_function(derive_expressions, _derivation_cache_key(energy), __file__)
 
 
 def _derivation_cache_key(energy: KernelEnergy, *what) -> tuple | None:

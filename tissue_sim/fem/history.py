@@ -10,7 +10,7 @@ from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
 
 
-class PastColumn(IntEnum):
+class MemoryCoefficient(IntEnum):
     """Columns of `MaterialMemory.past`, the numbers of the history that are equal at all points."""
 
     #: Instantaneous stress over the stress of the law, 1.
@@ -34,7 +34,7 @@ class MaterialMemory:
         components: number of components of a symmetric tensor.
 
     Attributes:
-        past: coefficients of the stresses in this step, see `PastColumn`, shape (5,).
+        past: coefficients of the stresses in this step, see `MemoryCoefficient`, shape (5,).
         inherited: contribution of earlier steps to the isochoric second Piola-Kirchhoff stress, Pa, shape
             (elements, q, components).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
@@ -60,8 +60,8 @@ class MaterialMemory:
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
             self.internal = np.zeros((terms, *self.stresses.shape))
-        self.past[PastColumn.FACTOR] = factor
-        self.past[PastColumn.LOSS], self.past[PastColumn.LOSS_MODULUS], self.past[PastColumn.LOSS_SHARE] = (
+        self.past[MemoryCoefficient.FACTOR] = factor
+        self.past[[MemoryCoefficient.LOSS, MemoryCoefficient.LOSS_MODULUS, MemoryCoefficient.LOSS_SHARE]] = (
             (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
@@ -72,11 +72,11 @@ class MaterialMemory:
         """Set the length of the next step, dt in s: 0 for a sudden step, infinity for the relaxed state."""
         self.dt = dt
         if self._prony is None:
-            self.past[PastColumn.INSTANT] = 1.0
+            self.past[MemoryCoefficient.INSTANT] = 1.0
             return
         if dt != self._known:
             self._increment, self._known = self._prony.increment(dt), dt
-        self.past[PastColumn.INSTANT], decay, gain = self._increment
+        self.past[MemoryCoefficient.INSTANT], decay, gain = self._increment
         self.step = decay, gain
         np.multiply(self.before, -gain.sum(), out=self.inherited)
         for term, left in zip(self.internal, decay, strict=True):

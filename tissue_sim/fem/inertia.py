@@ -16,7 +16,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class StepRatios:
+class SecondOrderStepRatios:
     """Ratios of a time step to the step before for which the step is of second order.
 
     Attributes:
@@ -28,7 +28,7 @@ class StepRatios:
     largest: float = 2.0
 
 
-_RATIOS = StepRatios()
+_RATIOS = SecondOrderStepRatios()
 
 
 class InertialMotion:

@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from tissue_sim.errors import InputError, located
-from tissue_sim.fem.taichi.trace import TRIED, Formula, trace_values
+from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, trace_values
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Longest time step that is passed to a formula, s, because kernels have no infinity.
@@ -28,7 +28,7 @@ class PointEffects:
 
     def __init__(self, points: tuple[int, int]):
         self._points = points
-        self.formulas: tuple[Formula[PointEffect], ...] = ()
+        self.formulas: tuple[KernelFormula[PointEffect], ...] = ()
         self.settings = np.zeros(1)
         self._allocate_states(())
 
@@ -46,7 +46,7 @@ class PointEffects:
             InputError: a kernel cannot execute a formula, or a formula returns other shapes than required.
         """
         points = [effect for effect in effects if isinstance(effect, PointEffect)]
-        formulas = tuple(Formula.from_instance(effect) for effect in points)
+        formulas = tuple(KernelFormula.from_instance(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
                 require_valid_formula(formula)
@@ -74,7 +74,7 @@ class PointEffects:
         return self.states[..., -4:]
 
 
-def require_valid_formula(formula: Formula[PointEffect]) -> None:
+def require_valid_formula(formula: KernelFormula[PointEffect]) -> None:
     """Execute a formula once outside of a kernel and check the shapes of its result.
 
     Raises:

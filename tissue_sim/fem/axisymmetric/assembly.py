@@ -19,10 +19,10 @@ from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.point_effects import make_effect_stress_function
 from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 
@@ -39,7 +39,7 @@ class ElementAssemblyFunctions(NamedTuple):
 
 @cache
 def make_element_functions(element_name: str, energy: KernelEnergy,
-                           effects: tuple[Formula, ...] = ()) -> ElementAssemblyFunctions:
+                           effects: tuple[KernelFormula, ...] = ()) -> ElementAssemblyFunctions:
     """Return the Taichi functions of an element type and a law; a kernel calls them in this order for each batch b."""
     ti = initialise()
     element = ELEMENTS[element_name]
@@ -79,22 +79,23 @@ def make_element_functions(element_name: str, energy: KernelEnergy,
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
         if ti.static(tangents):
             if remembers == 1:
-                f = past[PastColumn.FACTOR]
+                f = past[MemoryCoefficient.FACTOR]
                 W = f * W
                 for l in ti.static(range(LANES)):
                     energies[elements[b, l], q] = W[l]
                 P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
-                if past[PastColumn.LOSS] != 0.0:
+                if past[MemoryCoefficient.LOSS] != 0.0:
                     most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                    P2, A2 = apply_softening(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
-                                             past[PastColumn.LOSS_SHARE], P1, A1)
+                    P2, A2 = apply_softening(W, most, past[MemoryCoefficient.LOSS],
+                                             past[MemoryCoefficient.LOSS_MODULUS], past[MemoryCoefficient.LOSS_SHARE],
+                                             P1, A1)
                     for i in ti.static(range(5)):
                         P1[i] = P2[i]
                     for n in ti.static(range(15)):
                         A1[n] = A2[n]
                 h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                      for i in ti.static(range(4))]
-                S, P3, A3 = apply_relaxation(F, past[PastColumn.INSTANT], h, P1, A1)
+                S, P3, A3 = apply_relaxation(F, past[MemoryCoefficient.INSTANT], h, P1, A1)
                 for i in ti.static(range(4)):
                     for l in ti.static(range(LANES)):
                         stresses[elements[b, l], q, i] = S[i][l]

@@ -24,7 +24,7 @@ from tissue_sim.fem.axisymmetric.contact_gap import make_closest_point_function
 from tissue_sim.fem.axisymmetric.contact_laws import make_contact_law_functions
 from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 
 #: `ContactBond.FREE` as a float, because the kernels store bonds in arrays of floats.
 FREE = float(ContactBond.FREE)
@@ -50,7 +50,7 @@ class ContactForceFunctions(NamedTuple):
 
 
 @cache
-def make_contact_force_functions(laws: tuple[Formula, ...] = ()) -> ContactForceFunctions:
+def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> ContactForceFunctions:
     """Return the contact functions; `laws` are additional contact laws, such as adhesion."""
     ti = initialise()
     has_laws, law = bool(laws), make_contact_law_functions(laws)

@@ -8,7 +8,7 @@ import numpy as np
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import TRIED, Formula, extract_expressions, trace_values
+from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, extract_expressions, trace_values
 
 
 class ContactLawFunctions(NamedTuple):
@@ -28,12 +28,12 @@ class ContactLawFunctions(NamedTuple):
 
 def pack_contact_law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
     """Return the settings of `traction`: contact area of the tool, m2, then reach (m) and parameters of each law."""
-    numbers = [[law.reach, *Formula.from_instance(law).get_parameter_values(law)] for law in laws]
+    numbers = [[law.reach, *KernelFormula.from_instance(law).get_parameter_values(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
 
 @cache
-def make_contact_law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> ContactLawFunctions:
+def make_contact_law_functions(formulas: tuple[KernelFormula[ContactLaw], ...]) -> ContactLawFunctions:
     """Return the Taichi functions of the sum of several contact laws.
 
     Raises:
@@ -55,7 +55,7 @@ def make_contact_law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> Con
     return ContactLawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
 
 
-def _sum_law_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
+def _sum_law_tractions(formulas: tuple[KernelFormula[ContactLaw], ...], place: list, settings: list) -> list:
     """Return normal and tangential traction, and their derivatives with gap and slip, summed over all laws."""
     (gap, pressure, slip), (face, *numbers) = trace_values(place, lanes=False), trace_values(settings, lanes=False)
     total = [0.0] * 4

@@ -15,7 +15,7 @@ from typing import Protocol
 
 import numpy as np
 
-from tissue_sim.fem.axisymmetric.equations import Equations
+from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
 from tissue_sim.fem.axisymmetric.state import SavedState, SolverState
 from tissue_sim.fem.solver import Step, StepStatus
@@ -69,7 +69,7 @@ _SETTINGS = PseudoTransientSettings()
 class DampedStepSolver(Protocol):
     """Attributes and methods of a solver that the continuation uses."""
 
-    equations: Equations
+    equations: EquilibriumEquations
     committed: SolverState
 
     def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,

@@ -11,9 +11,9 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from tissue_sim.fem.energy import (
+    make_expression_function,
     make_invariant_derivatives,
     make_stretch_derivatives,
-    make_taichi_expressions,
     packed_symmetric_indices,
 )
 from tissue_sim.fem.taichi.runtime import initialise
@@ -46,7 +46,7 @@ def _make_isochoric_chain_rule(tangents: bool):
     Args:
         tangents: whether the function returns the Hessian besides the gradient.
     """
-    return make_taichi_expressions(lambda: _derive_isochoric_chain_rule(tangents), ("chain", tangents), __file__)
+    return make_expression_function(lambda: _derive_isochoric_chain_rule(tangents), ("chain", tangents), __file__)
 
 
 def _derive_isochoric_chain_rule(tangents: bool):

@@ -27,7 +27,7 @@ from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.material.viscoelasticity import Prony
@@ -38,7 +38,7 @@ from tissue_sim.mesh import Mesh
 FLOOR_FRACTION = 0.1
 
 
-class Equations:
+class EquilibriumEquations:
     """Discrete equilibrium equations of a mesh, their arrays and kernel; for the arguments see `AxisymmetricSolver`.
 
     Attributes:
@@ -63,7 +63,7 @@ class Equations:
 
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str],
                  contact: ContactPairs | None, specific_weight: float, element_layers: np.ndarray | None,
-                 contact_radius: float, start: Equations | None):
+                 contact_radius: float, start: EquilibriumEquations | None):
         self.mesh, self.contact, self.specific_weight = mesh, contact, specific_weight
         self.equation, self.direction, self.free, self.half_band = number_equations(mesh, supports, tool)
         self.reference = reference = compute_reference_quadrature(mesh)
@@ -92,7 +92,8 @@ class Equations:
             self.settings[newton.SettingIndex.CONTACT_TOLERANCE: newton.SettingIndex.INERTIA] = (
                 contact.tolerance, sum_pulls_at_touch(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
-        self._laws, self._law_settings = tuple(map(Formula.from_instance, laws)), pack_contact_law_settings(laws, face)
+        self._laws, self._law_settings = tuple(map(KernelFormula.from_instance,
+                                                   laws)), pack_contact_law_settings(laws, face)
         self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
         self.set_material(material)
         if start is not None:

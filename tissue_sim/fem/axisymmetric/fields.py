@@ -103,7 +103,7 @@ class Fields:
         if name == "J":
             return J
         modulus = self.moduli[:, None]
-        angle, stretches = _principal_stretches(F)
+        angle, stretches = _compute_principal_stretches(F)
         all_stretches = np.stack([*stretches, F[..., 4]], axis=-1)
         if name == "stretch":
             return all_stretches.max(axis=-1)
@@ -133,7 +133,7 @@ class Fields:
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
         """Return the smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
-        stretches = np.stack([*_principal_stretches(F)[1], F[..., 4]], axis=-1)
+        stretches = np.stack([*_compute_principal_stretches(F)[1], F[..., 4]], axis=-1)
         return (volume_quantile(stretches.min(axis=-1), self.weights, TAIL),
                 volume_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
@@ -148,7 +148,7 @@ class Fields:
         return extrapolate_to_nodes(self.mesh, self.at_points(name, sample))
 
 
-def _principal_stretches(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def _compute_principal_stretches(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Return the angle of the larger in-plane principal stretch and both in-plane principal stretches.
 
     A 2 x 2 matrix is the sum of a scaled rotation and a scaled reflection; their magnitudes give the singular values.

@@ -26,13 +26,13 @@ from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.laws import KernelEnergy
 
 
 @cache
-def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[Formula, ...] = (),
-                     laws: tuple[Formula, ...] = ()):
+def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[KernelFormula, ...] = (),
+                     laws: tuple[KernelFormula, ...] = ()):
     """Return the kernel of a step for an element type and a law; see `AxisymmetricSolver.step`.
 
     Args:

@@ -5,7 +5,7 @@ from enum import IntEnum
 
 
 class CountIndex(IntEnum):
-    """Indices of `Equations.counts`, the integers that a step reads and writes.
+    """Indices of `EquilibriumEquations.counts`, the integers that a step reads and writes.
 
     Attributes:
         PASSES: number of times that the kernel solves the step; 1 except in benchmarks.
@@ -39,7 +39,7 @@ class CountIndex(IntEnum):
 
 
 class SettingIndex(IntEnum):
-    """Indices of `Equations.settings`, the numbers that a step reads.
+    """Indices of `EquilibriumEquations.settings`, the numbers that a step reads.
 
     Attributes:
         DEPTH: depth of the tool at the end of the step, m.
@@ -73,7 +73,7 @@ class SettingIndex(IntEnum):
 
 
 class ReportIndex(IntEnum):
-    """Indices of `Equations.report`, the results of a step.
+    """Indices of `EquilibriumEquations.report`, the results of a step.
 
     Attributes:
         STATUS: a `tissue_sim.fem.solver.StepStatus`.

@@ -8,14 +8,14 @@ from typing import Any
 
 from tissue_sim.fem.axisymmetric.energy import PACKED
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import Formula, extract_expressions, trace_values
+from tissue_sim.fem.taichi.trace import KernelFormula, extract_expressions, trace_values
 
 #: Indices of RR, RZ, ZZ and hoop among the six components of a symmetric tensor.
 _COMPONENTS = (0, 3, 1, 2)
 
 
 @cache
-def make_effect_stress_function(formulas: tuple[Formula, ...]):
+def make_effect_stress_function(formulas: tuple[KernelFormula, ...]):
     """Return the Taichi function ``add_effect_stresses(F, P, A, states, settings) -> (S, P, A, states)``.
 
     The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
@@ -34,7 +34,7 @@ def make_effect_stress_function(formulas: tuple[Formula, ...]):
     return add_effect_stresses
 
 
-def _sum_effect_expressions(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list,
+def _sum_effect_expressions(formulas: tuple[KernelFormula, ...], F: list, P: list, A: list, states: list,
                             settings: list) -> tuple:
     """Evaluate the formulas of effects at a quadrature point on Taichi expressions."""
     F, P, A = trace_values(F, lanes=True), trace_values(P, lanes=True), trace_values(A, lanes=True)

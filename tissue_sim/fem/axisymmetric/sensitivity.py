@@ -9,10 +9,10 @@ import numpy as np
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import ContactRateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
-from tissue_sim.fem.axisymmetric.equations import Equations
+from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_sensitivity_kernels
 from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch, StoredRecordOffset
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.scratch import LANES
@@ -54,7 +54,7 @@ class MaterialSensitivity:
         force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
     """
 
-    def __init__(self, equations: Equations, neighbours: Neighbours):
+    def __init__(self, equations: EquilibriumEquations, neighbours: Neighbours):
         self._equations = equations
         m, memory, surface = len(neighbours), equations.memory, equations.surface
         terms = len(memory.internal)
@@ -97,11 +97,11 @@ class MaterialSensitivity:
                 rate[k] = (np.asarray(more) - np.asarray(less)) / width
             softer = [np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
                       for s in (up.softening, down.softening)]
-            self._past_rates[k, PastColumn.LOSS:] = (softer[0] - softer[1]) / width
-        coefficient_rates, kappa_rates, self._past_rates[:, PastColumn.FACTOR], moduli_rates = rates
+            self._past_rates[k, MemoryCoefficient.LOSS:] = (softer[0] - softer[1]) / width
+        coefficient_rates, kappa_rates, self._past_rates[:, MemoryCoefficient.FACTOR], moduli_rates = rates
         self._which[KernelSwitch.LAYERED] = moduli_rates.any()
-        self._which[KernelSwitch.SOFTENS] = (equations.memory.past[PastColumn.LOSS] != 0
-                                or self._past_rates[:, PastColumn.LOSS:].any())
+        self._which[KernelSwitch.SOFTENS] = (equations.memory.past[MemoryCoefficient.LOSS] != 0
+                                or self._past_rates[:, MemoryCoefficient.LOSS:].any())
         self._which[KernelSwitch.TERMS], self._which[[KernelSwitch.ONE,
                                                       KernelSwitch.PASSES]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
@@ -140,7 +140,7 @@ class MaterialSensitivity:
         memory = self._equations.memory
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
-            (self._past_rates[:, PastColumn.INSTANT], self._decay_rates[:],
+            (self._past_rates[:, MemoryCoefficient.INSTANT], self._decay_rates[:],
              self._gain_rates[:]) = self._differentiate_relaxation_increment(memory.dt)
         if self._pause or not self._can_refine_iteratively():
             self._pause = max(self._pause - 1, 0)

@@ -13,7 +13,7 @@ from tissue_sim.fem.axisymmetric import energy as point
 from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
 from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch, PointRecordOffset, StoredRecordOffset
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
@@ -130,7 +130,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 s[at + PointRecordOffset.GRADIENT + i] = F[i]
             s[at + PointRecordOffset.ROOT] = root
             if ti.static(remembers):
-                kept, f = (b * points + q) * StoredRecordOffset.SIZE, past[PastColumn.FACTOR]
+                kept, f = (b * points + q) * StoredRecordOffset.SIZE, past[MemoryCoefficient.FACTOR]
                 W, P, A = law_of(F, root, coefficients)
                 s[at + PointRecordOffset.ENERGY] = f * W
                 for i in ti.static(range(5)):
@@ -139,9 +139,10 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                 for n in ti.static(range(15)):
                     to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
                     law[to] = f * A[n]
-                if past[PastColumn.LOSS] != 0.0:
-                    P1, A1 = apply_softening(f * W, gather_point_values(largest, elements, b, q), past[PastColumn.LOSS],
-                                             past[PastColumn.LOSS_MODULUS], past[PastColumn.LOSS_SHARE],
+                if past[MemoryCoefficient.LOSS] != 0.0:
+                    P1, A1 = apply_softening(f * W, gather_point_values(largest, elements, b, q),
+                                             past[MemoryCoefficient.LOSS], past[MemoryCoefficient.LOSS_MODULUS],
+                                             past[MemoryCoefficient.LOSS_SHARE],
                                              [f * P[i] for i in ti.static(range(5))],
                                              [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
@@ -153,7 +154,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                                                                       i) for i in ti.static(range(4))])
                 for i in ti.static(range(5)):
                     s[at + PointRecordOffset.RELAXED_STRESS + i] = (
-                        past[PastColumn.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i] + left[i])
+                        past[MemoryCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i] + left[i])
                     to = kept + (StoredRecordOffset.GRADIENT + i) * one
                     law[to] = F[i]
                     to1 = kept + (StoredRecordOffset.STRESS + i) * one
@@ -203,7 +204,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         """
         at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
         terms, one = which[KernelSwitch.TERMS], which[KernelSwitch.ONE]
-        f, df = past[PastColumn.FACTOR], past_rates[k, PastColumn.FACTOR] / past[PastColumn.FACTOR]
+        f, df = past[MemoryCoefficient.FACTOR], past_rates[k, MemoryCoefficient.FACTOR] / past[MemoryCoefficient.FACTOR]
         F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
         W = s[noted + PointRecordOffset.ENERGY]
         dW = f * s[ENERGY_RATE + q] + df * W
@@ -212,15 +213,16 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
         own = (b * points + q) * parameters + k
         if which[KernelSwitch.SOFTENS] == 1:
             L, dL = gather_point_values(largest, elements, b, q), largest_rates[own]
-            width = ti.max(past[PastColumn.LOSS_MODULUS] + past[PastColumn.LOSS_SHARE] * L, 1e-300)
-            width_rate = (past_rates[k, PastColumn.LOSS_MODULUS] + past_rates[k, PastColumn.LOSS_SHARE] * L
-                          + past[PastColumn.LOSS_SHARE] * dL)
+            width = ti.max(past[MemoryCoefficient.LOSS_MODULUS] + past[MemoryCoefficient.LOSS_SHARE] * L, 1e-300)
+            width_rate = (past_rates[k,
+                                     MemoryCoefficient.LOSS_MODULUS] + past_rates[k, MemoryCoefficient.LOSS_SHARE] * L
+                          + past[MemoryCoefficient.LOSS_SHARE] * dL)
             bend = ti.tanh(ti.max(L - W, 0.0) / width)
             argument_rate = (dL - dW - (L - W) * width_rate / width) / width
-            eta_rate = ti.select(W < L, -past_rates[k, PastColumn.LOSS] * bend
-                                 - past[PastColumn.LOSS] * (1.0 - bend * bend) * argument_rate, 0.0 * W)
+            eta_rate = ti.select(W < L, -past_rates[k, MemoryCoefficient.LOSS] * bend
+                                 - past[MemoryCoefficient.LOSS] * (1.0 - bend * bend) * argument_rate, 0.0 * W)
             for i in ti.static(range(5)):
-                s[at + i] = ((1.0 - past[PastColumn.LOSS] * bend) * s[at + i]
+                s[at + i] = ((1.0 - past[MemoryCoefficient.LOSS] * bend) * s[at + i]
                              + eta_rate * s[noted + PointRecordOffset.STRESS + i])
         energy_rates[own] = dW
         S = pull_back_stress(F, [s[at + i] for i in ti.static(range(5))])
@@ -237,8 +239,9 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                                    - gain_rates[k, t] * s[BEFORE + 4 * q + i])
         left = push_forward_stress(F, [s[PAST + i] for i in ti.static(range(4))])
         for i in ti.static(range(5)):
-            s[at + i] = (past[PastColumn.INSTANT] * s[at + i]
-                         + past_rates[k, PastColumn.INSTANT] * s[noted + PointRecordOffset.SOFT_STRESS + i] + left[i])
+            s[at + i] = (past[MemoryCoefficient.INSTANT] * s[at + i]
+                         + past_rates[k, MemoryCoefficient.INSTANT] * s[noted + PointRecordOffset.SOFT_STRESS + i]
+                         + left[i])
 
     @ti.func
     def add_force_derivatives(b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(),

@@ -11,7 +11,7 @@ import numpy as np
 from tissue_sim.fem.axisymmetric import newton
 from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactSpanColumn
 from tissue_sim.fem.axisymmetric.creep import iterate_damped_steps
-from tissue_sim.fem.axisymmetric.equations import Equations
+from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.axisymmetric.fields import Fields
 from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
 from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, list_realtime_levels
@@ -86,8 +86,9 @@ class AxisymmetricSolver(KernelOwner, Solver):
                  element_layers: np.ndarray | None = None, contact_radius: float = 1.0,
                  start: AxisymmetricSolver | None = None):
         self.mesh = mesh
-        self.equations: Equations = Equations(mesh, material, supports, tool, contact, specific_weight, element_layers,
-                                              contact_radius, None if start is None else start.equations)
+        self.equations: EquilibriumEquations = EquilibriumEquations(mesh, material, supports, tool, contact,
+                                                                    specific_weight, element_layers, contact_radius,
+                                                                    None if start is None else start.equations)
         equations = self.equations
         self.committed = equations.state
         #: Derivatives with respect to the material; None unless `differentiate` was called.
@@ -135,7 +136,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
                          rate: float, *, inertial: bool = False, resumes: bool = False,
                          own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
-        """Solve a step with the force `rate` times mass times displacement from rest (`Equations.rest`).
+        """Solve a step with the force `rate` times mass times displacement from rest (`EquilibriumEquations.rest`).
 
         Args:
             depth: depth of the tool, m.
@@ -269,7 +270,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         tolerance = AT_REST * float(self.equations.settings[newton.SettingIndex.CONTACT_TOLERANCE])
         begins = not self.is_time_dependent and self.committed.is_at_rest(2 * len(self.mesh.nodes), tolerance)
         if begins:
-            self.committed.lift_off()
+            self.committed.restore_untouched_state()
         else:
             self.move_in_air(pose)
         return begins
@@ -293,7 +294,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     def lift_off(self) -> None:
         """Remove the tool in one step; see `Solver.lift_off`."""
-        self.committed.lift_off()
+        self.committed.restore_untouched_state()
 
     def save(self) -> SavedState:
         """Return a copy of the committed state, for `restore`."""

@@ -120,7 +120,7 @@ class SolverState:
         """
         return float(np.abs(self.latest_state[:nodal] - self._untouched[:nodal]).max()) <= tolerance
 
-    def lift_off(self) -> None:
+    def restore_untouched_state(self) -> None:
         """Restore the displacements and bonds before the first touch; the memory of the tissue stays."""
         self.slots[:], self.depths, self.times, self.equilibria_since_contact_change = np.arange(KEPT), [0.0], [0.0], 0
         self.history[0] = self._untouched

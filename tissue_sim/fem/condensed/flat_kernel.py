@@ -4,7 +4,13 @@ from enum import IntEnum
 from functools import cache
 
 from tissue_sim.fem.condensed.kernel import make_node_compliance_function
-from tissue_sim.fem.condensed.tables import KernelSetting, ListColumn, LocalColumn, NodeColumn, StateColumn
+from tissue_sim.fem.condensed.tables import (
+    ContactStateColumn,
+    KernelSetting,
+    LocalContactColumn,
+    NodeColumn,
+    NodeListColumn,
+)
 from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 
@@ -89,21 +95,21 @@ def make_flat_contact_kernel():
         if step_length == 1.0:
             for i in range(many):
                 for a in ti.static(range(3)):
-                    flat[i, FlatContactColumn.START + a] = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                    flat[i, FlatContactColumn.START + a] = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                     flat[i, FlatContactColumn.GOAL + a] = 0.0
             for p in range(ti.cast(found[FlatKernelOutput.NODES], ti.i32)):
-                i = lists[p, ListColumn.UNKNOWN]
+                i = lists[p, NodeListColumn.UNKNOWN]
                 for a in ti.static(range(3)):
                     value = flat[i, FlatContactColumn.START + a] + flat[p, FlatContactColumn.KNOWN + a]
-                    for row in range(lists[p, ListColumn.ROWS]):
-                        amplitude = right[lists[p, ListColumn.FIRST_ROW] + row]
+                    for row in range(lists[p, NodeListColumn.ROWS]):
+                        amplitude = right[lists[p, NodeListColumn.FIRST_ROW] + row]
                         value = value + flat[p, FlatContactColumn.DIRECTIONS + 3 * row + a] * amplitude
                     flat[i, FlatContactColumn.GOAL + a] = value
         for i in range(many):
             for a in ti.static(range(3)):
                 begun = flat[i, FlatContactColumn.START + a]
                 force = begun + step_length * (flat[i, FlatContactColumn.GOAL + a] - begun)
-                carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a] = force
+                carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a] = force
 
     @ti.func
     def compute_displacements(many, carried: ti.template(), lists: ti.template(), local: ti.template(),
@@ -111,15 +117,15 @@ def make_flat_contact_kernel():
         """Compute the node displacements caused by force changes since the tool surface was linearised."""
         for p in range(many):
             for a in ti.static(range(3)):
-                flat[lists[p, ListColumn.NEAR], FlatContactColumn.DISPLACEMENT + a] = 0.0
+                flat[lists[p, NodeListColumn.NEAR], FlatContactColumn.DISPLACEMENT + a] = 0.0
         for q in range(many):
-            j = lists[q, ListColumn.NEAR]
-            s = lists[j, ListColumn.NODE]
-            change = ti.Vector([carried[s, NodeColumn.FORCE + b] - local[j, LocalColumn.FORCE + b]
+            j = lists[q, NodeListColumn.NEAR]
+            s = lists[j, NodeListColumn.NODE]
+            change = ti.Vector([carried[s, NodeColumn.FORCE + b] - local[j, LocalContactColumn.FORCE + b]
                                 for b in ti.static(range(3))])
             if change.norm() > 0.0:
                 for p in range(many):
-                    i = lists[p, ListColumn.NEAR]
+                    i = lists[p, NodeListColumn.NEAR]
                     for a in ti.static(range(3)):
                         before = flat[i, FlatContactColumn.DISPLACEMENT + a]
                         flat[i, FlatContactColumn.DISPLACEMENT + a] = before - (
@@ -133,8 +139,8 @@ def make_flat_contact_kernel():
         for a in ti.static(range(3)):
             flat[p, FlatContactColumn.RATES + 3 * row + a] = rate[a]
             flat[p, FlatContactColumn.DIRECTIONS + 3 * row + a] = way[a]
-        flat[p, FlatContactColumn.DIAGONAL + row], right[lists[p, ListColumn.FIRST_ROW] + row] = own, -rest
-        lists[p, ListColumn.ROWS] = row + 1
+        flat[p, FlatContactColumn.DIAGONAL + row], right[lists[p, NodeListColumn.FIRST_ROW] + row] = own, -rest
+        lists[p, NodeListColumn.ROWS] = row + 1
 
     @ti.func
     def evaluate_node_residual(p, i, first, states: ti.template(), carried: ti.template(), lists: ti.template(),
@@ -144,35 +150,36 @@ def make_flat_contact_kernel():
 
         The unknowns are those of the p-th node with unknowns, from equation `first` on.
         """
-        s = lists[i, ListColumn.NODE]
-        n = ti.Vector([local[i, LocalColumn.NORMAL + a] for a in ti.static(range(3))])
+        s = lists[i, NodeListColumn.NODE]
+        n = ti.Vector([local[i, LocalContactColumn.NORMAL + a] for a in ti.static(range(3))])
         F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
         move = ti.Vector([flat[i, FlatContactColumn.DISPLACEMENT + a] for a in ti.static(range(3))])
-        slip = ti.Vector([local[i, LocalColumn.SLIP + a] for a in ti.static(range(3))]) + move
-        gap, mu = local[i, LocalColumn.GAP] + n.dot(move), local[i, LocalColumn.FRICTION]
+        slip = ti.Vector([local[i, LocalContactColumn.SLIP + a] for a in ti.static(range(3))]) + move
+        gap, mu = local[i, LocalContactColumn.GAP] + n.dot(move), local[i, LocalContactColumn.FRICTION]
         give = node_compliance(i, n, compliance)
         along, aside = give[0], give[1]
         nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
-        held, N = states[s, StateColumn.BOND] == ContactBond.HELD, F.dot(n) + gap / along
+        held, N = states[s, ContactStateColumn.BOND] == ContactBond.HELD, F.dot(n) + gap / along
         rest, rates, sticks = -F, eye, held
-        lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW], lists[p, ListColumn.ROWS] = i, first, 0
+        lists[p,
+              NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW], lists[p, NodeListColumn.ROWS] = i, first, 0
         for a in ti.static(range(3)):
             flat[p, FlatContactColumn.KNOWN + a] = 0.0
         if held:
             rates = eye / ti.max(along, aside)
             rest = rates @ slip
         else:
-            states[s, StateColumn.PRESSED], states[s, StateColumn.SLIPS] = 0, 0
+            states[s, ContactStateColumn.PRESSED], states[s, ContactStateColumn.SLIPS] = 0, 0
             if N < 0.0:
                 tried = F + slip / aside
                 q = tried - tried.dot(n) * n
                 length, most = q.norm(), -mu * N
-                states[s, StateColumn.PRESSED] = 1
+                states[s, ContactStateColumn.PRESSED] = 1
                 sticks = mu > 0.0 and length <= most
                 if sticks:
                     rest, rates = N * n + q - F, nn / along + (eye - nn) / aside
                 else:
-                    states[s, StateColumn.SLIPS] = 1
+                    states[s, ContactStateColumn.SLIPS] = 1
                     way = q / ti.max(length, 1e-300)
                     rest = N * n + most * way - F
                     store_node_unknown(p, 0, n / along, n - mu * way, 0.0, rest.dot(n), lists, flat, right)
@@ -195,14 +202,15 @@ def make_flat_contact_kernel():
     def add_node_coupling(q, count, k, lists: ti.template(), compliance: ti.template(), flat: ti.template(),
                           matrix: ti.template(), right: ti.template()):
         """Add the coupling of the q-th node's unknowns to all equations, and its known force to the right-hand side."""
-        at, first, rows = 3 * lists[q, ListColumn.UNKNOWN], lists[q, ListColumn.FIRST_ROW], lists[q, ListColumn.ROWS]
+        at = 3 * lists[q, NodeListColumn.UNKNOWN]
+        first, rows = lists[q, NodeListColumn.FIRST_ROW], lists[q, NodeListColumn.ROWS]
         known = ti.Vector([flat[q, FlatContactColumn.KNOWN + b] for b in ti.static(range(3))])
         ways = ti.Matrix([[flat[q, FlatContactColumn.DIRECTIONS + 3 * row + b] for b in ti.static(range(3))]
                           for row in ti.static(range(3))])
         for p in range(count):
-            i, begin = lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW]
+            i, begin = lists[p, NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW]
             C = ti.Matrix([[compliance[at + b, 3 * i + a] for a in ti.static(range(3))] for b in ti.static(range(3))])
-            for other in range(lists[p, ListColumn.ROWS]):
+            for other in range(lists[p, NodeListColumn.ROWS]):
                 pushed = C @ ti.Vector([flat[p, FlatContactColumn.RATES + 3 * other + a] for a in ti.static(range(3))])
                 right[begin + other] = right[begin + other] + pushed.dot(known)
                 for row in ti.static(range(3)):
@@ -217,12 +225,12 @@ def make_flat_contact_kernel():
     def subtract_separated_node_force(j, count, carried: ti.template(), lists: ti.template(), compliance: ti.template(),
                                       flat: ti.template(), right: ti.template()):
         """Subtract the displacement caused by the force of a separating node from the right-hand side."""
-        force = ti.Vector([carried[lists[j, ListColumn.NODE], NodeColumn.FORCE + b] for b in ti.static(range(3))])
+        force = ti.Vector([carried[lists[j, NodeListColumn.NODE], NodeColumn.FORCE + b] for b in ti.static(range(3))])
         for p in range(count if force.norm() > 0.0 else 0):
-            i, begin = lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW]
+            i, begin = lists[p, NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW]
             C = ti.Matrix([[compliance[3 * j + b, 3 * i + a] for a in ti.static(range(3))]
                            for b in ti.static(range(3))])
-            for other in range(lists[p, ListColumn.ROWS]):
+            for other in range(lists[p, NodeListColumn.ROWS]):
                 pushed = C @ ti.Vector([flat[p, FlatContactColumn.RATES + 3 * other + a] for a in ti.static(range(3))])
                 right[begin + other] = right[begin + other] - pushed.dot(force)
 
@@ -237,32 +245,34 @@ def make_flat_contact_kernel():
                                        right)
             many, count, k, left, size = 0, 0, 0, 0.0, 0.0
             for i in range(ti.cast(settings[KernelSetting.COUNT], ti.i32)):
-                s = lists[i, ListColumn.NODE]
+                s = lists[i, NodeListColumn.NODE]
                 loaded = 0.0
                 for a in ti.static(range(3)):
-                    loaded = loaded + ti.abs(carried[s, NodeColumn.FORCE + a]) + ti.abs(local[i, LocalColumn.FORCE + a])
-                if (states[s, StateColumn.BOND] == ContactBond.HELD or loaded > 0.0
-                        or local[i, LocalColumn.GAP] < limits[FlatKernelInput.NEAR_GAP]):
-                    lists[many, ListColumn.NEAR] = i
+                    loaded = loaded + ti.abs(carried[s, NodeColumn.FORCE + a]) + ti.abs(
+                        local[i, LocalContactColumn.FORCE + a])
+                if (states[s, ContactStateColumn.BOND] == ContactBond.HELD or loaded > 0.0
+                        or local[i, LocalContactColumn.GAP] < limits[FlatKernelInput.NEAR_GAP]):
+                    lists[many, NodeListColumn.NEAR] = i
                     many = many + 1
             compute_displacements(many, carried, lists, local, compliance, flat)
             for p in range(many):
-                i = lists[p, ListColumn.NEAR]
+                i = lists[p, NodeListColumn.NEAR]
                 rest = evaluate_node_residual(count, i, k, states, carried, lists, local, compliance, flat, right)
                 left = left + rest.dot(rest)
                 for a in ti.static(range(3)):
-                    force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                    force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                     size = size + force * force
-                k = k + lists[count, ListColumn.ROWS]
-                if lists[count, ListColumn.ROWS] > 0:
+                k = k + lists[count, NodeListColumn.ROWS]
+                if lists[count, NodeListColumn.ROWS] > 0:
                     count = count + 1
             found[FlatKernelOutput.RESIDUAL], found[FlatKernelOutput.FORCES] = left, size
             found[FlatKernelOutput.NODES], found[FlatKernelOutput.EQUATIONS] = count, k
             if ti.sqrt(left) > limits[FlatKernelInput.TOLERANCE] * ti.max(ti.sqrt(size), limits[FlatKernelInput.FLOOR]):
                 for q in range(many):
-                    j = lists[q, ListColumn.NEAR]
-                    s = lists[j, ListColumn.NODE]
-                    if states[s, StateColumn.BOND] != ContactBond.HELD and states[s, StateColumn.PRESSED] == 0:
+                    j = lists[q, NodeListColumn.NEAR]
+                    s = lists[j, NodeListColumn.NODE]
+                    may_separate = states[s, ContactStateColumn.BOND] != ContactBond.HELD
+                    if may_separate and states[s, ContactStateColumn.PRESSED] == 0:
                         subtract_separated_node_force(j, count, carried, lists, compliance, flat, right)
                 for q in range(count):
                     add_node_coupling(q, count, k, lists, compliance, flat, matrix, right)

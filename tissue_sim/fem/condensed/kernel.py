@@ -17,14 +17,14 @@ from functools import cache
 from tissue_sim.fem.condensed.tables import (
     MAX_FREEDOMS,
     RESULT_COUNT,
+    ContactStateColumn,
     ContactStatus,
     KernelResult,
     KernelSetting,
-    ListColumn,
-    LocalColumn,
+    LocalContactColumn,
     NodeColumn,
-    StateColumn,
-    SurfaceColumn,
+    NodeListColumn,
+    SurfaceNodeColumn,
 )
 from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
@@ -69,20 +69,21 @@ def make_contact_kernel():
         """Predict the forces of the nodes in contact by linear extrapolation with the motion of the tool."""
         most, largest, many = 0.0, 0.0, ti.cast(settings[KernelSetting.PREDICTED], ti.i32)
         for p in range(many):
-            i = lists[p, ListColumn.ACTIVE]
+            i = lists[p, NodeListColumn.ACTIVE]
             for a in ti.static(range(3)):
                 more = 0.0
                 for c in ti.static(range(6)):
                     more = more + columns[3 * p + a, c] * settings[KernelSetting.STEP + c]
-                local[i, LocalColumn.FORCE + a] = more
-                force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                local[i, LocalContactColumn.FORCE + a] = more
+                force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                 most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(force))
         if most < _MAX_PREDICTED_CHANGE * largest:
             for p in range(many):
-                i = lists[p, ListColumn.ACTIVE]
+                i = lists[p, NodeListColumn.ACTIVE]
                 for a in ti.static(range(3)):
-                    force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
-                    carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a] = force + local[i, LocalColumn.FORCE + a]
+                    force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
+                    carried[lists[i, NodeListColumn.NODE],
+                            NodeColumn.FORCE + a] = force + local[i, LocalContactColumn.FORCE + a]
         settings[KernelSetting.PREDICTED] = 0.0
 
     @ti.func
@@ -98,8 +99,8 @@ def make_contact_kernel():
         for q in range(used):
             move[q] = ti.Vector.zero(ti.f64, LANES)
         for l in range(many):
-            j = lists[l, ListColumn.LOADED]
-            s = lists[j, ListColumn.NODE]
+            j = lists[l, NodeListColumn.LOADED]
+            s = lists[j, NodeListColumn.NODE]
             for m in range(3):
                 force = carried[s, NodeColumn.FORCE + m]
                 for q in range(used):
@@ -123,11 +124,11 @@ def make_contact_kernel():
         """Evaluate a node: closest point on the tool, contact state, force and derivatives of the force."""
         R = ti.Matrix([[settings[KernelSetting.ROTATION + 3 * a + b] for b in ti.static(range(3))]
                        for a in ti.static(range(3))])
-        arm = ti.Vector([surface[s, SurfaceColumn.POSITION + a] + u[3 * i + a] - settings[KernelSetting.ORIGIN + a]
+        arm = ti.Vector([surface[s, SurfaceNodeColumn.POSITION + a] + u[3 * i + a] - settings[KernelSetting.ORIGIN + a]
                          for a in ti.static(range(3))])
         at = R.transpose() @ arm
         # Closest-point projection on the outline.
-        body = states[s, StateColumn.OUTLINE]
+        body = states[s, ContactStateColumn.OUTLINE]
         rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
         closed = shapes[body, 2] * settings[KernelSetting.PRESSED_IN]
         r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
@@ -161,29 +162,29 @@ def make_contact_kernel():
         n_tool = n_r * out + n_z * up
         n = R @ n_tool
         gap = sign * distance - rounding
-        mu = surface[s, SurfaceColumn.FRICTION]
+        mu = surface[s, SurfaceNodeColumn.FRICTION]
         if best >= shaft and not (beyond and rounding > 0.0):
-            mu = surface[s, SurfaceColumn.FRICTION + 1]
+            mu = surface[s, SurfaceNodeColumn.FRICTION + 1]
         # Displacement relative to the tool since all nodes were evaluated: other nodes may have come near.
         for a in ti.static(range(3)):
             if settings[KernelSetting.NEAR_COUNT] == 0.0:
-                local[i, LocalColumn.REFERENCE + a] = at[a]
+                local[i, LocalContactColumn.REFERENCE + a] = at[a]
             results[KernelResult.TRAVEL] = ti.max(results[KernelResult.TRAVEL],
-                                                  ti.abs(at[a] - local[i, LocalColumn.REFERENCE + a]))
+                                                  ti.abs(at[a] - local[i, LocalContactColumn.REFERENCE + a]))
         # Contact state (active set) and force.
-        k = surface[s, SurfaceColumn.PENALTY] * settings[KernelSetting.MODULUS]
+        k = surface[s, SurfaceNodeColumn.PENALTY] * settings[KernelSetting.MODULUS]
         F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
         give = node_compliance(i, n, compliance)
-        held = states[s, StateColumn.BOND] == ContactBond.HELD
+        held = states[s, ContactStateColumn.BOND] == ContactBond.HELD
         changeable = settings[KernelSetting.CHANGEABLE] > 0.0
         if held and settings[KernelSetting.RELEASE] > 0.0 and F.dot(n) > 0.0:
-            states[s, StateColumn.BOND] = ContactBond.FREE
+            states[s, ContactStateColumn.BOND] = ContactBond.FREE
             held = False
         if changeable and not held:
-            states[s, StateColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
-        is_pressed = states[s, StateColumn.PRESSED] == 1 and not held
+            states[s, ContactStateColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
+        is_pressed = states[s, ContactStateColumn.PRESSED] == 1 and not held
         anchor = ti.Vector([carried[s, NodeColumn.ANCHOR + a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
         aside = slip - slip.dot(n) * n
@@ -203,14 +204,14 @@ def make_contact_kernel():
             A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            has_bond = states[s, StateColumn.BOND] == ContactBond.TOUCHED
+            has_bond = states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED
             if mu > 0.0 and has_bond and rough > settings[KernelSetting.NEGLIGIBLE]:
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
                 if changeable:
-                    states[s, StateColumn.SLIPS] = 1 if size > rough else 0
-                if states[s, StateColumn.SLIPS] == 1:
+                    states[s, ContactStateColumn.SLIPS] = 1 if size > rough else 0
+                if states[s, ContactStateColumn.SLIPS] == 1:
                     state = ContactStatus.SLIPPING
                     way = tried / ti.max(size, 1e-300)
                     T = limit / ti.max(size, 1e-300) * (eye - nn - way.outer_product(way))
@@ -226,30 +227,31 @@ def make_contact_kernel():
             violation = ti.max(-gap, 0.0)
         results[KernelResult.VIOLATION] = ti.max(results[KernelResult.VIOLATION], violation)
         touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[KernelSetting.TOLERANCE])
-        states[s, StateColumn.NEW_BOND] = ContactBond.FREE
+        states[s, ContactStateColumn.NEW_BOND] = ContactBond.FREE
         if mu < 0.0 and is_pressed:
-            states[s, StateColumn.NEW_BOND] = ContactBond.HELD
+            states[s, ContactStateColumn.NEW_BOND] = ContactBond.HELD
         elif touches and mu > 0.0:
-            states[s, StateColumn.NEW_BOND] = ContactBond.TOUCHED
-        keeps = sticks or (touches and not is_pressed and states[s, StateColumn.BOND] == ContactBond.TOUCHED)
+            states[s, ContactStateColumn.NEW_BOND] = ContactBond.TOUCHED
+        keeps = sticks or (touches and not is_pressed and states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED)
         for a in ti.static(range(3)):
             carried[s, NodeColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
-            local[i, LocalColumn.ARM + a] = arm[a]
-            local[i, LocalColumn.NORMAL + a], local[i, LocalColumn.SLIP + a] = n[a], slip[a]
-            local[i, LocalColumn.INTERCEPT + a] = found[a] + missing[a]
-            change = found[a] - local[i, LocalColumn.FORCE + a]
+            local[i, LocalContactColumn.ARM + a] = arm[a]
+            local[i, LocalContactColumn.NORMAL + a], local[i, LocalContactColumn.SLIP + a] = n[a], slip[a]
+            local[i, LocalContactColumn.INTERCEPT + a] = found[a] + missing[a]
+            change = found[a] - local[i, LocalContactColumn.FORCE + a]
             results[KernelResult.UNBALANCED] = results[KernelResult.UNBALANCED] + change * change
             results[KernelResult.SIZE] = results[KernelResult.SIZE] + found[a] * found[a]
             carried[s, NodeColumn.FORCE + a] = found[a]
             for b in ti.static(range(3)):
-                local[i, LocalColumn.STIFFNESS + 3 * a + b] = A[a, b]
-                local[i, LocalColumn.ROTATION + 3 * a + b] = T[a, b]
-        local[i, LocalColumn.GAP] = gap
-        local[i, LocalColumn.FRICTION] = ti.max(mu, 0.0) if states[s, StateColumn.BOND] == ContactBond.TOUCHED else 0.0
+                local[i, LocalContactColumn.STIFFNESS + 3 * a + b] = A[a, b]
+                local[i, LocalContactColumn.ROTATION + 3 * a + b] = T[a, b]
+        local[i, LocalContactColumn.GAP] = gap
+        rubs = states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED
+        local[i, LocalContactColumn.FRICTION] = ti.max(mu, 0.0) if rubs else 0.0
         # The matrix is reused while the set of nodes in contact does not change.
-        if (lists[i, ListColumn.STATUS] > 0) != (state > 0) or lists[i, ListColumn.STATUS] < 0:
+        if (lists[i, NodeListColumn.STATUS] > 0) != (state > 0) or lists[i, NodeListColumn.STATUS] < 0:
             settings[KernelSetting.REBUILDS] = 1.0
-        lists[i, ListColumn.STATUS] = state
+        lists[i, NodeListColumn.STATUS] = state
 
     @ti.kernel
     def run_contact_iteration(settings: real1, results: real1, chains: real3, shapes: real2, surface: real2,
@@ -262,13 +264,13 @@ def make_contact_kernel():
                 extrapolate_forces(settings, lists, carried, columns, local)
             n, many = ti.cast(settings[KernelSetting.COUNT], ti.i32), 0
             for i in range(n):
-                s = lists[i, ListColumn.NODE]
+                s = lists[i, NodeListColumn.NODE]
                 size = 0.0
                 for a in ti.static(range(3)):
-                    local[i, LocalColumn.FORCE + a] = carried[s, NodeColumn.FORCE + a]
+                    local[i, LocalContactColumn.FORCE + a] = carried[s, NodeColumn.FORCE + a]
                     size = size + ti.abs(carried[s, NodeColumn.FORCE + a])
                 if size > 0.0:
-                    lists[many, ListColumn.LOADED] = i
+                    lists[many, NodeListColumn.LOADED] = i
                     many = many + 1
             for k in range(RESULT_COUNT):
                 results[k] = 0.0
@@ -278,19 +280,20 @@ def make_contact_kernel():
                 n = ti.cast(settings[KernelSetting.NEAR_COUNT], ti.i32)
             compute_displacements(n, many, settings, lists, carried, free_displacement, tool_coupling, rows, u)
             for i in range(n):
-                evaluate_node_contact(i, lists[i, ListColumn.NODE], settings, results, chains, shapes, surface, states,
-                                      carried, lists, u, local, compliance)
+                evaluate_node_contact(i, lists[i, NodeListColumn.NODE], settings, results, chains, shapes, surface,
+                                      states, carried, lists, u, local, compliance)
             count, near = 0, 1
             for i in range(n):
-                if lists[i, ListColumn.STATUS] > 0:
-                    lists[count, ListColumn.ACTIVE] = i
+                if lists[i, NodeListColumn.STATUS] > 0:
+                    lists[count, NodeListColumn.ACTIVE] = i
                     count = count + 1
-                if lists[i, ListColumn.STATUS] > 0 or local[i, LocalColumn.GAP] < settings[KernelSetting.NEAR_GAP]:
+                if lists[i, NodeListColumn.STATUS] > 0 or (
+                        local[i, LocalContactColumn.GAP] < settings[KernelSetting.NEAR_GAP]):
                     near = i + 1
             if all_nodes:
                 # Loaded nodes may come into contact again when other nodes separate.
                 if many > 0:
-                    near = ti.max(near, lists[many - 1, ListColumn.LOADED] + 1)
+                    near = ti.max(near, lists[many - 1, NodeListColumn.LOADED] + 1)
                 settings[KernelSetting.NEAR_COUNT] = ti.min(near, n)
             k = 3 * count
             results[KernelResult.ACTIVE] = count
@@ -298,25 +301,26 @@ def make_contact_kernel():
             results[KernelResult.REBUILT] = settings[KernelSetting.REBUILDS]
             settings[KernelSetting.REBUILDS] = 0.0
             for p in range(count):
-                i = lists[p, ListColumn.ACTIVE]
+                i = lists[p, NodeListColumn.ACTIVE]
                 # Displacement caused by the last forces of nodes that have separated.
                 e = ti.Vector.zero(ti.f64, 3)
                 for l in range(many):
-                    j = lists[l, ListColumn.LOADED]
-                    if lists[j, ListColumn.STATUS] == 0:
+                    j = lists[l, NodeListColumn.LOADED]
+                    if lists[j, NodeListColumn.STATUS] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, LocalColumn.FORCE + b]
-                x, y, z = local[i, LocalColumn.ARM], local[i, LocalColumn.ARM + 1], local[i, LocalColumn.ARM + 2]
-                f = ti.Vector([local[i, LocalColumn.INTERCEPT], local[i, LocalColumn.INTERCEPT + 1],
-                               local[i, LocalColumn.INTERCEPT + 2]])
+                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, LocalContactColumn.FORCE + b]
+                x, y = local[i, LocalContactColumn.ARM], local[i, LocalContactColumn.ARM + 1]
+                z = local[i, LocalContactColumn.ARM + 2]
+                f = ti.Vector([local[i, LocalContactColumn.INTERCEPT], local[i, LocalContactColumn.INTERCEPT + 1],
+                               local[i, LocalContactColumn.INTERCEPT + 2]])
                 turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
                 turned = ti.Matrix([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
                 for a in ti.static(range(3)):
                     row = 3 * p + a
-                    value = local[i, LocalColumn.INTERCEPT + a] - local[i, LocalColumn.FORCE + a]
+                    value = local[i, LocalContactColumn.INTERCEPT + a] - local[i, LocalContactColumn.FORCE + a]
                     for b in ti.static(range(3)):
-                        value = value + local[i, LocalColumn.STIFFNESS + 3 * a + b] * e[b]
+                        value = value + local[i, LocalContactColumn.STIFFNESS + 3 * a + b] * e[b]
                     right[row] = value
                     for c in ti.static(range(6)):
                         value = 0.0
@@ -328,17 +332,17 @@ def make_contact_kernel():
                                 way = way - turning[b, ti.static(c - 3)]
                             elif ti.static(c == b):
                                 way = way - 1.0
-                            value = value + local[i, LocalColumn.STIFFNESS + 3 * a + b] * way
+                            value = value + local[i, LocalContactColumn.STIFFNESS + 3 * a + b] * way
                         right[(c + 1) * k + row] = value
             # Column by column, the order of LAPACK; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
-                j = lists[q, ListColumn.ACTIVE]
+                j = lists[q, NodeListColumn.ACTIVE]
                 start = 3 * q * k
                 for p in range(count):
-                    i = lists[p, ListColumn.ACTIVE]
+                    i = lists[p, NodeListColumn.ACTIVE]
                     C = ti.Matrix([[compliance[3 * j + b, 3 * i + c] for b in ti.static(range(3))]
                                    for c in ti.static(range(3))])
-                    A = ti.Matrix([[local[i, LocalColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
+                    A = ti.Matrix([[local[i, LocalContactColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
                                    for a in ti.static(range(3))])
                     value = A @ C
                     for b in ti.static(range(3)):
@@ -347,6 +351,7 @@ def make_contact_kernel():
                 for b in ti.static(range(3)):
                     for a in ti.static(range(3)):
                         at = start + b * k + 3 * q + a
-                        matrix[at] = matrix[at] - local[j, LocalColumn.ROTATION + 3 * a + b] + (1.0 if a == b else 0.0)
+                        rotation_rate = local[j, LocalContactColumn.ROTATION + 3 * a + b]
+                        matrix[at] = matrix[at] - rotation_rate + (1.0 if a == b else 0.0)
 
     return run_contact_iteration

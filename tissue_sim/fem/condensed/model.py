@@ -1,6 +1,6 @@
 """Messages between a slow solver of the bulk and a fast solver of the contact (multirate simulation).
 
-The bulk publishes its linearisation, condensed to the contact nodes (`CondensedContact`); the contact publishes its
+The bulk publishes its linearisation, condensed to the contact nodes (`CondensedBulk`); the contact publishes its
 state (`ContactState`). Both can be packed in one array of numbers.
 """
 
@@ -18,7 +18,7 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.registry import Registry
 
-#: Number of scalars before the arrays of a packed `CondensedContact`.
+#: Number of scalars before the arrays of a packed `CondensedBulk`.
 _MODEL_HEAD = 17
 #: Number of scalars before the arrays of a packed tangent.
 _TANGENT_HEAD = 8
@@ -46,7 +46,7 @@ class ContactSurface:
         tolerance: largest violation of a contact condition, m.
         radius: radius of the contact, m; a rotation is measured by the path of a point at this radius.
         floor: negligible force, N.
-        candidates: largest number of nodes of a `CondensedContact`.
+        candidates: largest number of nodes of a `CondensedBulk`.
     """
 
     places: np.ndarray
@@ -66,7 +66,7 @@ class ContactSurface:
 
 
 @dataclass(frozen=True, eq=False)
-class CondensedContact:
+class CondensedBulk:
     """Linearised bulk, condensed to the contact nodes near the tool (Schur complement).
 
     With the linearised equations K du = -R - B^T f of the bulk, the displacements of the contact nodes are
@@ -144,7 +144,7 @@ class CondensedContact:
         return np.concatenate(own)
 
     @classmethod
-    def unpack_from_array(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
+    def unpack_from_array(cls, numbers: np.ndarray, base: CondensedBulk | None = None) -> CondensedBulk | None:
         """Return the linearisation that `pack_to_array` packed.
 
         Args:
@@ -173,7 +173,7 @@ class CondensedContact:
 
 
 def max_packed_linearisation_size(surface: ContactSurface, whole: bool = True) -> int:
-    """Return the largest number of entries of a packed `CondensedContact`.
+    """Return the largest number of entries of a packed `CondensedBulk`.
 
     Args:
         surface: constants of the contact.
@@ -189,7 +189,7 @@ class ContactState:
     """State of the fast solver of the contact.
 
     Attributes:
-        model: number of the `CondensedContact` on which the contact was solved; 0: none yet.
+        model: number of the `CondensedBulk` on which the contact was solved; 0: none yet.
         epoch: number of resets to the untouched specimen.
         time: time, s.
         pose: pose of the tool.
@@ -255,7 +255,7 @@ class BulkLinearisation(Protocol):
     def surface(self) -> ContactSurface:
         """Nodes of the tissue surface and shape of the tool, constant during the simulation."""
 
-    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
+    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
         """Advance Newton's iteration of the bulk with the contact forces, and return its linearisation.
 
         Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedContact, ContactState
+from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedBulk, ContactState
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, between, motion
@@ -48,7 +48,7 @@ class PredictiveLinearisation:
         self._stepper = CondensedStepper(linearisation.surface, PREDICTION.max_increment)
         self._epoch = self._material = 0
 
-    def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedContact | None:
+    def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedBulk | None:
         """Linearise the bulk for the predicted pose, and return the linearisation.
 
         Args:
@@ -80,7 +80,7 @@ class PredictiveLinearisation:
 
         Args:
             material: new material.
-            number: number of the change, `CondensedContact.material` of all later linearisations.
+            number: number of the change, `CondensedBulk.material` of all later linearisations.
 
         Raises:
             InputError: the bulk does not support the material; the material stays.

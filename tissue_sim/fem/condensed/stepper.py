@@ -16,7 +16,7 @@ import numpy as np
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.flat_contact import TangentPlaneContact
 from tissue_sim.fem.condensed.kernel import make_contact_kernel
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface
+from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface
 from tissue_sim.fem.condensed.settings import StepperSettings
 from tissue_sim.fem.condensed.tables import (
     LIST_COLUMNS,
@@ -28,9 +28,9 @@ from tissue_sim.fem.condensed.tables import (
     SETTING_COUNT,
     STATE_COLUMNS,
     KernelSetting,
-    ListColumn,
-    LocalColumn,
+    LocalContactColumn,
     NodeColumn,
+    NodeListColumn,
 )
 from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchIndex, make_wrench_kernel
 from tissue_sim.fem.contact_settings import ContactBond
@@ -74,7 +74,7 @@ _INITIAL_STEP = ContactStepResult(True, 0, _ZERO_WRENCH, (_ZERO_WRENCH,) * 6, 0.
 
 
 class CondensedStepper:
-    """Solver of the contact of a tool with a tissue whose bulk is a `CondensedContact`.
+    """Solver of the contact of a tool with a tissue whose bulk is a `CondensedBulk`.
 
     Forces and bonds of the nodes continue from model to model.
 
@@ -108,8 +108,9 @@ class CondensedStepper:
         self._compliance, self._free_displacement = np.zeros((3 * n, width)), np.zeros((n, 3))
         lists, local = np.zeros((n, LIST_COLUMNS), dtype=np.int32), np.zeros((n, LOCAL_COLUMNS))
         self._nodes, self._active, self._signature = (lists[:, at]
-                                                      for at in (ListColumn.NODE, ListColumn.ACTIVE, ListColumn.STATUS))
-        self._guess = local[:, LocalColumn.FORCE:LocalColumn.FORCE + 3]
+                                                      for at in (NodeListColumn.NODE, NodeListColumn.ACTIVE,
+                                                                 NodeListColumn.STATUS))
+        self._guess = local[:, LocalContactColumn.FORCE:LocalContactColumn.FORCE + 3]
         arrays = {
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
             "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
@@ -129,7 +130,7 @@ class CondensedStepper:
         self._others = surface.places[:0]
         self._largest = largest * surface.radius
         self._first_height = surface.start.position[2]
-        self.model: CondensedContact | None = None
+        self.model: CondensedBulk | None = None
         self._last = _INITIAL_STEP
         self.reset()
 
@@ -182,7 +183,7 @@ class CondensedStepper:
         self._pose = state.pose
         self._discard_equations()
 
-    def set_linearisation(self, model: CondensedContact) -> None:
+    def set_linearisation(self, model: CondensedBulk) -> None:
         """Continue on another linearisation of the same surface.
 
         Nodes that the new model does not contain lose their forces and frictional bonds.

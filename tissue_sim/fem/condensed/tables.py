@@ -76,7 +76,7 @@ RESULT_COUNT = len(KernelResult)
 
 
 # Taichi takes 0.3 us for each array argument when a kernel starts, so the data of the nodes are packed in few arrays.
-class SurfaceColumn(IntEnum):
+class SurfaceNodeColumn(IntEnum):
     """Columns of `surface`, constants of the nodes of the surface.
 
     Attributes:
@@ -108,7 +108,7 @@ class NodeColumn(IntEnum):
 NODE_COLUMNS = NodeColumn.NEW_ANCHOR + 3
 
 
-class StateColumn(IntEnum):
+class ContactStateColumn(IntEnum):
     """Columns of `states`, the contact states of the nodes of the surface.
 
     Attributes:
@@ -127,10 +127,10 @@ class StateColumn(IntEnum):
 
 
 #: Number of columns of `states`.
-STATE_COLUMNS = len(StateColumn)
+STATE_COLUMNS = len(ContactStateColumn)
 
 
-class ListColumn(IntEnum):
+class NodeListColumn(IntEnum):
     """Columns of `lists`: index lists with one row for each node of the model.
 
     Attributes:
@@ -155,7 +155,7 @@ class ListColumn(IntEnum):
 
 
 #: Number of columns of `lists`.
-LIST_COLUMNS = len(ListColumn)
+LIST_COLUMNS = len(NodeListColumn)
 
 
 class ContactStatus(IntEnum):
@@ -176,7 +176,7 @@ class ContactStatus(IntEnum):
     STICKING = 4
 
 
-class LocalColumn(IntEnum):
+class LocalContactColumn(IntEnum):
     """Columns of `local`, the linearised contact of the nodes of the model.
 
     Attributes:
@@ -205,7 +205,7 @@ class LocalColumn(IntEnum):
 
 
 #: Number of columns of `local`.
-LOCAL_COLUMNS = LocalColumn.REFERENCE + 3
+LOCAL_COLUMNS = LocalContactColumn.REFERENCE + 3
 #: Maximum number of displacement components, three for each node.
 MAX_FREEDOMS = LANES * VECTORS
 #: Number of right-hand sides: one of the iteration and six of the motions of the tool.

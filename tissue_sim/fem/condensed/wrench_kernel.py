@@ -3,7 +3,13 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.tables import KernelSetting, ListColumn, LocalColumn, NodeColumn, StateColumn
+from tissue_sim.fem.condensed.tables import (
+    ContactStateColumn,
+    KernelSetting,
+    LocalContactColumn,
+    NodeColumn,
+    NodeListColumn,
+)
 from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 
@@ -41,11 +47,12 @@ def make_wrench_kernel():
     def commit_node_bonds(states: ti.template(), carried: ti.template()):
         """Replace bonds and anchors by those found in the step; a node that is not pressed does not slip."""
         for s in range(states.shape[0]):
-            if states[s, StateColumn.BOND] != ContactBond.HELD:
-                states[s, StateColumn.BOND] = states[s, StateColumn.NEW_BOND]
+            if states[s, ContactStateColumn.BOND] != ContactBond.HELD:
+                states[s, ContactStateColumn.BOND] = states[s, ContactStateColumn.NEW_BOND]
                 for a in ti.static(range(3)):
                     carried[s, NodeColumn.ANCHOR + a] = carried[s, NodeColumn.NEW_ANCHOR + a]
-            states[s, StateColumn.SLIPS] = states[s, StateColumn.SLIPS] & states[s, StateColumn.PRESSED]
+            slips = states[s, ContactStateColumn.SLIPS]
+            states[s, ContactStateColumn.SLIPS] = slips & states[s, ContactStateColumn.PRESSED]
 
     @ti.kernel
     def compute_tool_wrench(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2,
@@ -63,10 +70,10 @@ def make_wrench_kernel():
                 answer[WrenchIndex.WRENCH + a] = value
             total = ti.Vector.zero(ti.f64, 3)
             for p in range(count):
-                i = lists[p, ListColumn.ACTIVE]
-                s = lists[i, ListColumn.NODE]
+                i = lists[p, NodeListColumn.ACTIVE]
+                s = lists[i, NodeListColumn.NODE]
                 f = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
-                arm = ti.Vector([local[i, LocalColumn.ARM + a] for a in ti.static(range(3))])
+                arm = ti.Vector([local[i, LocalContactColumn.ARM + a] for a in ti.static(range(3))])
                 total = total + f
                 torque = arm.cross(f)
                 for a in ti.static(range(3)):
@@ -89,10 +96,10 @@ def make_wrench_kernel():
                         answer[WrenchIndex.RATES + 6 * b + c] = answer[WrenchIndex.RATES + 6 * b + c] - value
             # The arms of the torque change with the displacements of the nodes and with the motion of the tool.
             for q in range(3 * count):
-                turned, at = ti.Vector.zero(ti.f64, 3), 3 * lists[q // 3, ListColumn.ACTIVE] + q % 3
+                turned, at = ti.Vector.zero(ti.f64, 3), 3 * lists[q // 3, NodeListColumn.ACTIVE] + q % 3
                 for p in range(count):
-                    i = lists[p, ListColumn.ACTIVE]
-                    f = ti.Vector([carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                    i = lists[p, NodeListColumn.ACTIVE]
+                    f = ti.Vector([carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                                    for a in ti.static(range(3))])
                     turned = turned + ti.Vector([compliance[at, 3 * i + a] for a in ti.static(range(3))]).cross(f)
                 for c in range(6):

@@ -99,7 +99,7 @@ class SparseSolver:
             self._single.clear()
         return factor
 
-    def condense(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
+    def factorise_condensed(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
         """Factorise a symmetric matrix and condense it onto interface equations.
 
         Args:

@@ -68,7 +68,7 @@ class CondensedTangent:
         self._is_done = executor(self._compute)
 
     def _compute(self) -> None:
-        self.factor = self._sparse.condense(self._matrix, self._sorted)
+        self.factor = self._sparse.factorise_condensed(self._matrix, self._sorted)
 
     @property
     def is_done(self) -> bool:

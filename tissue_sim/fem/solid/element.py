@@ -10,7 +10,7 @@ from functools import cache
 from typing import Any, NamedTuple
 
 from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES, LargestElementSize, get_scratch_field
@@ -78,22 +78,22 @@ def element_functions(element_name: str, energy: KernelEnergy) -> ElementFunctio
         W, P, T = stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = cofactor(F)
         if remembers > 0.0:
-            f = past[PastColumn.FACTOR]
+            f = past[MemoryCoefficient.FACTOR]
             W = f * W
             for l in ti.static(range(LANES)):
                 energies[elements[b, l], q] = W[l]
             P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
-            if past[PastColumn.LOSS] != 0.0:
+            if past[MemoryCoefficient.LOSS] != 0.0:
                 most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                P2, T2 = apply_softening(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
-                                         past[PastColumn.LOSS_SHARE], P1, T1)
+                P2, T2 = apply_softening(W, most, past[MemoryCoefficient.LOSS], past[MemoryCoefficient.LOSS_MODULUS],
+                                         past[MemoryCoefficient.LOSS_SHARE], P1, T1)
                 for m in ti.static(range(9)):
                     P1[m] = P2[m]
                 for n in ti.static(range(45)):
                     T1[n] = T2[n]
             h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                  for i in ti.static(range(6))]
-            S, P3, T3 = relax(F, cof, J, past[PastColumn.INSTANT], h, P1, T1)
+            S, P3, T3 = relax(F, cof, J, past[MemoryCoefficient.INSTANT], h, P1, T1)
             for i in ti.static(range(6)):
                 for l in ti.static(range(LANES)):
                     stresses[elements[b, l], q, i] = S[i][l]

@@ -11,9 +11,9 @@ from functools import cache
 from typing import TYPE_CHECKING
 
 from tissue_sim.fem.energy import (
+    make_expression_function,
     make_invariant_derivatives,
     make_stretch_derivatives,
-    make_taichi_expressions,
     packed_symmetric_indices,
 )
 from tissue_sim.fem.taichi.runtime import initialise
@@ -56,7 +56,7 @@ def _isochoric_chain():
 
     The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
     """
-    return make_taichi_expressions(_isochoric_derivatives, ("solid chain",), __file__)
+    return make_expression_function(_isochoric_derivatives, ("solid chain",), __file__)
 
 
 def _isochoric_derivatives():

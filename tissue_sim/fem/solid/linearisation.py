@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_synchronously
+from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface, Executor, run_synchronously
 from tissue_sim.fem.contact_settings import SOLID_PENALTY
 from tissue_sim.fem.linear.sparse import sparse_library_name
 from tissue_sim.fem.solid.bodies import Body, nearest
@@ -135,7 +135,7 @@ class SolidLinearisation:
         """Solver whose last committed state is the last iterate."""
         return self._solver
 
-    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
+    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
         """See `BulkLinearisation.linearise`."""
         solver = self._solver
         if state.epoch != self._epoch:
@@ -191,7 +191,7 @@ class SolidLinearisation:
         solver.tissue.prepare_step(0.0)
         solver._restore_committed_state()
 
-    def _restart(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
+    def _restart(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedBulk | None:
         """Linearise at the present state, or at rest if that is not possible."""
         solver, self._coming = self._solver, None
         for go_back in (solver._restore_committed_state, self._rest):
@@ -324,7 +324,7 @@ class SolidLinearisation:
                 gaps[own] = nearest(body, at[own], pressed_in=True).gap
         return gaps
 
-    def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedContact:
+    def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedBulk:
         """Make the linearisation at the last iterate."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
@@ -339,9 +339,9 @@ class SolidLinearisation:
         left = np.setdiff1d(self._meets, tangent.nodes)
         reach = float(np.maximum(0.0, self._compute_gaps(pose)[left]).min(initial=np.inf))
         self._number += 1
-        return CondensedContact(self._number, self._base, self._epoch, state.time, pose, tangent.nodes,
-                                free_displacement, tangent.compliance, tangent.tool_coupling, wrench, tangent.stiffness,
-                                reach, solver.material.mu0, self.residual, tangent.time, tangent.pose)
+        return CondensedBulk(self._number, self._base, self._epoch, state.time, pose, tangent.nodes,
+                             free_displacement, tangent.compliance, tangent.tool_coupling, wrench, tangent.stiffness,
+                             reach, solver.material.mu0, self.residual, tangent.time, tangent.pose)
 
     def _store_held_derivatives(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
         """Store the derivatives of nodes and wrench with respect to the pose of a tool that holds tissue.

@@ -37,7 +37,7 @@ TRIED: Any = object()
 Thing = TypeVar("Thing")
 
 
-class Formula(NamedTuple, Generic[Thing]):
+class KernelFormula(NamedTuple, Generic[Thing]):
     """Formula for which a kernel is compiled: a frozen dataclass and its constants, without its declared parameters.
 
     Attributes:
@@ -49,7 +49,7 @@ class Formula(NamedTuple, Generic[Thing]):
     constants: tuple[tuple[str, Any], ...]
 
     @classmethod
-    def from_instance(cls, thing: Thing) -> Formula[Thing]:
+    def from_instance(cls, thing: Thing) -> KernelFormula[Thing]:
         """Return the formula of an effect or a law."""
         kind: Any = type(thing)
         known = declared(kind)
