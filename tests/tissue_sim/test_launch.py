@@ -63,11 +63,12 @@ def test_order_does_not_matter(kernel):
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"facto": np.zeros(1)}, "no argument 'facto'; did you mean 'factor'"),
-    ({"x": np.zeros((3, 2)), "y": np.zeros(3)}, "x: expected 1 axes of float64, got float64 of shape"),
-    ({"x": np.zeros(3, np.int32)}, "x: expected 1 axes of float64, got int32"),
-    ({"y": np.zeros((3, 4))}, "y: expected 2 axes of float64 whose last axis is 2 long"),
-    ({"x": np.zeros(6)[::2]}, "x: every array must be C-contiguous"),
+    ({"facto": np.zeros(1)}, "named like the arguments of the kernel; got 'facto'; did you mean 'factor'"),
+    ({"x": np.zeros((3, 2)), "y": np.zeros(3)},
+     "x must be an array with 1 axes of type float64; got type float64 and shape"),
+    ({"x": np.zeros(3, np.int32)}, "x must be an array with 1 axes of type float64; got type int32"),
+    ({"y": np.zeros((3, 4))}, "y must be an array with 2 axes of type float64 whose last axis has length 2"),
+    ({"x": np.zeros(6)[::2]}, "x must be C-contiguous; got strides"),
 ])
 def test_what_does_not_fit_is_refused(kernel, changes, message):
     with pytest.raises(ValueError, match=message):
@@ -77,7 +78,7 @@ def test_what_does_not_fit_is_refused(kernel, changes, message):
 def test_missing_argument_is_refused(kernel):
     named = arrays()
     del named["factor"]
-    with pytest.raises(ValueError, match="arguments factor are missing"):
+    with pytest.raises(ValueError, match="must contain every argument of the kernel; factor missing"):
         launch.BoundKernel(kernel, named)
 
 

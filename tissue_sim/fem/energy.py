@@ -21,7 +21,9 @@ _NEAR = 0.3
 
 
 def make_expression_function(derive_expressions, kept_as: tuple | None, source: str):
-    """Return a Python function that builds expressions of Taichi variables when a kernel is compiled.
+    """Return a Python function that builds Taichi expressions from symbolic (sympy) expressions.
+
+    A kernel calls the function while it is compiled, on Taichi variables.
 
     Args:
         derive_expressions: function that returns the arguments and the expressions (sympy).
@@ -34,7 +36,7 @@ def make_expression_function(derive_expressions, kept_as: tuple | None, source: 
 
 
 def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
-    """Return the derivatives of a law of the isochoric invariants.
+    """Return a function that evaluates energy and derivatives of a law of the isochoric invariants.
 
     Args:
         energy: energy of (I1, I2).
@@ -61,6 +63,7 @@ def make_stretch_derivatives(energy: KernelEnergy):
 
 
 def _derivation_cache_key(energy: KernelEnergy, *what) -> tuple | None:
+    """Return the cache key of the derivatives of an energy; None if they are not cached."""
     return None if energy.kept_as is None else (*energy.kept_as, "energy", *what)
 
 

@@ -14,7 +14,7 @@ TAIL = 0.01
 
 
 def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the volume-weighted quantile of values.
+    """Return the value below which a given fraction of the volume lies (volume-weighted quantile).
 
     Args:
         values: at the quadrature points, any shape.

@@ -11,7 +11,7 @@ from tissue_sim.material.viscoelasticity import Prony
 
 
 class MemoryCoefficient(IntEnum):
-    """Columns of `MaterialMemory.past`, the numbers of the history that are equal at all points."""
+    """Indices of `MaterialMemory.past`: coefficients of relaxation and softening in this step, equal at all points."""
 
     #: Instantaneous stress over the stress of the law, 1.
     FACTOR = 0
@@ -24,7 +24,7 @@ class MemoryCoefficient(IntEnum):
 
 
 class MaterialMemory:
-    """Hereditary stresses and the largest energy density so far; arrays that the kernel of a step reads and writes.
+    """Material history (relaxation, softening) at the quadrature points, in arrays that the kernel of a step uses.
 
     The recursion is that of `tissue_sim.material.viscoelasticity`: the stress of the law is linear in time within a
     step.
@@ -54,7 +54,13 @@ class MaterialMemory:
         self.set_material(None, None, 1.0)
 
     def set_material(self, relaxation: Prony | None, softening: Softening | None, factor: float) -> None:
-        """Set relaxation and softening of the material; `factor` is the instantaneous stress over that of the law."""
+        """Set relaxation and softening of the material; None: the material has none.
+
+        Args:
+            relaxation: Prony series.
+            softening: softening by the largest energy density so far.
+            factor: instantaneous stress over the stress of the law, 1.
+        """
         self._prony: Prony | None = relaxation
         self._known: float | None = None
         terms = 0 if relaxation is None else len(relaxation.terms)
@@ -69,7 +75,11 @@ class MaterialMemory:
         self.prepare_step(0.0)
 
     def prepare_step(self, dt: float) -> None:
-        """Set the length of the next step, dt in s: 0 for a sudden step, infinity for the relaxed state."""
+        """Set the duration of the next step, and compute the inherited stresses.
+
+        Args:
+            dt: duration, s; 0: a sudden step; infinity: the relaxed state.
+        """
         self.dt = dt
         if self._prony is None:
             self.past[MemoryCoefficient.INSTANT] = 1.0
@@ -84,7 +94,7 @@ class MaterialMemory:
             self.inherited += self._scratch
 
     def commit(self) -> None:
-        """Accept the stresses and energies of the last step, which converged."""
+        """Update the history with the stresses and energies of the last step; to be called if the step converged."""
         if not self.works:
             return
         if self._prony is not None:

@@ -32,7 +32,7 @@ _RATIOS = SecondOrderStepRatios()
 
 
 class InertialMotion:
-    """Velocity of the degrees of freedom at the last equilibrium, m/s, and the history that BDF2 needs.
+    """Time integration of the inertia by BDF2: velocities at the last equilibrium, m/s, and earlier states.
 
     Args:
         masses, rest: arrays of the step's kernel, shape (freedoms,), which this object updates.
@@ -52,14 +52,14 @@ class InertialMotion:
         self._weights = (1.0, -1.0, 0.0)
 
     def prepare_step(self, state: np.ndarray, dt: float) -> float:
-        """Compute `rest` for an inertial step.
+        """Compute the force-free displacements (`rest`) of the next inertial step, and return its `rate`.
 
         Args:
             state: committed state, whose first entries are the displacements, m.
             dt: length of the step, s.
 
         Returns:
-            `rate`, 1/s2.
+            `rate`, 1/s2: inertial force per mass and displacement from `rest`.
         """
         before = float(self._before[0])
         ratio = dt / before if before > 0.0 else 0.0
@@ -77,7 +77,7 @@ class InertialMotion:
         return (now / dt) ** 2
 
     def commit(self, before: np.ndarray, after: np.ndarray, dt: float, inertial: bool) -> None:
-        """Update velocity and history after a converged step.
+        """Update velocities and earlier states with a converged step.
 
         Args:
             before: state before the step, displacements first, m.
@@ -135,7 +135,7 @@ class InertialMotion:
         return weighted @ change, weighted @ direction * (rate - self._rate)
 
     def restart_at_first_order(self) -> None:
-        """Make the next step of first order: second-order differences across an impact are not valid."""
+        """Use first-order differences in the next step, as after an impact, where the velocity jumps."""
         self._before[:] = 0.0
 
     def reset_velocity(self) -> None:

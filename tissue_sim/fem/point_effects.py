@@ -33,6 +33,7 @@ class PointEffects:
         self._allocate_states(())
 
     def _allocate_states(self, rest: tuple[float, ...]) -> None:
+        """Allocate the state variables; `rest` are their values at rest."""
         # Without effects the kernel does not read the arrays.
         shape = (*self._points, len(rest) + 4) if self.formulas else (1, 1, 1)
         self.states = np.zeros(shape)
@@ -60,11 +61,11 @@ class PointEffects:
             self.settings = settings
 
     def prepare_step(self, dt: float) -> None:
-        """Set the length of the next step, dt in s."""
+        """Set the duration dt of the next step, s, in the settings of the formulas."""
         self.settings[0] = min(dt, LONGEST)
 
     def commit(self) -> None:
-        """Accept the state variables of the last step, which converged."""
+        """Commit the state variables of the last step; to be called if the step converged."""
         if self.formulas:
             self.states[:] = self.found
 
@@ -75,7 +76,7 @@ class PointEffects:
 
 
 def require_valid_formula(formula: KernelFormula[PointEffect]) -> None:
-    """Execute a formula once outside of a kernel and check the shapes of its result.
+    """Check a formula of a point effect: execute it once outside of a kernel and check the shapes of its result.
 
     Raises:
         InputError: the formula uses an operation that kernels do not support, or returns other shapes.

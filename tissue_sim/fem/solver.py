@@ -40,7 +40,7 @@ __getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "Err
 
 
 class StepStatus(IntEnum):
-    """Result of a step.
+    """Status with which a step of a solver ends.
 
     Only CONVERGED commits a new state. See `message` for causes and remedies.
     """
@@ -54,7 +54,7 @@ class StepStatus(IntEnum):
 
     @property
     def message(self) -> str:
-        """Cause in one phrase, for messages and recordings."""
+        """Cause of the status in one phrase, for messages and recordings."""
         return {
             StepStatus.CONVERGED: "converged",
             StepStatus.INVERTED: "an element turned inside out",
@@ -77,7 +77,7 @@ class StaticStiffnessRequest(IntEnum):
 
     @staticmethod
     def is_stiffness_due(request: int, has_left: bool) -> bool:
-        """Whether a converged step computes the stiffness, given whether a linear solve is left to the step."""
+        """Return whether a converged step computes the stiffness; `has_left`: a linear solve is left to the step."""
         return request == StaticStiffnessRequest.RESERVED or (bool(request) and has_left)
 
 
@@ -118,7 +118,7 @@ class Step:
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
               slipping: int = 0, stiffness: float | None = None) -> Step:
-        """Make the result of a solver of axial motion only: force along z, N, and axial stiffness, N/m."""
+        """Return the result of a solver with axial motion only, from force along z, N, and axial stiffness, N/m."""
         return cls(status, iterations, residual, axial_wrench(force),
                    None if stiffness is None else axial_stiffness(stiffness), violation, slipping)
 
@@ -129,7 +129,7 @@ class Step:
 
     @property
     def has_static_and_step_stiffness(self) -> bool:
-        """Whether this is an inertial step for which the static stiffness was computed as well."""
+        """Whether the result contains two stiffnesses: that of the inertial step, and the static one without mass."""
         return self.step_stiffness_matrix is not None and self.stiffness_matrix is not None
 
     @property
@@ -140,7 +140,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class ResolutionLevel:
-    """One resolution of a series of meshes for real time.
+    """Resolution of a real-time mesh, with its largest known force error.
 
     Attributes:
         resolution: name of the resolution.
@@ -174,7 +174,7 @@ class ForceDerivatives(Protocol):
     force: np.ndarray
 
     def pop_contact_change(self) -> bool:
-        """Whether the contact changed since the last call, so that the force has a kink as a function of parameters."""
+        """Return and reset whether the contact changed since the last call: a kink of the force over the parameters."""
 
 
 @runtime_checkable
@@ -217,7 +217,7 @@ class Solver(FreeTool, ABC):
 
     @property
     def equilibria_since_contact_change(self) -> int:
-        """Number of equilibria since the set of touching, sticking or slipping points last changed.
+        """Number of converged steps since the set of touching, sticking or slipping points last changed.
 
         A predictor of higher order than this number would extrapolate across the change.
         """
@@ -281,7 +281,7 @@ class Solver(FreeTool, ABC):
 
     @classmethod
     def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
-        """Rule that estimates the error of the force of a resolution; None if the solver has none."""
+        """Return the rule that estimates the force error of a resolution; None if the solver has none."""
         return None
 
     @abstractmethod
@@ -309,10 +309,10 @@ class Solver(FreeTool, ABC):
 
     @abstractmethod
     def ask_for_stiffness(self) -> None:
-        """Let every step compute its stiffness matrix from now on."""
+        """Make every step from now on compute its stiffness matrix, `Step.stiffness_matrix`."""
 
     def enable_inertia(self, density: float) -> bool:
-        """Give the tissue a mass, for inertial steps.
+        """Give the tissue a mass, so that steps may be inertial; return whether the solver supports inertia.
 
         Args:
             density: kg/m3.
@@ -334,7 +334,7 @@ class Solver(FreeTool, ABC):
         return None
 
     def differentiate(self, neighbours: Neighbours) -> ForceDerivatives | None:
-        """Compute exact derivatives from now on, to be called before the first step; None if the solver has none."""
+        """Make every step compute exact derivatives; to be called before the first step; None if there are none."""
         return None
 
     @abstractmethod
@@ -350,7 +350,7 @@ class Solver(FreeTool, ABC):
         """Return the deformed surface of the tissue at the last committed state."""
 
     def warnings(self) -> Sequence[str]:
-        """Return sentences with reasons why the force at the last committed equilibrium may be wrong; usually none."""
+        """Return reasons, as sentences, why the force of the last committed step may be wrong; usually none."""
         return ()
 
     @abstractmethod

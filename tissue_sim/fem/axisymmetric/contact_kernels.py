@@ -200,7 +200,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
                         tr, tz = -nz, nr
                         area = areas[i]
                         slip = (ur - held[i, 1]) * tr + (uz - held[i, 2]) * tz
-                        pull, drag, nn, tt = law.traction(gap, ti.max(-normal, 0.0) / area, slip, law_settings)
+                        pull, drag, nn, tt = law.evaluate_traction(gap, ti.max(-normal, 0.0) / area, slip, law_settings)
                         fr += area * pull * nr
                         fz += area * pull * nz
                         if ti.static(law.drags):

@@ -15,19 +15,19 @@ class ContactLawFunctions(NamedTuple):
     """Contact laws in the form that the kernel of a step calls.
 
     Attributes:
-        traction: Taichi function ``traction(gap, pressure, slip, settings) -> (pull, drag, pull rate, drag rate)``:
-            normal and tangential traction (Pa) and their derivatives with respect to gap and slip (Pa/m).
+        evaluate_traction: Taichi function ``evaluate_traction(gap, pressure, slip, settings)``. It returns normal and
+            tangential traction, Pa, and their derivatives with respect to gap and slip, Pa/m.
         drags: whether a law has a tangential traction.
         stiffens: whether a law has nonzero derivatives.
     """
 
-    traction: object
+    evaluate_traction: object
     drags: bool
     stiffens: bool
 
 
 def pack_contact_law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
-    """Return the settings of `traction`: contact area of the tool, m2, then reach (m) and parameters of each law."""
+    """Return `settings` of `evaluate_traction`: contact area of the tool, m2; then reach, m, and parameters per law."""
     numbers = [[law.reach, *KernelFormula.from_instance(law).get_parameter_values(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
@@ -49,10 +49,11 @@ def make_contact_law_functions(formulas: tuple[KernelFormula[ContactLaw], ...]) 
         return extract_expressions(values, trace_values([gap], lanes=False)[0])
 
     @ti.func
-    def traction(gap, pressure, slip, settings: ti.template()):
+    def evaluate_traction(gap, pressure, slip, settings: ti.template()):
+        """Return normal and tangential traction, Pa, and their derivatives with gap and slip, Pa/m."""
         return ti.static(build_traction_expressions(gap, pressure, slip, [settings[i] for i in range(count)]))
 
-    return ContactLawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
+    return ContactLawFunctions(evaluate_traction, not constant[1], not (constant[2] and constant[3]))
 
 
 def _sum_law_tractions(formulas: tuple[KernelFormula[ContactLaw], ...], place: list, settings: list) -> list:
@@ -65,7 +66,7 @@ def _sum_law_tractions(formulas: tuple[KernelFormula[ContactLaw], ...], place: l
         with located(field=f"contact_laws.{formula.kind.name}"):
             found = formula.with_parameters(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
-                raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}")
+                raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}.")
         values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]
         if len(formulas) > 1:
             # Each law ends at its own reach; the contact uses the largest reach.

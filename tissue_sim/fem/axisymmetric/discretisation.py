@@ -213,7 +213,7 @@ def _settle_moulded_specimen(model: Model, mesh: Mesh, layers: np.ndarray) -> Ax
         # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
         loss = (factor * height - stands) / (factor**2 * height)
         factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
-    raise ConvergenceError(f"no height as moulded settles to {height * 1e3:g} mm under a specific weight of "
+    raise ConvergenceError(f"no moulded height settles to {height * 1e3:g} mm under a specific weight of "
                            f"{specimen.specific_weight:g} N/m3. Check density and moduli.")
 
 
@@ -231,7 +231,7 @@ def _apply_weight_in_increments(solver: AxisymmetricSolver, specific_weight: flo
             increment /= 2.0
             if increment < 2.0**-10:
                 raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
-                                       f"{applied:.0%} of the weight ({step.status.message}); check density and "
-                                       "moduli")
+                                       f"{applied:.0%} of the weight ({step.status.message}). Check density and "
+                                       "moduli.")
     start = solver.equations.start
     start[:] = solver.state[: start.size]

@@ -78,6 +78,7 @@ def make_pressure_term_function():
 
     @ti.func
     def add_pressure_terms(F, p, P, A):
+        """Return stress P + p dJ/dF and tangent A + p d2J/dF2 for the pressure p."""
         c = F[4]
         cofactor = [F[3], -F[2], -F[1], F[0]]
         stress = [P[i] + 0.0 * c for i in ti.static(range(5))]

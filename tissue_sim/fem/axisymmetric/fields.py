@@ -16,7 +16,7 @@ from tissue_sim.mesh import Mesh
 
 @dataclass(frozen=True, eq=False)
 class Fields:
-    """Displacement, stress, pressure, energy and stretch at every sample of a simulated recording.
+    """Fields of an axisymmetric simulation at every sample: displacement, stress, pressure, energy, stretch.
 
     Attributes:
         mesh: undeformed mesh.
@@ -47,11 +47,11 @@ class Fields:
         return FIELD_UNITS
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays with one entry for each sample; see `with_arrays`."""
+        """Return the arrays whose first axis is the sample: states, and stresses with memory; see `with_arrays`."""
         return (self.states,) if self.stresses is None else (self.states, self.stresses)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> Fields:
-        """Return the fields with other `arrays`."""
+        """Return fields with the arrays of other samples, from `arrays`."""
         return replace(self, states=arrays[0], stresses=arrays[1] if len(arrays) > 1 else None)
 
     def material_data(self) -> dict[str, Any]:
@@ -63,11 +63,11 @@ class Fields:
         return replace(self, **changed)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
-        """Nodal displacement (r, z), m, shape (nodes, 2)."""
+        """Return the nodal displacements (r, z), m, shape (nodes, 2)."""
         return self.states[sample, : 2 * len(self.mesh.nodes)].reshape(-1, 2)
 
     def deformation_gradient(self, sample: int = -1) -> np.ndarray:
-        """Components rR, rZ, zR, zZ, hoop at the quadrature points, shape (elements, q, 5)."""
+        """Return the deformation gradient (rR, rZ, zR, zZ, hoop) at the quadrature points, shape (elements, q, 5)."""
         u = self.displacement(sample)[self.mesh.connectivity]
         rates = np.einsum("eqak,eai->eqik", self.gradients, u)
         return np.stack([1 + rates[..., 0, 0], rates[..., 0, 1], rates[..., 1, 0], 1 + rates[..., 1, 1],

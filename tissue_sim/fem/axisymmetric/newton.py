@@ -64,7 +64,7 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
 
     @ti.func
     def extrapolate_state(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
-        """Extrapolate the state from up to three earlier states."""
+        """Set x to the weighted sum of the last three states (`history`), the initial state of the step."""
         for i in range(x.shape[0]):
             x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
                     + weights[2] * history[slots[2], i])

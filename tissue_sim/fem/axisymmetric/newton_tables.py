@@ -95,7 +95,7 @@ class ReportIndex(IntEnum):
 
 
 class PassMode(IntEnum):
-    """Part of the equations that a pass of Newton's iteration evaluates.
+    """Equations that a pass of the loop in Newton's iteration evaluates.
 
     Attributes:
         FULL: the elements and the contact.
@@ -109,7 +109,7 @@ class PassMode(IntEnum):
 
 
 class StartMode(IntEnum):
-    """State from which a step begins.
+    """State from which a call of the step kernel begins.
 
     Attributes:
         PREDICT: an extrapolation of earlier states.

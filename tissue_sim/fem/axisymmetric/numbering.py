@@ -10,7 +10,7 @@ from tissue_sim.mesh import Mesh
 
 
 class EquationNumbering(NamedTuple):
-    """Equation numbers of the degrees of freedom, r and z of each node in turn.
+    """Equation number of each degree of freedom (r and z of each node in turn), and the bandwidth.
 
     Attributes:
         equation: equation of each degree of freedom, shape (freedoms,): the free ones first, then the prescribed ones;
@@ -27,7 +27,7 @@ class EquationNumbering(NamedTuple):
 
 
 def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str]) -> EquationNumbering:
-    """Number the degrees of freedom of a mesh.
+    """Number the equations of a mesh so that the half-bandwidth is small.
 
     Args:
         mesh: undeformed mesh.

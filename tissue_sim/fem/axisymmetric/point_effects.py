@@ -36,7 +36,10 @@ def make_effect_stress_function(formulas: tuple[KernelFormula, ...]):
 
 def _sum_effect_expressions(formulas: tuple[KernelFormula, ...], F: list, P: list, A: list, states: list,
                             settings: list) -> tuple:
-    """Evaluate the formulas of effects at a quadrature point on Taichi expressions."""
+    """Return the expressions (S, P, A, states) of the summed effects at a quadrature point.
+
+    Arguments and results are lists of Taichi expressions, as in `make_effect_stress_function`.
+    """
     F, P, A = trace_values(F, lanes=True), trace_values(P, lanes=True), trace_values(A, lanes=True)
     states, (dt, *numbers) = trace_values(states, lanes=True), trace_values(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]

@@ -11,7 +11,7 @@ from tissue_sim.mesh import Mesh
 
 
 class ReferenceQuadrature(NamedTuple):
-    """Quantities of the undeformed mesh for numerical integration.
+    """Quadrature data of the undeformed mesh: points, volumes, shape function gradients, pressure modes.
 
     Attributes:
         points: (r, z) of the quadrature points, m, shape (elements, q, 2).
@@ -33,7 +33,7 @@ class ReferenceQuadrature(NamedTuple):
 
 
 def compute_reference_quadrature(mesh: Mesh) -> ReferenceQuadrature:
-    """Compute the quantities of a mesh at its quadrature points.
+    """Compute the quadrature data of an undeformed mesh.
 
     Raises:
         InputError: an element has zero or negative area.

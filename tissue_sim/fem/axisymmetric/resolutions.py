@@ -24,7 +24,7 @@ class NeedleMeshGrading(NamedTuple):
 
 
 class MeshResolution(NamedTuple):
-    """Mesh sizes of one resolution.
+    """Element sizes of one named resolution, for plates, flat tools and tips, and their force errors.
 
     Attributes:
         plates: number of elements along r and z, and grading along r and z, of a cylinder of `STUDY_SLENDERNESS`
@@ -79,7 +79,7 @@ UNMEASURED = {"realtime": "realtime_63"}
 
 
 def list_realtime_levels(experiment: Experiment) -> tuple[ResolutionLevel, ...]:
-    """Return the real-time resolutions of an experiment, the finest first.
+    """Return the resolutions that are valid in real time for an experiment, the finest first.
 
     The coarsest mesh is not valid for tissue that slides without friction around an edge: it finds wrong equilibria
     (errors of 15 to 45 % of the force for nearly neo-Hookean tissue deeper than 8 mm).

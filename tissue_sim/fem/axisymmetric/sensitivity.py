@@ -20,7 +20,7 @@ from tissue_sim.fem.taichi.scratch import LANES
 
 @dataclass(frozen=True)
 class SensitivitySettings:
-    """Settings of the choice of a factorisation for the derivatives, and of the stored derivatives.
+    """Settings of the sensitivities: when the factorisation of the step is reused, and how much is stored.
 
     Attributes:
         max_refined: maximum number of parameters for which iterative refinement with the factorisation of the step is
@@ -128,7 +128,7 @@ class MaterialSensitivity:
                 **{name: np.zeros((count * batches, LANES)) for name, count in rows.items()}}
 
     def pop_contact_change(self) -> bool:
-        """Whether a contact point touched, separated, stuck or slipped since the last call; resets the flag.
+        """Return whether a contact point touched, separated, stuck or slipped since the last call; reset the flag.
 
         The force then has a kink as a function of the parameters nearby.
         """

@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class PointRecordOffset(IntEnum):
-    """Offsets of the record of one quadrature point in the scratch field, for the batch that is evaluated.
+    """Offsets in the scratch record of one quadrature point, for the batch that is evaluated.
 
     Attributes:
         GRADIENT: deformation gradient, 5 numbers.
@@ -26,7 +26,7 @@ class PointRecordOffset(IntEnum):
 
 
 class StoredRecordOffset(IntEnum):
-    """Offsets of the record of one quadrature point that is kept until the displacement derivatives are known.
+    """Offsets in the stored record of one quadrature point, which both sensitivity kernels use.
 
     Attributes:
         GRADIENT: deformation gradient, 5 numbers.

@@ -49,7 +49,7 @@ _STATUSES = {int(status): status for status in StepStatus}
 
 @dataclass(frozen=True, eq=False)
 class FieldSample:
-    """Committed state for the computation of fields.
+    """Solution of a committed step, from which fields are computed.
 
     Attributes:
         state: nodal displacements, pressure amplitudes, contact forces, shape (unknowns,).
@@ -113,14 +113,14 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self.committed.history[:, self.equations.equation.size :] *= material.mu0 / before
 
     def project_pose(self, pose: Pose) -> Pose:
-        """Return the pose on the axis, upright, at the depth of a pose."""
+        """Return the upright pose on the axis that has the depth of a pose."""
         x, y, z = pose.position
         if x == y == 0.0 and pose.orientation == NO_ROTATION:
             return pose
         return Pose((0.0, 0.0, z))
 
     def accepts_pose(self, pose: Pose) -> bool:
-        """Whether the depth is at most `MAX_RELATIVE_DEPTH`, up to which the equilibrium is unique."""
+        """Whether the depth is at most `MAX_RELATIVE_DEPTH` times the height, up to which equilibria are unique."""
         return pose.depth <= self._max_depth
 
     def step(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
@@ -226,7 +226,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return RESOLUTIONS[resolution].error_estimate if resolution in RESOLUTIONS else None
 
     def differentiate(self, neighbours: Neighbours) -> MaterialSensitivity | None:
-        """Compute exact derivatives of the force with respect to the material in every step; see `MaterialSensitivity`.
+        """Make every step compute exact derivatives of the force with respect to material parameters.
 
         To be called before the first step.
 
@@ -244,11 +244,14 @@ class AxisymmetricSolver(KernelOwner, Solver):
 
     @property
     def is_time_dependent(self) -> bool:
-        """See `FreeTool.is_time_dependent`."""
+        """Whether the tissue has relaxation, softening or point effects; see `FreeTool.is_time_dependent`."""
         return self.equations.has_material_history
 
     def clearance(self, pose: Pose) -> float | None:
-        """See `FreeTool.clearance`; None for a tool that is bonded to tissue, and with contact laws."""
+        """Return the distance of the tool from the tissue, m; see `FreeTool.clearance`.
+
+        None for a tool that touches the tissue or is bonded to it, and with contact laws.
+        """
         equations, surface = self.equations, self.equations.surface
         own, contact = surface.moves, equations.contact
         if (contact is None or contact.laws or self._holds_tissue or not own.any() or surface.anchors[own, 0].any()
@@ -259,11 +262,11 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return float(surface.signed_gaps(positions)[own].min())
 
     def move_in_air(self, pose: Pose) -> None:
-        """See `FreeTool.move_in_air`."""
+        """Set the depth of a tool in the air without solving a step; see `FreeTool.move_in_air`."""
         self.committed.set_tool_depth(pose.depth)
 
     def move_to_next_touch(self, pose: Pose) -> bool:
-        """Move a lifted tool to its next touch; return whether the touch begins as a first touch.
+        """Move a lifted tool to its next touch; return whether this touch is like a first touch.
 
         See `FreeTool.move_to_next_touch`.
         """
@@ -288,12 +291,12 @@ class AxisymmetricSolver(KernelOwner, Solver):
                                   committed.depths[0] - self.datum, pose.depth - committed.depths[0])
 
     def stop_tissue_motion(self) -> None:
-        """See `FreeTool.stop_tissue_motion`."""
+        """Set the velocity of the tissue to zero; see `FreeTool.stop_tissue_motion`."""
         if self.committed.motion is not None:
             self.committed.motion.reset_velocity()
 
     def lift_off(self) -> None:
-        """Remove the tool in one step; see `Solver.lift_off`."""
+        """Remove the tool at once and restore the displacements before the first touch; see `Solver.lift_off`."""
         self.committed.restore_untouched_state()
 
     def save(self) -> SavedState:
@@ -301,7 +304,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return self.committed.save()
 
     def restore(self, saved: SavedState) -> None:
-        """Return to a saved state."""
+        """Restore a state that `save` returned."""
         self.committed.restore(saved)
 
     @property
@@ -351,7 +354,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return FieldSample(self.state, stresses)
 
     def fields(self, samples: Sequence[FieldSample]) -> Fields:
-        """Return the fields of states that `field_sample` returned."""
+        """Return the fields of the solutions that `field_sample` returned."""
         equations = self.equations
         reference = equations.reference
         stresses = [sample.stresses for sample in samples if sample.stresses is not None]

@@ -32,7 +32,7 @@ class SavedState:
 
 
 class SolverState:
-    """State that a step changes, and the last committed states.
+    """Solution vector that a step changes, and the last committed solution vectors with bonds and history.
 
     Args:
         x: initial state, shape (unknowns,): nodal displacements (m), pressure amplitudes, contact forces (N).
@@ -65,16 +65,16 @@ class SolverState:
         self.store_initial_bonds()
 
     def store_initial_bonds(self) -> None:
-        """Store the present bonds of the contact points as those before the first step."""
+        """Store the present contact bonds as the bonds before the first step, for `restore_untouched_state`."""
         self._first_bonds = self.surface.anchors.copy(), self.surface.slipped.copy()
 
     @property
     def latest_state(self) -> np.ndarray:
-        """Last committed state, a view, shape (unknowns,)."""
+        """Solution vector of the last committed step, a view, shape (unknowns,)."""
         return self.history[self.slots[0]]
 
     def commit(self, depth: float, duration: float, watched: bool) -> None:
-        """Commit x as the state at a depth, with the memory and the contact bonds that the step found.
+        """Commit x as the solution at a depth, with the material history and the contact bonds of the step.
 
         Args:
             depth: depth of the tool, m.
@@ -104,7 +104,7 @@ class SolverState:
             self._touching = touching
 
     def set_tool_depth(self, depth: float) -> None:
-        """Assign another depth of a tool without contact to the latest state, and forget the earlier states.
+        """Set the depth of a tool in the air for the latest state; earlier states are no longer used to extrapolate.
 
         Args:
             depth: depth of the tool, m.
@@ -112,7 +112,7 @@ class SolverState:
         self.depths, self.times = [depth], [0.0]
 
     def is_at_rest(self, nodal: int, tolerance: float) -> bool:
-        """Whether the displacements differ from those before the first touch by at most a tolerance.
+        """Return whether the displacements differ from those before the first touch by at most a tolerance.
 
         Args:
             nodal: number of displacement components, the first entries of the state.
@@ -121,7 +121,7 @@ class SolverState:
         return float(np.abs(self.latest_state[:nodal] - self._untouched[:nodal]).max()) <= tolerance
 
     def restore_untouched_state(self) -> None:
-        """Restore the displacements and bonds before the first touch; the memory of the tissue stays."""
+        """Restore the displacements and bonds before the first touch; the material history stays."""
         self.slots[:], self.depths, self.times, self.equilibria_since_contact_change = np.arange(KEPT), [0.0], [0.0], 0
         self.history[0] = self._untouched
         self.surface.anchors[:], self.surface.slipped[:] = self._first_bonds
@@ -129,12 +129,12 @@ class SolverState:
             self.motion.reset_velocity()
 
     def save(self) -> SavedState:
-        """Return a copy of the committed state."""
+        """Return a copy of the committed state, for `restore`."""
         return SavedState(tuple(array.copy() for array in self._saved_arrays), tuple(self.depths), tuple(self.times),
                           self.largest_force, self.equilibria_since_contact_change, self._touching)
 
     def restore(self, saved: SavedState) -> None:
-        """Return to a saved state."""
+        """Restore a state that `save` returned."""
         # The arrays of the motion come last; either of the two may lack them.
         for array, before in zip(self._saved_arrays, saved.arrays, strict=False):
             array[:] = before

@@ -40,7 +40,7 @@ def place_at_first_touch(mesh: Mesh, contact: ContactPairs, surface: ContactPoin
 
 
 def bind_points_reached_early(surface: ContactPoints, displacement: np.ndarray, lift: float, descent: float) -> None:
-    """Bind the points with friction that the tool reaches in the first half of an increment.
+    """Bind the contact points with friction that the tool reaches in the first half of an increment.
 
     Points under a face without slip are left to `bind_face_points_reached`.
 
@@ -104,7 +104,7 @@ def bind_face_points_reached(surface: ContactPoints, points: np.ndarray, now: np
 
 def _compute_distance_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndarray,
                                direction: np.ndarray) -> np.ndarray:
-    """Return how far points move in straight lines until they touch their bodies, from a linearised gap, m.
+    """Return the distances that points move in straight lines until they touch, from a linearised gap, m.
 
     The gap is linearised over half of its size, where the point stays at the same face of the body, so that edges have
     no influence.

@@ -225,11 +225,11 @@ class CondensedStepper:
             increment, from which the next step continues.
 
         Raises:
-            ValueError: the stepper has no model.
+            ValueError: no linearisation was set.
         """
         model = self.model
         if model is None:
-            raise ValueError("the stepper has no model. Call set_model first.")
+            raise ValueError("model must be a linearisation of the bulk; got None. Call set_linearisation before step.")
         start = self._pose
         if start is None:
             return self._solve_increment(pose, exact)

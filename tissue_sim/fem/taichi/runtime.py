@@ -29,7 +29,7 @@ CACHE_BYTES = 2**31 - 1
 
 
 def initialise():
-    """Initialise Taichi on first call and return the module.
+    """Import and initialise Taichi at the first call, and return the module `taichi`.
 
     Raises:
         MissingBackendError: no Taichi wheel exists for this platform.
@@ -48,8 +48,8 @@ def _import_and_initialise():
         from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
     except ImportError as error:
         raise MissingBackendError(
-            "the finite elements need taichi 1.7.4, which exists for Linux x86-64, Windows x86-64 and macOS on Apple "
-            f"silicon ({error}); analytical calibration works without it") from None
+            "the finite elements need taichi 1.7.4 for Linux x86-64, Windows x86-64 or macOS on Apple silicon; the "
+            f"import failed ({error}). Install taichi==1.7.4; analytical calibration works without it") from None
     # For its messages Taichi formats the source of every expression, which takes longer than the rest of the parsing.
     ASTTransformerContext.get_pos_info = _format_source_position
     folder = cache_folder()
@@ -71,13 +71,13 @@ def _import_and_initialise():
 
 
 def _format_source_position(context: Any, node: Any) -> str:
-    """Return file, line and function of an expression of a kernel."""
+    """Return file, line and function of a node of the syntax tree of a kernel, for messages of Taichi."""
     return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
 
 
 @contextlib.contextmanager
 def _fast_module_lookup() -> Iterator[None]:
-    """Speed up `inspect.getmodule` during the import of Taichi.
+    """Replace `inspect.getmodule` by a faster function in a with block, during the import of Taichi.
 
     `inspect.getmodule` searches all loaded modules for that of each function, which takes a quarter of the import.
     Functions and frames contain the name of their module.

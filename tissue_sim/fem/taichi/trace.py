@@ -50,7 +50,7 @@ class KernelFormula(NamedTuple, Generic[Thing]):
 
     @classmethod
     def from_instance(cls, thing: Thing) -> KernelFormula[Thing]:
-        """Return the formula of an effect or a law."""
+        """Return the formula of the class of an effect or a law, with the constants of this instance."""
         kind: Any = type(thing)
         known = declared(kind)
         return cls(kind, tuple((entry.name, getattr(thing, entry.name)) for entry in fields(kind)
@@ -58,15 +58,15 @@ class KernelFormula(NamedTuple, Generic[Thing]):
 
     @property
     def parameter_names(self) -> tuple[str, ...]:
-        """Names of the declared parameters, in order."""
+        """Names of the declared parameters of the class, in the order of declaration."""
         return tuple(declared(self.kind))
 
     def get_parameter_values(self, thing: Thing) -> list[float]:
-        """Return the parameters of a law or effect, in order."""
+        """Return the values of the declared parameters of a law or effect, in the order of `parameter_names`."""
         return [float(getattr(thing, name)) for name in self.parameter_names]
 
     def with_parameters(self, parameters: Iterable[Any]) -> Thing:
-        """Return a law or effect with these parameters, which may be traced numbers and are not checked."""
+        """Return a law or effect with these parameter values, which may be traced numbers and are not checked."""
         thing: Thing = object.__new__(self.kind)
         for name, value in (*self.constants, *zip(self.parameter_names, parameters, strict=True)):
             object.__setattr__(thing, name, value)
@@ -89,7 +89,8 @@ class TracedNumber(NDArrayOperatorsMixin):
         self.value, self.lanes = value if value is TRIED else initialise().lang.impl.expr_init(value), lanes
 
     def __bool__(self):
-        raise InputError("a formula in a kernel cannot branch on a number; choose with numpy.where")
+        raise InputError("a formula in a kernel cannot branch on a number (if, and, or). Choose between values "
+                         "with numpy.where.")
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
         """Record an operator or a NumPy function."""
@@ -105,8 +106,8 @@ class TracedNumber(NDArrayOperatorsMixin):
             return _trace_operation(_OPERATORS[ufunc], *operands)
         if ufunc in _FUNCTIONS:
             return _trace_operation(getattr(initialise(), _FUNCTIONS[ufunc]), *operands)
-        raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}; it has exp, log, sqrt, tanh, sin, "
-                         "cos, tan, abs, maximum, minimum and where")
+        raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}. Use exp, log, sqrt, tanh, sin, "
+                         "cos, tan, abs, maximum, minimum or where.")
 
     def __array_function__(self, function, types, arguments, options):
         """Record ``numpy.where``."""
@@ -122,12 +123,12 @@ class TracedNumber(NDArrayOperatorsMixin):
 
 
 def trace_values(values: Sequence[Any], lanes: bool) -> list[TracedNumber]:
-    """Return expressions as traced numbers."""
+    """Wrap Taichi expressions as traced numbers; `lanes` states whether they are vectors."""
     return [TracedNumber(value, lanes) for value in values]
 
 
 def extract_expressions(values: Sequence[Any], like: Any) -> list[Any]:
-    """Return the results of a formula as expressions, as vectors if the traced number `like` is a vector."""
+    """Return results of a formula as Taichi expressions; as vectors if the traced number `like` is a vector."""
     if not like.lanes:
         return [value.value if isinstance(value, TracedNumber) else float(value) for value in values]
     return [_spread_over_lanes(value, like).value for value in values]
@@ -149,10 +150,12 @@ def _simplify_operation(ufunc: np.ufunc, left: Any, right: Any) -> Any:
 
 
 def _is_constant(value: Any, number: int) -> bool:
+    """Whether a value is the plain number `number`, not a traced number."""
     return not isinstance(value, TracedNumber) and value == number
 
 
 def _trace_operation(function: Callable, *operands: Any) -> TracedNumber:
+    """Return the traced result of a Taichi function of numbers; nothing is computed for `TRIED` operands."""
     lanes = any(isinstance(x, TracedNumber) and x.lanes for x in operands)
     if any(isinstance(x, TracedNumber) and x.value is TRIED for x in operands):
         return TracedNumber(TRIED, lanes)
@@ -160,7 +163,7 @@ def _trace_operation(function: Callable, *operands: Any) -> TracedNumber:
 
 
 def _spread_over_lanes(value: Any, vector: TracedNumber) -> TracedNumber:
-    """A number in all lanes of a vector."""
+    """Return a number as a traced vector with the number in every lane, like the traced vector `vector`."""
     if isinstance(value, TracedNumber) and value.lanes:
         return value
     if vector.value is TRIED:
