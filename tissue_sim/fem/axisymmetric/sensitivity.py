@@ -135,7 +135,7 @@ class MaterialSensitivity:
         changed, self._changed = self._changed, False
         return changed
 
-    def advance(self) -> None:
+    def update_at_equilibrium(self) -> None:
         """Compute the derivatives of a step that has converged and is not yet committed; updates `force`."""
         memory = self._equations.memory
         if self._decay.size:

@@ -176,7 +176,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             if inertial or rate == 0.0:  # the force of artificial damping is no load
                 state.largest_force = max(state.largest_force, abs(force))
             if self._sensitivity is not None:
-                self._sensitivity.advance()
+                self._sensitivity.update_at_equilibrium()
             if state.motion is not None:
                 state.motion.commit(state.latest_state, state.x, dt, inertial)
             state.commit(depth, dt if inertial else 0.0, watched=asked)

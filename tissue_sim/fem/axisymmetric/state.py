@@ -130,19 +130,19 @@ class SolverState:
 
     def save(self) -> SavedState:
         """Return a copy of the committed state, for `restore`."""
-        return SavedState(tuple(array.copy() for array in self._saved_arrays), tuple(self.depths), tuple(self.times),
+        return SavedState(tuple(array.copy() for array in self._state_arrays), tuple(self.depths), tuple(self.times),
                           self.largest_force, self.equilibria_since_contact_change, self._touching)
 
     def restore(self, saved: SavedState) -> None:
         """Restore a state that `save` returned."""
         # The arrays of the motion come last; either of the two may lack them.
-        for array, before in zip(self._saved_arrays, saved.arrays, strict=False):
+        for array, before in zip(self._state_arrays, saved.arrays, strict=False):
             array[:] = before
         self.depths, self.times, self.largest_force = list(saved.depths), list(saved.times), saved.largest_force
         self.equilibria_since_contact_change, self._touching = saved.equilibria_since_contact_change, saved.touching
 
     @property
-    def _saved_arrays(self) -> tuple[np.ndarray, ...]:
+    def _state_arrays(self) -> tuple[np.ndarray, ...]:
         """Arrays that `save` copies."""
         return (self.history, self.slots, self.surface.anchors, self.surface.slipped, self.effects.states,
                 *self.memory.kept, *(() if self.motion is None else self.motion.kept))
