@@ -155,12 +155,13 @@ class ContactPoints:
         springs: penalty stiffness of each point, N/m, shape (n,).
         anchors: bond (a `tissue_sim.fem.contact_settings.ContactBond`) and anchor of each point at the last
             equilibrium; the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
-        initial: the same at the beginning of a step, with the bonds of points that the tool reaches in the step.
-        held: the same during a step.
-        met: the same after the step, if the step converges.
+        initial: bond and anchor at the beginning of a step, with the bonds of points that the tool reaches in the step,
+            shape (n, 3).
+        held: bond and anchor during a step, shape (n, 3).
+        met: bond and anchor for the next step if this step converges, shape (n, 3).
         pressed: 1 where a point is in the active set of the normal contact, else 0, shape (n,).
         slip_signs: direction of slip along the surface during a step, 1, -1 or 0 (no slip), shape (n,).
-        slipped: the same at the last equilibrium.
+        slipped: `slip_signs` at the last equilibrium, shape (n,).
         forces: forces of the tissue on the bodies, N, shape (n, 2).
         rates: columns of `ContactRateColumn`, shape (n, `RATE_COLUMNS`).
         known_rates: columns of `FactorisedRateColumn`, N/m, shape (n, `KNOWN_RATE_COLUMNS`).

@@ -64,7 +64,7 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
                            held: ti.template(), pressed: ti.template(), slip_signs: ti.template(), met: ti.template(),
                            forces: ti.template(), rates: ti.template(), x: ti.template(), target: ti.template(),
                            equation: ti.template(), residual: ti.template()):
-        """Add the contact forces to the residual, and store their derivatives and constraint residuals in `rates`.
+        """Add the contact forces to the residual; store their derivatives and the constraint residuals in `rates`.
 
         Args (scalars): `changeable`: which points may change their contact state (0: none, `ALL_POINTS`, or a number
         that selects some); `slack`: gap below which a point counts as touching, m; `pending`: 1 if the motion `move`

@@ -76,7 +76,7 @@ FLAT_COLUMNS = FlatContactColumn.KNOWN + 3
 
 @cache
 def make_flat_contact_kernel():
-    """Return the kernel that takes a step towards the linear solution and evaluates and linearises the equation there.
+    """Return the kernel of `TangentPlaneContact`: line-search step, then residual and next linear equations.
 
     A sticking node has three unknowns. A slipping node has two: the normal force, to which the friction is
     proportional, and the tangential force perpendicular to the slip; the change of the friction along the slip is then
@@ -146,7 +146,7 @@ def make_flat_contact_kernel():
     def evaluate_node_residual(p, i, first, states: ti.template(), carried: ti.template(), lists: ti.template(),
                                local: ti.template(), compliance: ti.template(), flat: ti.template(),
                                right: ti.template()):
-        """Return the residual of a node's equation, N, and write its unknowns.
+        """Return the residual of the equation of node i, N, and store its unknowns (`store_node_unknown`).
 
         The unknowns are those of the p-th node with unknowns, from equation `first` on.
         """

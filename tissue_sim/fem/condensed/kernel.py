@@ -90,7 +90,7 @@ def make_contact_kernel():
     def compute_displacements(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(),
                               free_displacement: ti.template(),
                               tool_coupling: ti.template(), rows: ti.template(), u: ti.template()):
-        """Compute the displacements of all nodes under the forces of the loaded nodes.
+        """Compute the displacements u of all nodes under the contact forces and the motion of the tool.
 
         The sum uses rows of the symmetric compliance, so that the compiler vectorises the loops.
         """
@@ -121,7 +121,7 @@ def make_contact_kernel():
                               shapes: ti.template(), surface: ti.template(), states: ti.template(),
                               carried: ti.template(), lists: ti.template(), u: ti.template(), local: ti.template(),
                               compliance: ti.template()):
-        """Evaluate a node: closest point on the tool, contact state, force and derivatives of the force."""
+        """Evaluate the contact of node i: gap, contact state, force and force derivatives; update `results`."""
         R = ti.Matrix([[settings[KernelSetting.ROTATION + 3 * a + b] for b in ti.static(range(3))]
                        for a in ti.static(range(3))])
         arm = ti.Vector([surface[s, SurfaceNodeColumn.POSITION + a] + u[3 * i + a] - settings[KernelSetting.ORIGIN + a]

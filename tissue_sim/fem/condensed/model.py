@@ -28,7 +28,7 @@ _STATE_HEAD = 19
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """Constants of the contact: nodes of the tissue surface that the tool may touch, and the shape of the tool.
+    """Constant data of the contact: surface nodes that the tool may touch, and outline of the tool.
 
     Attributes:
         places: undeformed positions of the nodes in the frame of the mesh, m, shape (s, 3).
@@ -67,7 +67,7 @@ class ContactSurface:
 
 @dataclass(frozen=True, eq=False)
 class CondensedBulk:
-    """Linearised bulk, condensed to the contact nodes near the tool (Schur complement).
+    """Linearised bulk of the tissue, condensed to the contact nodes near the tool (Schur complement).
 
     With the linearised equations K du = -R - B^T f of the bulk, the displacements of the contact nodes are
 
@@ -186,7 +186,7 @@ def max_packed_linearisation_size(surface: ContactSurface, whole: bool = True) -
 
 @dataclass(frozen=True, eq=False)
 class ContactState:
-    """State of the fast solver of the contact.
+    """State of the contact (forces, bonds, pose of the tool), which the fast contact solver sends to the bulk.
 
     Attributes:
         model: number of the `CondensedBulk` on which the contact was solved; 0: none yet.
@@ -243,7 +243,7 @@ def run_synchronously(compute: Callable[[], None]) -> Callable[[], bool]:
 
 
 class BulkLinearisation(Protocol):
-    """Newton iteration of the bulk of a tissue; another solver adds the contact to its linearisation.
+    """Interface of Newton's iteration for the bulk; a contact solver uses the linearisation of each iterate.
 
     Attributes:
         executor: runs the condensation of tangents. Meanwhile iterations use the previous tangent.
@@ -256,7 +256,7 @@ class BulkLinearisation(Protocol):
         """Nodes of the tissue surface and shape of the tool, constant during the simulation."""
 
     def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
-        """Advance Newton's iteration of the bulk with the contact forces, and return its linearisation.
+        """Make an iteration of the bulk under the contact forces, and return its new linearisation.
 
         Args:
             state: state of the contact on the last linearisation.
@@ -272,7 +272,7 @@ class BulkLinearisation(Protocol):
 
     @property
     def solver(self) -> Solver:
-        """Solver whose last committed state is the last iterate, for visualisation."""
+        """Solver that holds the last iterate of the bulk as its committed state, for visualisation."""
 
 
 class LinearisationMaker(Protocol):
@@ -291,5 +291,6 @@ LINEARISATIONS: Registry[LinearisationMaker] = Registry(
 
 
 def _build_pose(numbers: list[float]) -> Pose:
+    """Return the pose with 3 coordinates of the position, m, and 4 of the quaternion."""
     x, y, z, a, b, c, d = numbers
     return Pose((x, y, z), (a, b, c, d))

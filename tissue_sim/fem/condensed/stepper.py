@@ -74,7 +74,7 @@ _INITIAL_STEP = ContactStepResult(True, 0, _ZERO_WRENCH, (_ZERO_WRENCH,) * 6, 0.
 
 
 class CondensedStepper:
-    """Solver of the contact of a tool with a tissue whose bulk is a `CondensedBulk`.
+    """Real-time solver of the contact between a tool and tissue whose bulk is a `CondensedBulk`.
 
     Forces and bonds of the nodes continue from model to model.
 
@@ -146,7 +146,7 @@ class CondensedStepper:
         self._steps = 0
 
     def place_in_air(self) -> None:
-        """Place the tool in the air above an undeformed tissue: no node is bound to it."""
+        """Reset the contact for a tool in the air above undeformed tissue: no node is bound to the tool."""
         self.reset()
         self._bound[:] = ContactBond.FREE
 
@@ -184,7 +184,7 @@ class CondensedStepper:
         self._discard_equations()
 
     def set_linearisation(self, model: CondensedBulk) -> None:
-        """Continue on another linearisation of the same surface.
+        """Replace the linearisation of the bulk by another one of the same surface.
 
         Nodes that the new model does not contain lose their forces and frictional bonds.
         """

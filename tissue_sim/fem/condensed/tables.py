@@ -23,7 +23,7 @@ class KernelSetting(IntEnum):
         ROTATION: rotation matrix of the tool, 9 numbers by rows.
         ORIGIN: position of the tool in the frame of the mesh, 3 numbers, m.
         MOTION: translation (m) and rotation vector of the tool from the pose of the model, 6 numbers.
-        STEP: the same from the last step.
+        STEP: translation (m) and rotation vector of the tool from its pose in the last step, 6 numbers.
     """
 
     COUNT = 0
@@ -91,7 +91,7 @@ class SurfaceNodeColumn(IntEnum):
 
 
 class NodeColumn(IntEnum):
-    """Columns of `carried`, the state of the nodes of the surface that continues from step to step.
+    """Columns of `carried`: forces and anchors of the surface nodes, which continue from step to step.
 
     Attributes:
         FORCE: force on the tool, 3 numbers, N.
@@ -131,7 +131,7 @@ STATE_COLUMNS = len(ContactStateColumn)
 
 
 class NodeListColumn(IntEnum):
-    """Columns of `lists`: index lists with one row for each node of the model.
+    """Columns of `lists`: lists of node indices; the table has one row for each node of the model.
 
     Attributes:
         NODE: index of the node in the surface.
@@ -177,7 +177,7 @@ class ContactStatus(IntEnum):
 
 
 class LocalContactColumn(IntEnum):
-    """Columns of `local`, the linearised contact of the nodes of the model.
+    """Columns of `local`: gap, force and force derivatives (linearised contact) of each node of the model.
 
     Attributes:
         FORCE: force at the beginning of the evaluation, 3 numbers, N.
