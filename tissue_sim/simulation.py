@@ -376,8 +376,7 @@ def _step_towards(solver: Solver, target: Pose, dt: float = 0.0, **options: Any)
         dt: time of the whole motion, s, at constant speed.
         options: options of each step.
     """
-    start = solver.pose
-    most = min(2, solver.highest_order)
+    start, most = solver.pose, min(2, solver.highest_order)
     done, length, order = 0.0, 1.0, most
     while True:
         share = min(length, 1.0 - done)
@@ -387,8 +386,8 @@ def _step_towards(solver: Solver, target: Pose, dt: float = 0.0, **options: Any)
         step = solver.step(goal, share * dt, max_iterations=_SETTINGS.max_solves, predictor_order=order, **options)
         yield step
         if step.status is not StepStatus.CONVERGED and not order and length <= _SETTINGS.damped_from:
-            for step in solver.step_with_damping(goal, share * dt, max_iterations=_SETTINGS.max_damped_solves,
-                                                 **options):
+            damped = solver.step_with_damping(goal, share * dt, max_iterations=_SETTINGS.max_damped_solves, **options)
+            for step in damped:
                 yield step
         if step.status is StepStatus.CONVERGED:
             if last:
