@@ -54,7 +54,7 @@ def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
 
 
 def make_stretch_derivatives(energy: KernelEnergy):
-    """Return a function (stretch, coefficients) -> (w', w'', w) of a law that is a sum over isochoric stretches."""
+    """Return a function (stretch, coefficients) -> (w', w'', w) of a law W = sum of w over the isochoric stretches."""
     def derive_expressions():
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]

@@ -42,7 +42,7 @@ __getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "Err
 class StepStatus(IntEnum):
     """Status with which a step of a solver ends.
 
-    Only CONVERGED commits a new state. See `message` for causes and remedies.
+    Only CONVERGED commits a new state. `message` states the cause.
     """
 
     CONVERGED = 1

@@ -10,7 +10,7 @@ from tissue_sim.mesh import Mesh
 
 
 class ElementBatches:
-    """Elements in batches: lane l of batch b is element LANES b + l.
+    """Element data in SIMD batches: lane l of batch b is element LANES b + l.
 
     Surplus lanes of the last batch repeat the last element and write to an unused entry. Arrays of vectors have one row
     of `LANES` numbers for each batch and each combination of the axes in brackets. Pairs are pairs (c, a), a <= c, of
@@ -75,7 +75,14 @@ class ElementBatches:
         self.centre_force = tuple(np.zeros((batches, LANES)) for _ in range(2))
 
     def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the elements, shape (elements, ...), with lanes last, shape (batches times rest, LANES)."""
+        """Return element values in SIMD order.
+
+        Args:
+            values: one array for each element, shape (elements, ...).
+
+        Returns:
+            Shape (rows, `LANES`); the rows are numbered by batch and by the entries of an element, the last fastest.
+        """
         taken = values[self.elements]
         return np.ascontiguousarray(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
 

@@ -310,13 +310,13 @@ class EquilibriumEquations:
 
     @cached_property
     def shared_dof_volumes(self) -> np.ndarray:
-        """Nodal volume of each degree of freedom, m3, shape (freedoms,); without the shares of interior nodes."""
+        """Lumped nodal volume of each degree of freedom of shared nodes, m3, shape (freedoms,); 0 at interior nodes."""
         shared, volumes = self.mesh.element.boundary_nodes, np.zeros(len(self.mesh.nodes))
         np.add.at(volumes, self.mesh.connectivity[:, :shared], self.reference.volumes[:, :shared])
         return np.repeat(volumes, 2)
 
     def compute_dof_volumes(self) -> np.ndarray:
-        """Return the nodal volume of each degree of freedom, m3, shape (freedoms,), interior nodes included."""
+        """Return the lumped nodal volume of each degree of freedom, interior nodes too, m3, shape (freedoms,)."""
         volumes = np.zeros(len(self.mesh.nodes))
         np.add.at(volumes, self.mesh.connectivity, self.reference.volumes)
         return np.repeat(volumes, 2)
@@ -384,4 +384,4 @@ class EquilibriumEquations:
 
 
 def _do_nothing() -> None:
-    """Do nothing: placeholder of a kernel before a material is set, and of a use of the tangent."""
+    """Do nothing: stands for the kernel before a material is set, and for `launch` if only the assembly is needed."""

@@ -258,7 +258,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                               decay: ti.template(), gain: ti.template(), decay_rates: ti.template(),
                               gain_rates: ti.template(), relaxes: ti.template(), centre_r: ti.template(),
                               centre_z: ti.template(), forces: ti.template()):
-        """Add the derivatives of a batch's nodal forces at fixed displacements to row k of `forces`."""
+        """Add the derivatives of the nodal forces of batch b with parameter k at fixed displacements to `forces`."""
         direction = ti.Vector([directions[k, i] for i in ti.static(range(coefficients_of_both))])
         own = k * batches + b
         modulus, modulus_rate = moduli[b], moduli_rates[own]
@@ -325,7 +325,7 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
                                   internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
                                   decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template(),
                                   centre_r: ti.template(), centre_z: ti.template()):
-        """Update the derivatives of a batch's memory with the displacement derivatives `dx` of parameter k."""
+        """Update the derivatives of the material history of batch b with parameter k, from the derivatives `dx`."""
         in_batch, terms, one = k * batches + b, which[KernelSwitch.TERMS], which[KernelSwitch.ONE]
         for a in range(nb):
             i = b * nodes + a

@@ -368,7 +368,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         return extract_deformed_surface(self.mesh, self.state, self.datum)
 
     def report(self) -> dict[str, Any]:
-        """Return the metadata of recordings about the solver; see `Solver.report`."""
+        """Return the metadata of the solver for recordings: element, mesh size, contact; see `Solver.report`."""
         contact = self.equations.contact
         report = {"element": self.mesh.element.name,
                   "mesh": {"elements": len(self.mesh.connectivity), "freedoms": self.equations.free}}

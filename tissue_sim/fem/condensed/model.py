@@ -237,7 +237,7 @@ Executor = Callable[[Callable[[], None]], Callable[[], bool]]
 
 
 def run_synchronously(compute: Callable[[], None]) -> Callable[[], bool]:
-    """Run a computation at once; synchronous `Executor`, whose result reports a complete computation."""
+    """Run a computation before returning (synchronous `Executor`); the returned function always gives True."""
     compute()
     return lambda: True
 
@@ -268,7 +268,7 @@ class BulkLinearisation(Protocol):
         """
 
     def set_material(self, material: Material) -> None:
-        """Change the material; see `Solver.set_material`."""
+        """Change the material of the bulk; see `Solver.set_material`."""
 
     @property
     def solver(self) -> Solver:

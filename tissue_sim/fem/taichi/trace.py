@@ -93,7 +93,7 @@ class TracedNumber(NDArrayOperatorsMixin):
                          "with numpy.where.")
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
-        """Record an operator or a NumPy function."""
+        """Return the traced result of an operator or a NumPy function."""
         # `a += b` binds the name a to another number.
         in_place = options.pop("out", None)
         if method != "__call__" or options or not (in_place is None or in_place[0] is inputs[0]):
@@ -110,7 +110,7 @@ class TracedNumber(NDArrayOperatorsMixin):
                          "cos, tan, abs, maximum, minimum or where.")
 
     def __array_function__(self, function, types, arguments, options):
-        """Record ``numpy.where``."""
+        """Return the traced result of ``numpy.where``, the only other NumPy function that a formula may use."""
         if function is not np.where or options or len(arguments) != 3:
             return NotImplemented
         condition, yes, no = arguments
@@ -123,7 +123,7 @@ class TracedNumber(NDArrayOperatorsMixin):
 
 
 def trace_values(values: Sequence[Any], lanes: bool) -> list[TracedNumber]:
-    """Wrap Taichi expressions as traced numbers; `lanes` states whether they are vectors."""
+    """Return Taichi expressions wrapped as traced numbers; `lanes`: whether the expressions are vectors."""
     return [TracedNumber(value, lanes) for value in values]
 
 
