@@ -137,8 +137,8 @@ def make_flat_contact_kernel():
                            right: ti.template()):
         """Store one unknown of node p: force derivative and direction, diagonal entry, minus the residual."""
         for a in ti.static(range(3)):
-            flat[p, FlatContactColumn.RATES + 3 * row + a] = rate[a]
-            flat[p, FlatContactColumn.DIRECTIONS + 3 * row + a] = way[a]
+            flat[p, FlatContactColumn.RATES + 3 * row + a], flat[p, FlatContactColumn.DIRECTIONS + 3 * row + a] = (
+                rate[a], way[a])
         flat[p, FlatContactColumn.DIAGONAL + row], right[lists[p, NodeListColumn.FIRST_ROW] + row] = own, -rest
         lists[p, NodeListColumn.ROWS] = row + 1
 
@@ -202,8 +202,8 @@ def make_flat_contact_kernel():
     def add_node_coupling(q, count, k, lists: ti.template(), compliance: ti.template(), flat: ti.template(),
                           matrix: ti.template(), right: ti.template()):
         """Add the coupling of the q-th node's unknowns to all equations, and its known force to the right-hand side."""
-        at = 3 * lists[q, NodeListColumn.UNKNOWN]
-        first, rows = lists[q, NodeListColumn.FIRST_ROW], lists[q, NodeListColumn.ROWS]
+        at, first, rows = (3 * lists[q, NodeListColumn.UNKNOWN], lists[q, NodeListColumn.FIRST_ROW],
+                           lists[q, NodeListColumn.ROWS])
         known = ti.Vector([flat[q, FlatContactColumn.KNOWN + b] for b in ti.static(range(3))])
         ways = ti.Matrix([[flat[q, FlatContactColumn.DIRECTIONS + 3 * row + b] for b in ti.static(range(3))]
                           for row in ti.static(range(3))])
@@ -218,8 +218,8 @@ def make_flat_contact_kernel():
                         way = ti.Vector([ways[row, b] for b in ti.static(range(3))])
                         matrix[(first + row) * k + begin + other] = -pushed.dot(way)
         for row in range(rows):
-            diagonal = (first + row) * (k + 1)
-            matrix[diagonal] = matrix[diagonal] + flat[q, FlatContactColumn.DIAGONAL + row]
+            matrix[(first + row) * (k + 1)] = matrix[(first + row) * (k + 1)] + (
+                flat[q, FlatContactColumn.DIAGONAL + row])
 
     @ti.func
     def subtract_separated_node_force(j, count, carried: ti.template(), lists: ti.template(), compliance: ti.template(),
@@ -271,8 +271,8 @@ def make_flat_contact_kernel():
                 for q in range(many):
                     j = lists[q, NodeListColumn.NEAR]
                     s = lists[j, NodeListColumn.NODE]
-                    may_separate = states[s, ContactStateColumn.BOND] != ContactBond.HELD
-                    if may_separate and states[s, ContactStateColumn.PRESSED] == 0:
+                    if (states[s, ContactStateColumn.BOND] != ContactBond.HELD
+                            and states[s, ContactStateColumn.PRESSED] == 0):
                         subtract_separated_node_force(j, count, carried, lists, compliance, flat, right)
                 for q in range(count):
                     add_node_coupling(q, count, k, lists, compliance, flat, matrix, right)

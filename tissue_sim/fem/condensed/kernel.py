@@ -204,8 +204,8 @@ def make_contact_kernel():
             A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            has_bond = states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED
-            if mu > 0.0 and has_bond and rough > settings[KernelSetting.NEGLIGIBLE]:
+            if mu > 0.0 and states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED and (
+                    rough > settings[KernelSetting.NEGLIGIBLE]):
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
@@ -246,8 +246,8 @@ def make_contact_kernel():
                 local[i, LocalContactColumn.STIFFNESS + 3 * a + b] = A[a, b]
                 local[i, LocalContactColumn.ROTATION + 3 * a + b] = T[a, b]
         local[i, LocalContactColumn.GAP] = gap
-        rubs = states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED
-        local[i, LocalContactColumn.FRICTION] = ti.max(mu, 0.0) if rubs else 0.0
+        local[i, LocalContactColumn.FRICTION] = (
+            ti.max(mu, 0.0) if states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED else 0.0)
         # The matrix is reused while the set of nodes in contact does not change.
         if (lists[i, NodeListColumn.STATUS] > 0) != (state > 0) or lists[i, NodeListColumn.STATUS] < 0:
             settings[KernelSetting.REBUILDS] = 1.0
@@ -310,8 +310,8 @@ def make_contact_kernel():
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
                                 e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, LocalContactColumn.FORCE + b]
-                x, y = local[i, LocalContactColumn.ARM], local[i, LocalContactColumn.ARM + 1]
-                z = local[i, LocalContactColumn.ARM + 2]
+                x, y, z = (local[i, LocalContactColumn.ARM], local[i, LocalContactColumn.ARM + 1],
+                           local[i, LocalContactColumn.ARM + 2])
                 f = ti.Vector([local[i, LocalContactColumn.INTERCEPT], local[i, LocalContactColumn.INTERCEPT + 1],
                                local[i, LocalContactColumn.INTERCEPT + 2]])
                 turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
@@ -351,7 +351,7 @@ def make_contact_kernel():
                 for b in ti.static(range(3)):
                     for a in ti.static(range(3)):
                         at = start + b * k + 3 * q + a
-                        rotation_rate = local[j, LocalContactColumn.ROTATION + 3 * a + b]
-                        matrix[at] = matrix[at] - rotation_rate + (1.0 if a == b else 0.0)
+                        matrix[at] = matrix[at] - local[j, LocalContactColumn.ROTATION + 3 * a + b] + (
+                            1.0 if a == b else 0.0)
 
     return run_contact_iteration

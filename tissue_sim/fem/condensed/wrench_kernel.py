@@ -51,8 +51,8 @@ def make_wrench_kernel():
                 states[s, ContactStateColumn.BOND] = states[s, ContactStateColumn.NEW_BOND]
                 for a in ti.static(range(3)):
                     carried[s, NodeColumn.ANCHOR + a] = carried[s, NodeColumn.NEW_ANCHOR + a]
-            slips = states[s, ContactStateColumn.SLIPS]
-            states[s, ContactStateColumn.SLIPS] = slips & states[s, ContactStateColumn.PRESSED]
+            states[s, ContactStateColumn.SLIPS] = (
+                states[s, ContactStateColumn.SLIPS] & states[s, ContactStateColumn.PRESSED])
 
     @ti.kernel
     def compute_tool_wrench(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2,
@@ -87,8 +87,8 @@ def make_wrench_kernel():
                     turned = arm.cross(change) + way.cross(f)
                     for a in ti.static(range(3)):
                         answer[WrenchIndex.RATES + 6 * a + c] = answer[WrenchIndex.RATES + 6 * a + c] + change[a]
-                        at_torque = WrenchIndex.RATES + 18 + 6 * a + c
-                        answer[at_torque] = answer[at_torque] + turned[a]
+                        answer[WrenchIndex.RATES + 18 + 6 * a + c] = (
+                            answer[WrenchIndex.RATES + 18 + 6 * a + c] + turned[a])
                     for b in range(6):
                         value = 0.0
                         for a in ti.static(range(3)):
