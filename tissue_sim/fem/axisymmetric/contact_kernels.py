@@ -213,11 +213,11 @@ def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> Contac
             krr, krz, kzr, kzz = krr + lrr, krz + lrz, kzr + lrz, kzz + lzz
             rates[i, ContactRateColumn.RR], rates[i, ContactRateColumn.RZ] = krr, krz
             rates[i, ContactRateColumn.ZR], rates[i, ContactRateColumn.ZZ] = kzr, kzz
-            rates[i, ContactRateColumn.NORMAL_R], rates[i, ContactRateColumn.NORMAL_Z] = nr, nz
-            rates[i, ContactRateColumn.FRICTION] = acting
+            (rates[i, ContactRateColumn.NORMAL_R], rates[i, ContactRateColumn.NORMAL_Z],
+             rates[i, ContactRateColumn.FRICTION]) = nr, nz, acting
             rates[i, ContactRateColumn.MISSED_R], rates[i, ContactRateColumn.MISSED_Z] = missed_r, missed_z
-            rates[i, ContactRateColumn.LAW_RR], rates[i, ContactRateColumn.LAW_RZ] = lrr, lrz
-            rates[i, ContactRateColumn.LAW_ZZ] = lzz
+            (rates[i, ContactRateColumn.LAW_RR], rates[i, ContactRateColumn.LAW_RZ],
+             rates[i, ContactRateColumn.LAW_ZZ]) = lrr, lrz, lzz
             axial += moves * fz
             squares += fr * fr + fz * fz
             if pending == 1:

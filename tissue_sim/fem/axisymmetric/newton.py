@@ -93,10 +93,11 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
         ti.loop_config(serialize=True)
         for _ in range(counts[CountIndex.PASSES]):
             free, max_iterations = counts[CountIndex.FREE], counts[CountIndex.MAX_ITERATIONS]
-            depth, kappa = settings[SettingIndex.DEPTH], settings[SettingIndex.KAPPA]
-            tolerance, weight = settings[SettingIndex.TOLERANCE], settings[SettingIndex.WEIGHT]
+            depth, kappa, tolerance = (settings[SettingIndex.DEPTH], settings[SettingIndex.KAPPA],
+                                       settings[SettingIndex.TOLERANCE])
             inertia = settings[SettingIndex.INERTIA]
-            floor, rounding = settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING]
+            floor, rounding, weight = (settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING],
+                                       settings[SettingIndex.WEIGHT])
             width, rows = entries.shape[1], entries.shape[0]
             batches, equations = real.shape[0], residual.shape[0] - 1
             pressures = equation.shape[0]
@@ -109,8 +110,8 @@ def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effec
                                                  if counts[CountIndex.START_MODE] == StartMode.PREDICT else 0)
             strength, reach = settings[SettingIndex.STRENGTH], settings[SettingIndex.REACH]
             pending = 0
-            motion_left = ti.abs(depth - settings[SettingIndex.PREDICTED])
-            if counts[CountIndex.CONTACTS] > 0 and motion_left > 1e-10 * ti.abs(depth):
+            if counts[CountIndex.CONTACTS] > 0 and (
+                    ti.abs(depth - settings[SettingIndex.PREDICTED]) > 1e-10 * ti.abs(depth)):
                 pending = 1
             for dof in range(pressures):
                 target[dof] = start[dof] + depth * direction[dof]

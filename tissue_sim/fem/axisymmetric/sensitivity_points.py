@@ -202,8 +202,8 @@ def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remember
 
         The derivatives of energy and softened stress are stored for the memory. The modulus is 1.
         """
-        at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
-        terms, one = which[KernelSwitch.TERMS], which[KernelSwitch.ONE]
+        at, noted, terms, one = (RATE + 5 * q, LAW + PointRecordOffset.SIZE * q, which[KernelSwitch.TERMS],
+                                 which[KernelSwitch.ONE])
         f, df = past[MemoryCoefficient.FACTOR], past_rates[k, MemoryCoefficient.FACTOR] / past[MemoryCoefficient.FACTOR]
         F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
         W = s[noted + PointRecordOffset.ENERGY]
