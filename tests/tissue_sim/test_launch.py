@@ -38,7 +38,7 @@ def test_a_kept_kernel_is_found_whatever_was_used_before(root):
     assert solver_scratch() is get_scratch_field(4, 1)
     makers = [path for path in (root / "tissue_sim").rglob("*.py") if ".field(" in path.read_text(encoding="utf-8")]
     assert [path.name for path in makers] == ["scratch.py"]
-    with pytest.raises(ValueError, match="got a request for 4000 of 4"):
+    with pytest.raises(ValueError, match="got 4000 vectors of 4"):
         get_scratch_field(4, 4000)
 
 
