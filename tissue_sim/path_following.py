@@ -221,8 +221,8 @@ class ToolPathMixin:
                 pending.meets = False
             if attempt is None:
                 # Extrapolation is inaccurate across a change of contact, but less with mass.
-                order = min(solver.highest_order,
-                            max(solver.equilibria_since_contact_change, weighs)) if self._extrapolates else 0
+                known = max(solver.equilibria_since_contact_change, weighs) if self._extrapolates else 0
+                order = min(solver.highest_order, known)
                 limit = PATH.most_extrapolated_solves if order > 0 else PATH.most_solves
                 attempt = Attempt(target, dt, order, limit)
             most = attempt.limit - attempt.spent
@@ -279,12 +279,11 @@ class ToolPathMixin:
                 else:
                     self._extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < PATH.damped_fraction:
-                # After a hold parts are as short as they may be, and no shorter.
                 self._share = max(PATH.smallest_cut, min(self._share, way / self._largest_part))
                 self._creep = Creep(target, dt, step)
-                self._creep.steps = solver.step_with_damping(target, dt, tolerance=self.tolerance,
-                                                             max_iterations=PATH.most_damped_solves,
-                                                             allowed=self._creep.solves_until_yield)
+                self._creep.steps = solver.step_with_damping(
+                    target, dt, tolerance=self.tolerance, max_iterations=PATH.most_damped_solves,
+                    allowed=self._creep.solves_until_yield)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < PATH.smallest_cut and self._can_restart:
