@@ -10,7 +10,7 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.approach import Approach
-from tissue_sim.fem.solver import Derivatives, Solver, SpatialDerivatives
+from tissue_sim.fem.solver import ForceDerivatives, ForceVectorDerivatives, Solver
 from tissue_sim.material.effect import ReducedEffect, TissueEffect
 from tissue_sim.material.poroelasticity import Poroelasticity
 from tissue_sim.model import Model
@@ -120,7 +120,7 @@ class _DerivativeObserver:
 
     def __init__(self, pairs: list, approach: Approach | None):
         self._pairs, self._approach = pairs, approach
-        self._derivatives: Derivatives | None = None
+        self._derivatives: ForceDerivatives | None = None
         self.rates: list[np.ndarray] = []
         self.kinks: list[bool] = []
         self.exact = False
@@ -129,7 +129,7 @@ class _DerivativeObserver:
         """Request derivatives before the first step."""
         derivatives = solver.differentiate(self._pairs)
         along_z = self._approach is None
-        self.exact = along_z or isinstance(derivatives, SpatialDerivatives) if derivatives else False
+        self.exact = along_z or isinstance(derivatives, ForceVectorDerivatives) if derivatives else False
         # Derivatives without parameters still report the kinks of the force.
         self._derivatives = derivatives if self.exact or not self._pairs else solver.differentiate([])
 
@@ -140,10 +140,10 @@ class _DerivativeObserver:
         """
         derivatives = self._derivatives
         force = np.zeros(0) if derivatives is None else derivatives.force
-        if self._approach is not None and isinstance(derivatives, SpatialDerivatives):
+        if self._approach is not None and isinstance(derivatives, ForceVectorDerivatives):
             force = derivatives.vector @ self._approach.direction_against_motion
         self.rates.append(factor * force)
-        self.kinks.append(derivatives is not None and derivatives.pop_changed())
+        self.kinks.append(derivatives is not None and derivatives.pop_contact_change())
 
 
 def _has_exact_derivative(model: Model, parameter: Parameter) -> bool:

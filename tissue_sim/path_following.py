@@ -7,7 +7,7 @@ import time
 from dataclasses import replace
 
 from tissue_sim.explicit_coupling import MotionCheck, least_tool_mass, warn_of_light_tool
-from tissue_sim.fem.solver import OwnStiffness, Solver, Step, StepStatus
+from tissue_sim.fem.solver import Solver, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.effect import ReducedForce
 from tissue_sim.model import Model
 from tissue_sim.path_settings import PathSettings
@@ -132,7 +132,7 @@ class ToolPathMixin:
             if not begins:
                 # The tissue relaxes or swings until the touch without the tool.
                 solver.move_in_air(self._pose)
-                depends_on_time = solver.relaxes or self._counts_mass
+                depends_on_time = solver.is_time_dependent or self._counts_mass
                 self._pending.extend_to_touch(self._pose, until * dt if depends_on_time else 0.0)
             return (1.0 - until) * dt
         solver.move_in_air(target)
@@ -140,10 +140,10 @@ class ToolPathMixin:
         self._pending.is_direct = True
         if self._pending.gap > 0.0:
             self._pending.lift_off(self.model.material.memory_time(self._radius))
-        if solver.relaxes or self._counts_mass:
+        if solver.is_time_dependent or self._counts_mass:
             return dt
         self._lingers += dt
-        solver.stand_still()
+        solver.stop_tissue_motion()
         self._reduced.commit(target.depth, dt)
         tool.pose, self._equilibrium, self.error = pose, Equilibrium.in_air(target), None
         self._answer = ToolForce(AT_REST.wrench, AT_REST.stiffness, ForceStatus.CONVERGED, pose=pose,
@@ -168,7 +168,7 @@ class ToolPathMixin:
         begins = solver.move_to_next_touch(between(here, first.pose, until))
         if not begins:
             solver.move_in_air(here)
-        if begins or not (inertial or solver.relaxes):
+        if begins or not (inertial or solver.is_time_dependent):
             pending.ticks[0] = replace(first, dt=(1.0 - until) * first.dt)
             pending.meets = not begins
         else:
@@ -187,7 +187,7 @@ class ToolPathMixin:
         """Lift the tool above a pose that was not reached, and press it down; the stick anchors there are new."""
         solver = self._solver
         solver.lift_off()
-        solver.move_in_air(raised(pose, -solver.height_above(pose)))
+        solver.move_in_air(raised(pose, -solver.height_above_tissue(pose)))
         # In the first step the motion to the pose is unknown, and the tool comes from above.
         self._pending.restart(pose, rubs=self._keeps_path and not self._begins,
                               ages=self.model.material.remembers and not self._begins)
@@ -210,7 +210,7 @@ class ToolPathMixin:
             if creep is None and self._attempt is None:
                 if len(pending.ticks) > 1 and allowance.count_fitting_solves() < LEAST_SOLVES * len(pending.ticks):
                     pending.merge(here, self._radius, self._get_straightness_tolerance(inertial),
-                                  self._settings.inertial_time, timed=inertial or solver.relaxes)
+                                  self._settings.inertial_time, timed=inertial or solver.is_time_dependent)
                 if is_behind and not pending.meets:
                     self._split_tick_at_touch(inertial)
                 if pending.meets:
@@ -232,7 +232,8 @@ class ToolPathMixin:
                 pending.meets = False
             if attempt is None:
                 # Extrapolation is inaccurate across a change of contact, but less with mass.
-                order = min(solver.highest_order, max(solver.unchanged, weighs)) if self._extrapolates else 0
+                known = max(solver.equilibria_since_contact_change, weighs) if self._extrapolates else 0
+                order = min(solver.highest_order, known)
                 limit = self._settings.most_extrapolated_solves if order > 0 else self._settings.most_solves
                 attempt = Attempt(target, dt, order, limit)
             most = attempt.limit - attempt.spent
@@ -253,8 +254,8 @@ class ToolPathMixin:
             solves, residual = solves + step.iterations, step.residual
             # The static stiffness takes one answer, computed or not; a reserved solve is not part of the allowance.
             allowance.subtract_solves(
-                step.iterations, 1 + (weighs and asks is OwnStiffness.IF_LEFT and step.iterations < allowed))
-            if not step.found_own_stiffness:
+                step.iterations, 1 + (weighs and asks is StaticStiffnessRequest.IF_LEFT and step.iterations < allowed))
+            if not step.has_static_and_step_stiffness:
                 self._clock.update_estimate(time.perf_counter() - started, step.iterations)
             if self._creep is not None:
                 continue
@@ -263,13 +264,13 @@ class ToolPathMixin:
                 self._store_equilibrium(step, dt, weighs)
                 self._estimate_waves(motion(here, target), dt, weighs=weighs)
                 self._share, self._extrapolates = min(1.0, 2.0 * self._share), True
-                is_timed = inertial or solver.relaxes
+                is_timed = inertial or solver.is_time_dependent
                 is_over = self._leaps or not is_timed or first.dt - dt <= self._settings.rounding * first.dt
                 arrives = is_over and target == first.pose
                 pending.advance(dt, arrives=arrives, timed=is_timed)
                 if arrives and self._begins:
                     # The motion to the first pose is unknown: the tissue is at rest there.
-                    solver.stand_still()
+                    solver.stop_tissue_motion()
                     self._begins = False
                 elif inertial and (creep is not None or self._leaps):
                     # The tissue was brought to rest without its mass: its waves are lost.
@@ -289,12 +290,11 @@ class ToolPathMixin:
                 else:
                     self._extrapolates = False
             elif creep is None and min(self._share, way / self._largest_part) < self._settings.damped_fraction:
-                # After a hold parts are as short as they may be, and no shorter.
                 self._share = max(self._settings.smallest_cut, min(self._share, way / self._largest_part))
                 self._creep = Creep(target, dt, step)
-                self._creep.steps = solver.creep(target, dt, tolerance=self.tolerance,
-                                                 max_iterations=self._settings.most_damped_solves,
-                                                 allowed=self._creep.solves_until_yield)
+                self._creep.steps = solver.step_with_damping(
+                    target, dt, tolerance=self.tolerance, max_iterations=self._settings.most_damped_solves,
+                    allowed=self._creep.solves_until_yield)
             else:
                 self._share, self._extrapolates = 0.5 * self._share, True
                 if self._share < self._settings.smallest_cut and self._can_restart:
@@ -329,18 +329,20 @@ class ToolPathMixin:
 
     def _get_straightness_tolerance(self, inertial: bool) -> float:
         """Largest distance of late poses from a straight line that replaces them, m."""
-        if inertial or self._solver.relaxes or self._keeps_path:
+        if inertial or self._solver.is_time_dependent or self._keeps_path:
             return self._settings.straightness * self._largest_part
         return math.inf
 
-    def _choose_stiffness_request(self, allowance: Allowance, allowed: int) -> OwnStiffness:
+    def _choose_stiffness_request(self, allowance: Allowance, allowed: int) -> StaticStiffnessRequest:
         """Decide whether a part of at most `allowed` linear solves also computes the static stiffness."""
         age = self._equilibrium.stiffness_age + 1
         if age < self._stiffness_lasts:
-            return OwnStiffness.OMITTED
+            return StaticStiffnessRequest.OMITTED
         if age >= self._settings.reserved_after * self._stiffness_lasts and allowance.has_time(allowed, answers=2):
-            return OwnStiffness.RESERVED
-        return OwnStiffness.IF_LEFT if allowance.count_fitting_solves(answers=2) > 0 else OwnStiffness.OMITTED
+            return StaticStiffnessRequest.RESERVED
+        if allowance.count_fitting_solves(answers=2) > 0:
+            return StaticStiffnessRequest.IF_LEFT
+        return StaticStiffnessRequest.OMITTED
 
     @property
     def _counts_mass(self) -> bool:
@@ -377,7 +379,7 @@ class ToolPathMixin:
 
     def _predict_next_force(self, tick: float) -> NextForce | None:
         """Predict the force of the next step, of length `tick`, s, after a converged one."""
-        ahead, left = self._solver.ahead(tick), self._left
+        ahead, left = self._solver.predict_next_force(tick), self._left
         return ahead if ahead is None or left == 1.0 else ahead.scaled(left)
 
     def _extrapolate_last_wrench(self, wrench: Screw, way: Screw) -> Screw:

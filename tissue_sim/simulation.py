@@ -29,7 +29,7 @@ class SimulationSettings:
     Attributes:
         smallest_cut: smallest step, over the distance between two samples, 1.
         damped_from: step, over the distance between two samples, from which on a failed step without extrapolation is
-            repeated with artificial viscous damping (`Solver.creep`), 1.
+            repeated with artificial viscous damping (`Solver.step_with_damping`), 1.
         max_solves: largest number of linear solves of a step.
         max_damped_solves: the same for a damped step.
         rough_tolerance: relative residual of the second solution for the error estimate, 1.
@@ -376,8 +376,7 @@ def _step_towards(solver: Solver, target: Pose, dt: float = 0.0, **options: Any)
         dt: time of the whole motion, s, at constant speed.
         options: options of each step.
     """
-    start = solver.pose
-    most = min(2, solver.highest_order)
+    start, most = solver.pose, min(2, solver.highest_order)
     done, length, order = 0.0, 1.0, most
     while True:
         share = min(length, 1.0 - done)
@@ -387,7 +386,8 @@ def _step_towards(solver: Solver, target: Pose, dt: float = 0.0, **options: Any)
         step = solver.step(goal, share * dt, max_iterations=_SETTINGS.max_solves, predictor_order=order, **options)
         yield step
         if step.status is not StepStatus.CONVERGED and not order and length <= _SETTINGS.damped_from:
-            for step in solver.creep(goal, share * dt, max_iterations=_SETTINGS.max_damped_solves, **options):
+            damped = solver.step_with_damping(goal, share * dt, max_iterations=_SETTINGS.max_damped_solves, **options)
+            for step in damped:
                 yield step
         if step.status is StepStatus.CONVERGED:
             if last:

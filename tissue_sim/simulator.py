@@ -117,7 +117,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._solver.ask_for_stiffness()
         self.density = model.experiment.specimen.density or model.material.density or DENSITY
         # Whether the solver supports inertia.
-        self._weighs = inertia != "off" and self._solver.follow_motion(self.density) is not False
+        self._weighs = inertia != "off" and self._solver.enable_inertia(self.density) is not False
         if inertia == "on" and not self._weighs:
             raise InputError(f"must be 'auto' or 'off' with the solver {solver!r}, which supports no inertia.",
                              field="inertia")
@@ -154,7 +154,7 @@ class Simulator(ToolPathMixin, KernelOwner):
         self._extrapolates, self._can_restart = True, not self._bonded
         self._creep: Creep | None = None
         self._stiffness_lasts = _STIFFNESS_LASTS
-        self._origin = StateOrigin.of(solver, self._solver.identity(), model)
+        self._origin = StateOrigin.of(solver, self._solver.mesh_digest(), model)
         self._start = self.save()
 
     @property

@@ -94,7 +94,7 @@ class Attempt:
 
 @dataclass(slots=True)
 class Creep:
-    """Unfinished damped path (`Solver.creep`) to an equilibrium at a pose, dt seconds later, and its last step."""
+    """Unfinished path of `Solver.step_with_damping` to a pose, dt seconds later, and its last step."""
 
     pose: Pose
     dt: float

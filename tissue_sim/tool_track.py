@@ -85,7 +85,7 @@ class ToolTrack:
             because tissue around it would belong to the position where it entered.
         """
         before = self.touch.height
-        height = solver.height_above(pose)
+        height = solver.height_above_tissue(pose)
         spent = self.touch.advance(height, dt)
         if spent is None:
             self.is_refused = False
@@ -96,9 +96,9 @@ class ToolTrack:
         start = raised(pose, -height)
         if before is not None and before > 0.0 and self.pose is not None:
             start = between(self.pose, pose, before / (before - height))
-            start = raised(start, -solver.height_above(start))
+            start = raised(start, -solver.height_above_tissue(start))
         twist = twist_about_axis(start.orientation) if solver.ignores_twist else None
-        if solver.place_tool(without_twist(start, twist)):
+        if solver.place_tool_at_first_touch(without_twist(start, twist)):
             self.twist = twist
             return spent, True
         self.touch, self.is_refused = TouchState(False, height), True

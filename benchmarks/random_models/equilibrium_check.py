@@ -231,7 +231,7 @@ class EquilibriumCheck:
         """Check a sample."""
         memory, stresses, law = solver.equations.memory, None, None
         if self.model.material.viscoelastic is not None:
-            stresses, law = memory.total(), memory.stresses / self.model.material.instantaneous_factor
+            stresses, law = memory.total_stress(), memory.stresses / self.model.material.instantaneous_factor
         *_, rounding = solver.equations.settings[:7].tolist()
         self.check(solver.state, solver.depth, rounding, stresses, law)
 

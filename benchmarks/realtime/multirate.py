@@ -24,7 +24,7 @@ import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
 from haptics.loop.bulk_link import DelayedBulk
 from haptics.loop.multirate import MultiRateTissue
-from tissue_sim.fem.linear.sparse import SparseSolver, library
+from tissue_sim.fem.linear.sparse import SparseSolver, sparse_library_name
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
 from tissue_sim.fem.solver import StepStatus
@@ -92,10 +92,10 @@ def condensation(size: int, repeats: int) -> dict:
     for nodes in (100, near.size):
         interface = np.sort(bulk._equations[near[:nodes]].ravel())
         began = time.process_time()
-        sparse.condense(matrix, interface)
+        sparse.factorise_condensed(matrix, interface)
         name = "100 nodes" if nodes == 100 else "all"
         row[f"first, {name}"] = time.process_time() - began
-        row[f"condensed, {name}"] = cpu(lambda i=interface: sparse.condense(matrix, i), repeats)
+        row[f"condensed, {name}"] = cpu(lambda i=interface: sparse.factorise_condensed(matrix, i), repeats)
     return row | {"nodes": near.size, "iterate": iterate(size)}
 
 
@@ -162,8 +162,8 @@ def main() -> None:
     for size in options.sizes[:1] if options.quick else options.sizes:
         exact = synchronous(size, poses)
         rows += [two_rates(size, *delays, poses, exact) for delays in DELAYS]
-    show(about("multirate", ("pypardiso",) if library() == "pardiso" else ()) | {
-        "library": library(), "costs_s": costs, "drag": rows}, draw, as_json=options.json)
+    show(about("multirate", ("pypardiso",) if sparse_library_name() == "pardiso" else ()) | {
+        "library": sparse_library_name(), "costs_s": costs, "drag": rows}, draw, as_json=options.json)
 
 
 def draw(result: dict, console) -> None:

@@ -21,7 +21,7 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
-from tissue_sim.fem.axisymmetric.resolutions import realtime_levels
+from tissue_sim.fem.axisymmetric.resolutions import list_realtime_levels
 from tissue_sim.realtime_ladder import measure_tick
 
 SPECIMEN = ts.Specimen(0.040, 0.070)
@@ -62,7 +62,7 @@ def measure(kind: str, name: str, overrides: dict, repeats: int) -> list[dict]:
     seen = protocol.displacement >= SHALLOWEST
     exact = _force(model, "accurate")
     rows = []
-    for level in realtime_levels(model.experiment):
+    for level in list_realtime_levels(model.experiment):
         force = _force(model, level.resolution)
         reached = seen[: force.size]
         simulator = ts.Simulator(model, resolution=level.resolution, inertia="on")

@@ -26,7 +26,7 @@ import numpy as np
 
 import tissue_sim as ts
 from benchmarks.peers.felupe_problem import reduced_polynomial
-from tissue_sim.fem.linear.sparse import SparseSolver, factorise, library
+from tissue_sim.fem.linear.sparse import SparseSolver, factorise, sparse_library_name
 from tissue_sim.fem.solid.solver import SolidSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -180,7 +180,7 @@ def peer(mesh: SolidMesh, expected: float) -> dict:
     if abs(force / expected - 1.0) > 1e-6:
         raise SystemExit(f"FElupe finds {force:.8g} N where ours has {expected:.8g} N")
     began = time.process_time()
-    if library() == "pardiso":
+    if sparse_library_name() == "pardiso":
         from pypardiso import spsolve
 
         # As its manual has it: the matrix is not said to be symmetric.
@@ -214,7 +214,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     asked = parser.parse_args()
     about = {"machine": platform.processor() or platform.machine(), "python": sys.version.split()[0],
-             "tissue_sim": ts.__version__, "felupe": fem.__version__, "linear_solver": library()}
+             "tissue_sim": ts.__version__, "felupe": fem.__version__, "linear_solver": sparse_library_name()}
     print(json.dumps(about), flush=True)
     # Compile and load everything once.
     ours(create_needle_mesh(0.04, 0.07, 8e-3, ELEMENTS[asked.element], smallest=6e-3, growth=3.0, largest=40e-3,

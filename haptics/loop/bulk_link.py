@@ -30,7 +30,7 @@ from haptics.loop.snapshot_board import SnapshotReader
 from tissue_sim.errors import InputError
 from tissue_sim.fem.condensed.model import (
     BulkLinearisation,
-    CondensedContact,
+    CondensedBulk,
     ContactState,
     ContactSurface,
     packed_state_size,
@@ -53,7 +53,7 @@ class BulkLink(Protocol):
     def is_alive(self) -> bool:
         """Whether the bulk, or its process, still runs and can send models."""
 
-    def start(self) -> CondensedContact:
+    def start(self) -> CondensedBulk:
         """Create the bulk and return its model of the undeformed tissue.
 
         Raises:
@@ -64,10 +64,10 @@ class BulkLink(Protocol):
     def send_state(self, state: ContactState) -> None:
         """Send the state of the contact, at which the bulk is linearised next, without waiting for the model."""
 
-    def receive_model(self, now: float) -> CondensedContact | None:
+    def receive_model(self, now: float) -> CondensedBulk | None:
         """Return a model received since the last call, or None, without waiting; `now` is the time, s."""
 
-    def exchange_state_for_model(self, state: ContactState) -> CondensedContact | None:
+    def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
         """Send a state and block until the next model arrives, which may belong to an earlier state.
 
         Returns:
@@ -106,7 +106,7 @@ class DelayedBulk:
         if tangent is not None:
             linearisation.executor = self._compute_and_delay_finish
         self.linearising = 0.0
-        self._coming: tuple[float, CondensedContact | None] | None = None
+        self._coming: tuple[float, CondensedBulk | None] | None = None
 
     def _compute_and_delay_finish(self, compute: Callable[[], None]) -> Callable[[], bool]:
         """Compute a tangent now and return a function that reports it as finished after the tangent's delay.
@@ -118,7 +118,7 @@ class DelayedBulk:
         due, epoch = self._now + self._tangent, self._epoch
         return lambda: self._epoch != epoch or self._now >= due - 1e-9
 
-    def start(self) -> CondensedContact:
+    def start(self) -> CondensedBulk:
         """Return the model of the undeformed tissue.
 
         Raises:
@@ -141,14 +141,14 @@ class DelayedBulk:
             self._coming = state.time + self._delay, model
             self.linearising += time.process_time() - began
 
-    def receive_model(self, now: float) -> CondensedContact | None:
+    def receive_model(self, now: float) -> CondensedBulk | None:
         """Return the model in transit if it has arrived at the time `now`, s, otherwise None."""
         if self._coming is None or now < self._coming[0] - 1e-9:
             return None
         model, self._coming = self._coming[1], None
         return model
 
-    def exchange_state_for_model(self, state: ContactState) -> CondensedContact | None:
+    def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
         """Return a model at once: of an earlier state whose model was not yet received, otherwise of this state."""
         self.send_state(state)
         return self.receive_model(math.inf)
@@ -182,7 +182,7 @@ class BulkProcess:
         self._process: subprocess.Popen[bytes] | None = None
         self._surface: ContactSurface | None = None
 
-    def start(self) -> CondensedContact:
+    def start(self) -> CondensedBulk:
         """Start the process and return its model of the undeformed tissue; raises the errors of `BulkLink.start`."""
         one = {"MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
         self._process = process = subprocess.Popen(
@@ -225,16 +225,16 @@ class BulkProcess:
 
     def send_state(self, state: ContactState) -> None:
         """Write a state to the shared file of states, without waiting."""
-        self._states.write(state.pack().tobytes())
+        self._states.write(state.pack_to_array().tobytes())
 
-    def receive_model(self, now: float) -> CondensedContact | None:
+    def receive_model(self, now: float) -> CondensedBulk | None:
         """Read the next piece of a model; return the model when it is complete, a newer correction, or None."""
         found = self._receive_model_piece() or self._receive_correction()
         if found is not None:
             self._model = found
         return found
 
-    def exchange_state_for_model(self, state: ContactState) -> CondensedContact | None:
+    def exchange_state_for_model(self, state: ContactState) -> CondensedBulk | None:
         """Send a state, and poll for the next model for at most `BulkProcessSettings.longest_exchange`."""
         now = time.monotonic()
         deadline, sends = now + BULK_PROCESS.longest_exchange, now
@@ -248,7 +248,7 @@ class BulkProcess:
             now = time.monotonic()
         return None
 
-    def _receive_model_piece(self) -> CondensedContact | None:
+    def _receive_model_piece(self) -> CondensedBulk | None:
         """Read the next piece of a model with tangent; return the model when it is complete.
 
         The arrays of the model are valid until the next complete model.
@@ -270,9 +270,9 @@ class BulkProcess:
         if self._check != checksum or models.read_slot_header(number) != (length, checksum):
             return None  # the slot was overwritten during reading: start again
         self._received, self._buffers = number, self._buffers[::-1]
-        return CondensedContact.unpack(np.frombuffer(self._buffers[1], count=length // 8))
+        return CondensedBulk.unpack_from_array(np.frombuffer(self._buffers[1], count=length // 8))
 
-    def _receive_correction(self) -> CondensedContact | None:
+    def _receive_correction(self) -> CondensedBulk | None:
         """Return a new correction, a model with a later state and the last complete tangent, or None."""
         corrections = self._corrections
         if corrections.written == self._corrected:
@@ -281,7 +281,7 @@ class BulkProcess:
         if newest is None:
             return None
         self._corrected, content = newest
-        return CondensedContact.unpack(np.frombuffer(content), self._model)
+        return CondensedBulk.unpack_from_array(np.frombuffer(content), self._model)
 
     def set_material(self, material: Material, number: int) -> None:
         """Send a material and its number to the process."""

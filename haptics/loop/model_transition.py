@@ -10,8 +10,8 @@ import numpy as np
 
 from haptics.loop.broyden_correction import BroydenCorrection
 from haptics.loop.linearisation_error import LinearisationError
-from tissue_sim.fem.condensed.model import CondensedContact
-from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
+from tissue_sim.fem.condensed.model import CondensedBulk
+from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
 from tissue_sim.pose import Pose, Screw, added, motion, scaled
 from tissue_sim.tool_force import Matrix
 
@@ -63,16 +63,16 @@ class ModelTransition:
         self._correction.reset()
         self.estimate.discard_estimate()
 
-    def compute_distance_from_model(self, model: CondensedContact, pose: Pose) -> float:
+    def compute_distance_from_model(self, model: CondensedBulk, pose: Pose) -> float:
         """Return the distance of a pose from the pose of a model, m.
 
         A model without contact describes the undeformed tissue and is valid at each pose in the air. Its distance is
         measured from the last pose in the air, or from its own pose if this is in the air and nearer.
         """
-        distance = self._stepper.distance(motion(model.pose, pose))
+        distance = self._stepper.max_travel(motion(model.pose, pose))
         if model.has_contact:
             return distance
-        from_air = self._stepper.distance(motion(self.free, pose))
+        from_air = self._stepper.max_travel(motion(self.free, pose))
         return min(distance, from_air) if self.is_near_surface(model.pose) else from_air
 
     def is_near_surface(self, pose: Pose) -> bool:
@@ -82,8 +82,8 @@ class ModelTransition:
         """
         return pose.position[2] >= self._stepper.surface.start.position[2] - self.estimate.short
 
-    def switch_to_new_model(self, before: ContactStep, old: CondensedContact, last: Pose, pose: Pose,
-                            after: ContactStep) -> None:
+    def switch_to_new_model(self, before: ContactStepResult, old: CondensedBulk, last: Pose, pose: Pose,
+                            after: ContactStepResult) -> None:
         """Continue the wrench of the old model; the difference to the new model becomes an offset.
 
         Args:
@@ -109,7 +109,7 @@ class ModelTransition:
         for part in (expected, scaled(-1.0, missed), scaled(-1.0, correction.compute_omitted_wrench(new.pose, pose))):
             self.offset = added(self.offset, part)
 
-    def update_error_estimate(self, missed: Screw, old: CondensedContact, pose: Pose) -> None:
+    def update_error_estimate(self, missed: Screw, old: CondensedBulk, pose: Pose) -> None:
         """Update the error estimate with the difference of the newest model and the model before.
 
         Models of undeformed tissue and models of different materials do not change the estimate.
@@ -142,7 +142,7 @@ class ModelTransition:
             self.offset = (_shorten_vector(force, TRANSITION.force_step)
                            + _shorten_vector(torque, TRANSITION.torque_step))
 
-    def compute_wrench_and_stiffness(self, step: ContactStep, pose: Pose) -> tuple[Screw, Matrix]:
+    def compute_wrench_and_stiffness(self, step: ContactStepResult, pose: Pose) -> tuple[Screw, Matrix]:
         """Return wrench, N and N m, and stiffness, shape (6, 6), of a step with Broyden correction and offset."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
@@ -150,7 +150,7 @@ class ModelTransition:
             stiffness = self._correction.corrected_stiffness(stiffness)
         return added(wrench, self.offset), stiffness
 
-    def estimate_wrench_error(self, step: ContactStep, pose: Pose, age: float) -> tuple[float, float]:
+    def estimate_wrench_error(self, step: ContactStepResult, pose: Pose, age: float) -> tuple[float, float]:
         """Return the estimated error of the wrench of a step, and the error that decides its status, N.
 
         Both are errors of the force, or of the torque divided by the contact radius if larger. The first is infinite
@@ -184,13 +184,13 @@ class ModelTransition:
         model = self._newest_model
         if not model.has_contact:
             return 0.0
-        distance = self._stepper.distance(motion(model.tangent_pose, model.pose))
+        distance = self._stepper.max_travel(motion(model.tangent_pose, model.pose))
         if self.is_near_surface(model.tangent_pose):
-            distance = min(distance, self._stepper.distance(motion(self.free, model.pose)))
+            distance = min(distance, self._stepper.max_travel(motion(self.free, model.pose)))
         return distance
 
     @property
-    def _newest_model(self) -> CondensedContact:
+    def _newest_model(self) -> CondensedBulk:
         assert self._stepper.model is not None
         return self._stepper.model
 

@@ -14,8 +14,8 @@ from haptics.loop.model_transition import ModelTransition
 from haptics.loop.multirate_settings import MULTIRATE
 from haptics.loop.touch_frame import TouchFrame, interpolate_touch_pose
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedContact
-from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
+from tissue_sim.fem.condensed.model import CondensedBulk
+from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStepResult
 from tissue_sim.kernel_owner import CopyError, KernelOwner, exclusive
 from tissue_sim.live_material import require_same_layers, require_tissue
 from tissue_sim.material.effect import ReducedForce
@@ -111,7 +111,7 @@ class MultiRateTissue(KernelOwner):
     def _reset_state(self) -> None:
         self._time, self._ticks, self.error, self._left = 0.0, 0, math.inf, 1.0
         self._answer = _AT_REST
-        self._step: ContactStep | None = None
+        self._step: ContactStepResult | None = None
         self._poses: deque[tuple[float, Pose]] = deque(maxlen=MULTIRATE.speed_ticks)
         self._touch = TouchState()
         self._last_pose: Pose | None = None
@@ -119,7 +119,7 @@ class MultiRateTissue(KernelOwner):
         self._made = self._tangent_made = 0.0
         self._prepared = False
         #: The previous model, if a new model has arrived since the last step.
-        self._known: CondensedContact | None = None
+        self._known: CondensedBulk | None = None
         #: Whether the force converged in the last exchange of a step that waits.
         self._settled = True
 
@@ -136,7 +136,7 @@ class MultiRateTissue(KernelOwner):
         self._first = self._link.start()
         surface = self._link.contact_surface
         self._stepper = CondensedStepper(surface)
-        self._stepper.set_model(self._first)
+        self._stepper.set_linearisation(self._first)
         self._transition = ModelTransition(self._stepper, self.model.material.mu0,
                                            self.model.experiment.tool.radius)
         x, y, z = surface.start.position
@@ -206,7 +206,7 @@ class MultiRateTissue(KernelOwner):
                 self._frame = TouchFrame(start, touch)
                 touch = start
                 self._poses.clear()
-            self._stepper.place_at_touch(touch)
+            self._stepper.place_at_first_touch(touch)
             self._transition.free, self._step = touch, None
         self._last_pose = pose
         return inside
@@ -216,7 +216,8 @@ class MultiRateTissue(KernelOwner):
         assert self._stepper is not None
         self._known, start = None, self._link.contact_surface.start
         if self._ticks % MULTIRATE.ticks_between_states == 0:
-            self._link.send_state(self._stepper.state(self._time, start, self._time, start, self._epoch, touched=False))
+            self._link.send_state(self._stepper.export_state(self._time, start, self._time, start, self._epoch,
+                                                       touched=False))
         status = ForceStatus.CONVERGED if self._link.is_alive else ForceStatus.LATE
         return ToolForce(axial_wrench(0.0), axial_stiffness(0.0), status, pose=pose,
                          compute_time=clock.perf_counter() - began)
@@ -229,7 +230,7 @@ class MultiRateTissue(KernelOwner):
         known, self._known, self._step, transition = self._known, None, step, self._transition
         if known is not None and before is not None:
             transition.switch_to_new_model(before, known, self._poses[-1][1] if self._poses else here, here, step)
-        if self._poses and stepper.distance(motion(self._poses[-1][1], here)) > transition.estimate.short:
+        if self._poses and stepper.max_travel(motion(self._poses[-1][1], here)) > transition.estimate.short:
             self._poses.clear()  # the tool jumped: its speed is unknown
         self._poses.append((self._time, here))
         if any(step.wrench):
@@ -241,7 +242,7 @@ class MultiRateTissue(KernelOwner):
                 self._step = step = self._exchange_models(step, here)
         elif known is not None or self._ticks % MULTIRATE.ticks_between_states == 0:
             earlier, there = self._poses[0]
-            self._link.send_state(stepper.state(self._time, here, earlier, there, self._epoch, self.has_touched))
+            self._link.send_state(stepper.export_state(self._time, here, earlier, there, self._epoch, self.has_touched))
         transition.reduce_offset()
         return self._make_tool_force(step, here, pose, dt, began)
 
@@ -256,13 +257,13 @@ class MultiRateTissue(KernelOwner):
             self._known = stepper.model
             self._set_model_and_times(model)
 
-    def _set_model_and_times(self, model: CondensedContact) -> None:
+    def _set_model_and_times(self, model: CondensedBulk) -> None:
         assert self._stepper is not None
         self.models, self._made = self.models + 1, model.time
         self._tangent_made = model.tangent_time
-        self._stepper.set_model(model)
+        self._stepper.set_linearisation(model)
 
-    def _needs_exchange(self, step: ContactStep, pose: Pose) -> bool:
+    def _needs_exchange(self, step: ContactStepResult, pose: Pose) -> bool:
         """Return whether the model is too old or too far from a pose for a step that waits."""
         assert self._stepper is not None and self._stepper.model is not None
         model, transition = self._stepper.model, self._transition
@@ -270,7 +271,7 @@ class MultiRateTissue(KernelOwner):
                 or self._time - self._made > MULTIRATE.recent
                 or transition.compute_distance_from_model(model, pose) > MULTIRATE.near * transition.estimate.short)
 
-    def _exchange_models(self, step: ContactStep, pose: Pose) -> ContactStep:
+    def _exchange_models(self, step: ContactStepResult, pose: Pose) -> ContactStepResult:
         """Exchange states and models with the bulk until the force at a pose converges; return the last step."""
         stepper = self._stepper
         assert stepper is not None and stepper.model is not None
@@ -279,7 +280,7 @@ class MultiRateTissue(KernelOwner):
             old = stepper.model
             # The clock is simulated: the pose must not be extrapolated by the wall time of a model.
             model = self._link.exchange_state_for_model(
-                stepper.state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
+                stepper.export_state(self._time, pose, self._time, pose, self._epoch, self.has_touched))
             if model is None:
                 break
             if model.epoch != self._epoch:
@@ -295,7 +296,7 @@ class MultiRateTissue(KernelOwner):
         self._transition.clear_offset_and_correction()
         return step
 
-    def _make_tool_force(self, step: ContactStep, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
+    def _make_tool_force(self, step: ContactStepResult, here: Pose, pose: Pose, dt: float, began: float) -> ToolForce:
         """Return the force of a step with its status and estimated error.
 
         Args:
@@ -314,7 +315,7 @@ class MultiRateTissue(KernelOwner):
         if model.material != self._material and self.has_touched:
             self.error = judged = math.inf
         good = (step.converged and self._settled and self._link.is_alive and age <= self.oldest
-                and not stepper.may_leave_model(here) and is_known_well(wrench, judged))
+                and not stepper.may_touch_missing_nodes(here) and is_known_well(wrench, judged))
         self._left = self._reduced.commit(pose.depth, dt)
         if self._left != 1.0:
             wrench, stiffness = scaled(self._left, wrench), scaled_matrix(self._left, stiffness)
@@ -334,9 +335,9 @@ class MultiRateTissue(KernelOwner):
         self._reduced.history = self._untouched
         if self._stepper is not None:
             self._place_tool_above_tissue()
-            self._stepper.set_model(self._first)
+            self._stepper.set_linearisation(self._first)
             start = self._link.contact_surface.start
-            self._link.send_state(self._stepper.state(0.0, start, 0.0, start, self._epoch, touched=False))
+            self._link.send_state(self._stepper.export_state(0.0, start, 0.0, start, self._epoch, touched=False))
 
     @exclusive
     def set_parameters(self, **values: float) -> None:

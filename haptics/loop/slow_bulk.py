@@ -26,10 +26,10 @@ from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 from tissue_sim.fem.condensed.model import (
     LINEARISATIONS,
     BulkLinearisation,
-    CondensedContact,
+    CondensedBulk,
     ContactState,
     ContactSurface,
-    max_packed_size,
+    max_packed_linearisation_size,
 )
 from tissue_sim.fem.condensed.predictive_linearisation import PREDICTION, PredictiveLinearisation
 from tissue_sim.material.material import Material
@@ -55,7 +55,7 @@ class BulkReadyMessage(NamedTuple):
     """
 
     surface: ContactSurface
-    model: CondensedContact
+    model: CondensedBulk
     pattern: Snapshot | None
 
 
@@ -107,7 +107,7 @@ def run_bulk_process(task: bytes, orders: BinaryIO, answers: BinaryIO) -> None:
         answers.flush()
         return
     pattern = _take_snapshot(bulk, first)
-    whole, part = (8 * max_packed_size(bulk.surface, is_whole) for is_whole in (True, False))
+    whole, part = (8 * max_packed_linearisation_size(bulk.surface, is_whole) for is_whole in (True, False))
     with (SlotWriter(models_path, KIND_MODEL, SLOTS.count, whole) as models,
           SlotWriter(corrections_path, KIND_CORRECTION, SLOTS.count, part) as corrections,
           SnapshotBoard(surface_path, pattern) as board):
@@ -140,11 +140,11 @@ def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinea
             continue
         began = time.monotonic()
         seen, content = newest
-        model = predictive.linearise(ContactState.unpack(np.frombuffer(content)), lead, serves)
+        model = predictive.linearise(ContactState.unpack_from_array(np.frombuffer(content)), lead, serves)
         if model is None:
             time.sleep(BULK_PROCESS.idle_sleep)  # no linearisation at this state: wait for the next state
             continue
-        (models if model.has_own_tangent else corrections).write(model.pack().tobytes())
+        (models if model.has_own_tangent else corrections).write(model.pack_to_array().tobytes())
         now = time.monotonic()
         lead = PREDICTION.lead_factor * (now - began)
         if model.has_own_tangent:
@@ -155,7 +155,7 @@ def _run_linearisation_loop(bulk: BulkLinearisation, predictive: PredictiveLinea
             shown = now
 
 
-def _take_snapshot(bulk: BulkLinearisation, model: CondensedContact) -> Snapshot:
+def _take_snapshot(bulk: BulkLinearisation, model: CondensedBulk) -> Snapshot:
     return replace(snapshot(bulk.solver), pose=model.pose, datum=bulk.surface.datum)
 
 

@@ -14,7 +14,7 @@ from scenes.viewer.tool_picture import find_contact
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.axisymmetric.fields import Fields
-from tissue_sim.fem.fields import extrapolate
+from tissue_sim.fem.fields import extrapolate_to_nodes
 from tissue_sim.fem.solid.fields import SolidFields
 
 
@@ -66,7 +66,7 @@ class RevolvedBody:
                wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
         """Return nodal values, values at integration points, and the fields that contain them."""
         at_points = fields.at_points(name)
-        nodal = fields.at_nodes(name) if name == "displacement" else extrapolate(fields.mesh, at_points)
+        nodal = fields.at_nodes(name) if name == "displacement" else extrapolate_to_nodes(fields.mesh, at_points)
         return nodal, at_points, fields
 
     def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:

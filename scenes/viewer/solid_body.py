@@ -14,7 +14,7 @@ from scenes.viewer.bands import Triangulation, split_by_band
 from scenes.viewer.revolution import EDGE_ANGLE, Surface
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
-from tissue_sim.fem.fields import extrapolate
+from tissue_sim.fem.fields import extrapolate_to_nodes
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.sections import cut_tetrahedra, cut_triangles, intersect_triangles
 from tissue_sim.mesh.subdivision import find_face_edges, subdivide_into_tetrahedra, triangulate_surface_faces
@@ -123,7 +123,7 @@ class SolidBody:
         if name == "displacement":
             return fields.at_nodes(name), at_points, sample
         if small:
-            return extrapolate(self.mesh, at_points), at_points, sample
+            return extrapolate_to_nodes(self.mesh, at_points), at_points, sample
         visible = np.zeros(len(self.mesh.connectivity), dtype=bool)
         visible[self.at_surface] = True
         at_cut = np.zeros(len(self.mesh.nodes), dtype=bool)

@@ -68,6 +68,16 @@ def test_old_members_of_a_solver_answer_with_a_warning(old_solver):
         assert solver.approach(ts.Pose.at_depth(0.0)) is False
     with pytest.warns(DeprecationWarning, match=r"Solver\.meet is renamed to bind_points_on_path"):
         assert solver.meet(ts.Pose.at_depth(1e-3)) is None
+    with pytest.warns(DeprecationWarning, match=r"Solver\.unchanged is renamed to equilibria_since_contact_change"):
+        assert solver.unchanged == solver.equilibria_since_contact_change
+    with pytest.warns(DeprecationWarning, match=r"Solver\.relaxes is renamed to is_time_dependent"):
+        assert solver.relaxes == solver.is_time_dependent
+    with pytest.warns(DeprecationWarning, match=r"Solver\.creep is renamed to step_with_damping"):
+        assert list(solver.creep(ts.Pose.at_depth(0.0))) == []
+    with pytest.warns(DeprecationWarning, match=r"Solver\.follow_motion is renamed to enable_inertia"):
+        assert solver.follow_motion(1e3) is False
+    with pytest.warns(DeprecationWarning, match=r"Solver\.height_above is renamed to height_above_tissue"):
+        assert solver.height_above(ts.Pose.at_depth(-1e-3)) == 1e-3
 
 
 def test_the_old_name_of_the_thickness_answers_with_a_warning():
@@ -80,7 +90,9 @@ def test_the_old_name_of_the_thickness_answers_with_a_warning():
     assert Old(0.040, 0.070).vertical_thickness() == 0.035
 
 
-@pytest.mark.parametrize(("old", "new"), [("Rung", "ResolutionLevel"), ("Comparison", "ErrorEstimate")])
+@pytest.mark.parametrize(("old", "new"), [
+    ("Rung", "ResolutionLevel"), ("Comparison", "ErrorEstimate"), ("OwnStiffness", "StaticStiffnessRequest"),
+    ("Derivatives", "ForceDerivatives"), ("SpatialDerivatives", "ForceVectorDerivatives")])
 def test_old_classes_answer_with_a_warning(old, new):
     module = import_module("tissue_sim.fem.solver")
     with pytest.warns(DeprecationWarning, match=rf"tissue_sim\.fem\.solver\.{old} is renamed to .*\.{new}"):

@@ -5,16 +5,17 @@ import pytest
 from scipy.linalg import solve_banded, solveh_banded
 
 from tissue_sim.fem.linear import band
-from tissue_sim.fem.linear.cholesky import cholesky_functions
-from tissue_sim.fem.linear.lu import lu_functions
+from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.taichi.runtime import initialise
 
 
-def kernels(functions: band.Factorisation):
+def kernels(functions: band.BandSolverFunctions):
     """A kernel that completes a symmetric matrix, adds entries (row, column, value) to it and factorises it from one
     block row on, and one that solves."""
     ti = initialise()
-    complete, mirror, add_any = band.complete_function(), band.mirror_function(), band.add_any_function()
+    complete, mirror = band.make_fill_diagonal_blocks_function(), band.make_copy_lower_to_upper_function()
+    add_any = band.make_add_unsymmetric_entry_function()
     init, solve = functions
     block = ti.types.vector(band.BLOCK, ti.f64)
     blocks, entries, inverses, vectors = (
@@ -46,12 +47,12 @@ def kernels(functions: band.Factorisation):
 
 @pytest.fixture(scope="module")
 def lu():
-    return kernels(lu_functions())
+    return kernels(make_lu_functions())
 
 
 @pytest.fixture(scope="module")
 def cholesky():
-    return kernels(cholesky_functions())
+    return kernels(make_cholesky_functions())
 
 
 def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0, later: np.ndarray | None = None):
@@ -59,7 +60,7 @@ def factorised(functions, lower: np.ndarray, added: np.ndarray, skewed: int = 0,
     entries (row, column, value), and others `later`, after a first factorisation; and whether it was good. All entries
     that are not symmetric stand in the block row `skewed` and column or behind."""
     run_init, run_solve = functions
-    size, blocks = lower.shape[1], band.pack(lower)
+    size, blocks = lower.shape[1], band.pack_band_blocks(lower)
     rows, width = blocks.shape[:2]
     # Entries that must not be read are NaN.
     upper, factor, upper_factor = np.full((3, *blocks.shape), np.nan)
@@ -190,7 +191,7 @@ def test_cholesky_against_lapack(cholesky, size, half_band):
     lower[0] = 3 * half_band + 1
     for d in range(1, half_band + 1):
         lower[d, size - d:] = 0
-    np.testing.assert_array_equal(band.unpack(band.pack(lower), size, half_band), lower)
+    np.testing.assert_array_equal(band.unpack_band_blocks(band.pack_band_blocks(lower), size, half_band), lower)
     solution, good = factorised(cholesky, lower, np.zeros((0, 3)))
     assert good
     for right in rng.normal(size=(2, size)):

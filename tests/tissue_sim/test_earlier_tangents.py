@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from tissue_sim.fem.condensed.model import CondensedContact, max_packed_size
+from tissue_sim.fem.condensed.model import CondensedBulk, max_packed_linearisation_size
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.fem.solid.discretisation import make_solver
 from tissue_sim.fem.solid.linearisation import SolidLinearisation
@@ -43,9 +43,9 @@ def two_rates(tool, friction):
 
 def go(bulk, stepper, pose):
     """One iterate; the step on it."""
-    model = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
+    model = bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose))
     assert model is not None
-    stepper.set_model(model)
+    stepper.set_linearisation(model)
     return stepper.step(pose, exact=True), model
 
 
@@ -86,14 +86,15 @@ def test_what_is_not_whole_travels_without_its_tangent():
     go(bulk, stepper, pose)
     _, model = go(bulk, stepper, pose)
     assert whole.has_own_tangent and not model.has_own_tangent
-    packed = model.pack()
-    assert packed.size <= max_packed_size(bulk.surface, whole=False) < 0.02 * max_packed_size(bulk.surface)
-    copy = CondensedContact.unpack(packed, whole if whole.base == model.base else model)
+    packed = model.pack_to_array()
+    largest, largest_whole = (max_packed_linearisation_size(bulk.surface, whole=whole) for whole in (False, True))
+    assert packed.size <= largest < 0.02 * largest_whole
+    copy = CondensedBulk.unpack_from_array(packed, whole if whole.base == model.base else model)
     np.testing.assert_array_equal(copy.free_displacement, model.free_displacement)
     assert (copy.number, copy.pose, copy.reach) == (model.number, model.pose, model.reach)
     assert copy.compliance.shape == model.compliance.shape
-    assert CondensedContact.unpack(packed, replace(model, base=model.base + 1)) is None
-    assert CondensedContact.unpack(packed) is None
+    assert CondensedBulk.unpack_from_array(packed, replace(model, base=model.base + 1)) is None
+    assert CondensedBulk.unpack_from_array(packed) is None
 
 
 def five_times(answer):
@@ -114,7 +115,7 @@ def test_a_tangent_that_leads_away_is_not_followed_and_a_new_one_is_made(tool, f
         for name in ("begin_solution", "begin_solution_for_interface"):
             patch.setattr(tangent, name, five_times(getattr(tangent, name)))
         before = bulk.solver.save()
-        assert bulk.linearise(stepper.state(0.0, further, 0.0, further)) is None
+        assert bulk.linearise(stepper.export_state(0.0, further, 0.0, further)) is None
     for array, kept in zip(bulk.solver.save().arrays, before.arrays, strict=True):
         np.testing.assert_array_equal(array, kept)
     later.come = True
@@ -136,10 +137,10 @@ def test_tissue_that_no_tangent_is_found_for_begins_again_from_rest(monkeypatch)
 
     with monkeypatch.context() as patch:
         patch.setattr(Tissue, "assemble_forces_and_tangent", fails)
-        assert bulk.linearise(stepper.state(0.0, pose, 0.0, pose)) is None
-        model = bulk.linearise(stepper.state(0.0, pose, 0.0, pose))
+        assert bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose)) is None
+        model = bulk.linearise(stepper.export_state(0.0, pose, 0.0, pose))
     assert model is not None and model.has_own_tangent and asked[-1] == 0.0
-    stepper.set_model(model)
+    stepper.set_linearisation(model)
     for _ in range(6):
         step, _ = go(bulk, stepper, pose)
     exact = solver.step(pose, tolerance=1e-9, max_iterations=40)

@@ -29,8 +29,8 @@ def point():
     kernels = {}
 
     def compile_for(name):
-        function = energy.function(ts.find_law(name).kernel_energy)
-        add_volume = energy.volume_function()
+        function = energy.make_stress_function(ts.find_law(name).kernel_energy)
+        add_pressure_terms = energy.make_pressure_term_function()
 
         @ti.kernel
         def evaluate(passes: ti.i32, F: reals, p: ti.f64, coefficients: reals, P: reals, A: reals):
@@ -38,7 +38,7 @@ def point():
                 gradient = [F[i] for i in ti.static(range(5))]
                 root = ti.pow((F[0] * F[3] - F[1] * F[2]) * F[4], -1.0 / 3.0)
                 _density, isochoric, rate = function(gradient, root, coefficients)
-                stress, tangent = add_volume(gradient, p, isochoric, rate)
+                stress, tangent = add_pressure_terms(gradient, p, isochoric, rate)
                 for i in ti.static(range(5)):
                     P[i] = stress[i]
                 for i in ti.static(range(15)):

@@ -164,7 +164,7 @@ class TestEnergy:
             depth, force = place, step.force
             displacement = solver.state[:freedoms].reshape(-1, 2)
             # Plates are level: only friction has a radial part.
-            moved, pulled = surface.positions(displacement)[:, 0], surface.forces[:, 0].copy()
+            moved, pulled = surface.deformed_positions(displacement)[:, 0], surface.forces[:, 0].copy()
             loss += (0.5 * (tractions + pulled) * (moved - radii)).sum()
             radii, tractions = moved, pulled
             rows.append((work, loss, TestEnergy.stored(solver, displacement)))
@@ -232,14 +232,14 @@ class TestTangent:
         # As within that step: slip is counted from where the points were before it. Those that stick have stuck to
         # where they are, all of their force in the multipliers.
         freedoms, state = 2 * len(solver.mesh.nodes), solver.state
-        now = surface.positions(state[:freedoms].reshape(-1, 2)) - surface.places
+        now = surface.deformed_positions(state[:freedoms].reshape(-1, 2)) - surface.places
         now[surface.moves] += [0.0, solver.depth]
         sticking = surface.slipped == 0
         before[sticking, 1:] = now[sticking]
         surface.anchors[:] = before
         with_contact = whole(solver)
         slipping, pressed = surface.slip_signs.copy(), surface.pressed.copy()
-        solver.equations.counts[newton.Count.CONTACTS] = 0
+        solver.equations.counts[newton.CountIndex.CONTACTS] = 0
         added = with_contact - whole(solver)
         assert abs(added - added.T).max() > 1e-3 * abs(added).max(), "slip makes it unsymmetric"
 
@@ -249,7 +249,7 @@ class TestTangent:
         touching = moving & (before[:, 0] == TOUCHED)
 
         def nodal_forces(u):
-            moved = surface.positions(u.reshape(-1, 2)) - surface.places
+            moved = surface.deformed_positions(u.reshape(-1, 2)) - surface.places
             moved[surface.moves] += [0.0, solver.depth]
             out = surface.places + moved - centre
             out[out[..., 0] < 0, 0] = 0.0
@@ -283,8 +283,8 @@ def whole(solver):
     solver.equations.tangent()
     rows, width = solver.equations.entries.shape[:2]
     full = np.zeros((rows * band.BLOCK,) * 2)
-    unsymmetric = bool(solver.equations.counts[newton.Count.UNSYMMETRIC])
-    skewed = int(solver.equations.counts[newton.Count.SKEWED])
+    unsymmetric = bool(solver.equations.counts[newton.CountIndex.UNSYMMETRIC])
+    skewed = int(solver.equations.counts[newton.CountIndex.SKEWED])
     for row in range(rows):
         for column in range(max(0, row - width + 1), row + 1):
             i, j = (slice(k * band.BLOCK, (k + 1) * band.BLOCK) for k in (row, column))

@@ -45,7 +45,7 @@ def closed_form(t):
 def confined_column() -> AxisymmetricSolver:
     mesh = cylinder_mesh(RADIUS, HEIGHT, (1, 40), Q9P1)
     solver = AxisymmetricSolver(mesh, SOFT, {"base": "z", "side": "r"}, {"top": "z"})
-    solver.follow_motion(DENSITY)
+    solver.enable_inertia(DENSITY)
     return solver
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from tissue_sim.errors import MissingBackendError
-from tissue_sim.fem.axisymmetric.scratch import scratch as solver_scratch
+from tissue_sim.fem.axisymmetric.scratch import get_scratch_field as solver_scratch
 from tissue_sim.fem.taichi import launch
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import scratch
+from tissue_sim.fem.taichi.scratch import get_scratch_field
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +35,11 @@ def test_what_others_have_compiled_is_kept():
 
 def test_a_kept_kernel_is_found_whatever_was_used_before(root):
     """Taichi knows it by the numbers of its fields, in the order in which they were made: there is one."""
-    assert solver_scratch() is scratch(4, 1)
+    assert solver_scratch() is get_scratch_field(4, 1)
     makers = [path for path in (root / "tissue_sim").rglob("*.py") if ".field(" in path.read_text(encoding="utf-8")]
     assert [path.name for path in makers] == ["scratch.py"]
-    with pytest.raises(ValueError, match="got a request for 4000 of 4"):
-        scratch(4, 4000)
+    with pytest.raises(ValueError, match="got 4000 vectors of 4"):
+        get_scratch_field(4, 4000)
 
 
 def test_bound_call_is_a_plain_call(kernel):
@@ -63,11 +63,12 @@ def test_order_does_not_matter(kernel):
 
 
 @pytest.mark.parametrize(("changes", "message"), [
-    ({"facto": np.zeros(1)}, "no argument 'facto'; did you mean 'factor'"),
-    ({"x": np.zeros((3, 2)), "y": np.zeros(3)}, "x: expected 1 axes of float64, got float64 of shape"),
-    ({"x": np.zeros(3, np.int32)}, "x: expected 1 axes of float64, got int32"),
-    ({"y": np.zeros((3, 4))}, "y: expected 2 axes of float64 whose last axis is 2 long"),
-    ({"x": np.zeros(6)[::2]}, "x: every array must be C-contiguous"),
+    ({"facto": np.zeros(1)}, "named like the arguments of the kernel; got 'facto'; did you mean 'factor'"),
+    ({"x": np.zeros((3, 2)), "y": np.zeros(3)},
+     "x must be an array with 1 axes of type float64; got type float64 and shape"),
+    ({"x": np.zeros(3, np.int32)}, "x must be an array with 1 axes of type float64; got type int32"),
+    ({"y": np.zeros((3, 4))}, "y must be an array with 2 axes of type float64 whose last axis has length 2"),
+    ({"x": np.zeros(6)[::2]}, "x must be C-contiguous; got strides"),
 ])
 def test_what_does_not_fit_is_refused(kernel, changes, message):
     with pytest.raises(ValueError, match=message):
@@ -77,7 +78,7 @@ def test_what_does_not_fit_is_refused(kernel, changes, message):
 def test_missing_argument_is_refused(kernel):
     named = arrays()
     del named["factor"]
-    with pytest.raises(ValueError, match="arguments factor are missing"):
+    with pytest.raises(ValueError, match="must contain every argument of the kernel; factor missing"):
         launch.BoundKernel(kernel, named)
 
 

@@ -182,7 +182,7 @@ class TestTangent:
         assert step.status is StepStatus.CONVERGED
         with_contact = solver.equations.tangent()
         pressed = solver.equations.surface.pressed.copy()
-        solver.equations.counts[newton.Count.CONTACTS] = 0
+        solver.equations.counts[newton.CountIndex.CONTACTS] = 0
         added = with_contact - solver.equations.tangent()
 
         surface, freedoms = solver.equations.surface, 2 * len(solver.mesh.nodes)
@@ -190,7 +190,7 @@ class TestTangent:
         multipliers = state[-2 * surface.springs.size:].reshape(-1, 2)
 
         def nodal_forces(u):
-            place = surface.positions(u.reshape(-1, 2)) + np.array([0.0, solver.depth])
+            place = surface.deformed_positions(u.reshape(-1, 2)) + np.array([0.0, solver.depth])
             out = place - centre
             out[out[..., 0] < 0, 0] = 0.0
             out[out[..., 1] > 0, 1] = 0.0

@@ -48,7 +48,7 @@ def pressed():
             is_lifted.append(True)
             press_again()
 
-        solver.step, solver.lift_off, solver.creep = step, lift_off, no_creep
+        solver.step, solver.lift_off, solver.step_with_damping = step, lift_off, no_creep
         return simulator
     return make
 

@@ -95,8 +95,8 @@ def test_last_factor_or_exact_tangent(options, monkeypatch):
         refined.append(done(self))
         return refined[-1]
 
-    done = sensitivity.Sensitivity._refine_iteratively
-    monkeypatch.setattr(sensitivity.Sensitivity, "_refine_iteratively", solves)
+    done = sensitivity.MaterialSensitivity._refine_iteratively
+    monkeypatch.setattr(sensitivity.MaterialSensitivity, "_refine_iteratively", solves)
     for few in (4, 0):
         monkeypatch.setattr(sensitivity, "SETTINGS",
                             sensitivity.SensitivitySettings(max_refined=few, max_refined_slip=few))

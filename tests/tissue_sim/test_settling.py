@@ -106,7 +106,7 @@ def test_base_carries_the_weight():
 
 
 def test_no_moulded_height_fits():
-    with pytest.raises(ts.ConvergenceError, match="check density and moduli"):
+    with pytest.raises(ts.ConvergenceError, match="Check density and moduli"):
         ts.simulate(model(density=1e5, height_is="placed"))
 
 

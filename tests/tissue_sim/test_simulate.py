@@ -9,7 +9,7 @@ from scipy.interpolate import CubicSpline
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
-from tissue_sim.fem.fields import FIELD_UNITS, extrapolate
+from tissue_sim.fem.fields import FIELD_UNITS, extrapolate_to_nodes
 from tissue_sim.fem.solver import Step, StepStatus
 from tissue_sim.mesh import cylinder_mesh
 from tissue_sim.simulation import _step_towards
@@ -185,7 +185,7 @@ class TestRecordingOfASimulation:
             def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
 
-            def creep(self, trial, dt, max_iterations):
+            def step_with_damping(self, trial, dt, max_iterations):
                 self.crept += 1
                 return iter(())
 
@@ -202,7 +202,7 @@ class TestRecordingOfASimulation:
             def step(self, trial, dt, predictor_order, max_iterations):
                 return Step.axial(StepStatus.SLOW, 1, 0.0, 0.0)
 
-            def creep(self, trial, dt, max_iterations):
+            def step_with_damping(self, trial, dt, max_iterations):
                 yield Step.axial(StepStatus.INVERTED, 1, 0.0, 0.0)
                 self.pose = trial
                 yield Step.axial(StepStatus.CONVERGED, 1, 0.0, 1.0)
@@ -272,7 +272,7 @@ class TestFields:
         shapes, _ = mesh.element.evaluate_shape_functions(mesh.element.quadrature[0])
         linear = 3.0 + mesh.nodes @ np.array([2.0, -5.0])
         at_points = np.einsum("qa,ea->eq", shapes, linear[mesh.connectivity])
-        np.testing.assert_allclose(extrapolate(mesh, at_points), linear, rtol=1e-12)
+        np.testing.assert_allclose(extrapolate_to_nodes(mesh, at_points), linear, rtol=1e-12)
 
     def test_displacement_at_points_is_that_of_the_vector(self, accurate):
         """Under a plate the displacement is between 0 and 10 mm, and near the top almost 10 mm."""

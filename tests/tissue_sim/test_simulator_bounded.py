@@ -5,7 +5,7 @@ import pytest
 
 import tissue_sim as ts
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.equations import Equations
+from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.tool_force import extrapolate_wrench
 
@@ -37,19 +37,19 @@ WAY = [8e-3 * np.sin(np.pi * k / 240) ** 2 - 0.2e-3 for k in range(1, 301)]
 @pytest.fixture
 def work(monkeypatch) -> list[int]:
     """Linear solutions of all kernel starts so far, those of the stiffness included, in its only entry."""
-    counted, solve, respond = [0], Equations.solve, Equations.respond
+    counted, solve, evaluate = [0], EquilibriumEquations.solve_equilibrium, EquilibriumEquations.run_with_exact_tangent
 
     def count_solve(self, *arguments, **options):
         solve(self, *arguments, **options)
-        is_converged = self.report[newton.Report.STATUS] == StepStatus.CONVERGED
-        counted[0] += int(self.report[newton.Report.ITERATIONS]) + is_converged
+        is_converged = self.report[newton.ReportIndex.STATUS] == StepStatus.CONVERGED
+        counted[0] += int(self.report[newton.ReportIndex.ITERATIONS]) + is_converged
 
-    def count_respond(self, *arguments, **options):
-        respond(self, *arguments, **options)
+    def count_evaluation(self, *arguments, **options):
+        evaluate(self, *arguments, **options)
         counted[0] += 1
 
-    monkeypatch.setattr(Equations, "solve", count_solve)
-    monkeypatch.setattr(Equations, "respond", count_respond)
+    monkeypatch.setattr(EquilibriumEquations, "solve_equilibrium", count_solve)
+    monkeypatch.setattr(EquilibriumEquations, "run_with_exact_tangent", count_evaluation)
     return counted
 
 

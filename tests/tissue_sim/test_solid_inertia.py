@@ -52,7 +52,7 @@ def column(element, count, held):
     mesh.sets.update({f"held {axis}": nodes for axis, nodes in sets.items()})
     solver = SolidSolver(mesh, SOFT, {"base": "xyz", **{f"held {axis}": axis for axis in sets}}, mesh.sets["top"],
                          start=Pose.at_depth(0.0))
-    assert solver.follow_motion(DENSITY)
+    assert solver.enable_inertia(DENSITY)
     return solver
 
 
@@ -216,7 +216,7 @@ def test_a_ball_without_friction_feels_the_mass():
 
 def test_a_solver_without_mass_does_not_say_that_it_has_one():
     class Weightless(SolidSolver):
-        follow_motion = Solver.follow_motion
+        enable_inertia = Solver.enable_inertia
 
     def make(model, *, resolution, mesh=None, topology=None):
         solver = make_solver(model, mesh=coarse())

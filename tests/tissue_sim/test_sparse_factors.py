@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import sparse
 
-from tissue_sim.fem.linear.sparse import factorise, library
+from tissue_sim.fem.linear.sparse import factorise, sparse_library_name
 
 
 @pytest.fixture(params=["scipy", "pardiso"])
@@ -14,7 +14,7 @@ def chosen(request, monkeypatch):
     if request.param == "pardiso" and importlib.util.find_spec("pypardiso") is None:
         pytest.skip("asks Intel's Pardiso, which is an extra of 200 MB; pip install tissue_sim[pardiso]")
     monkeypatch.setenv("TISSUE_SIM_SPARSE", request.param)
-    assert library() == request.param
+    assert sparse_library_name() == request.param
     return request.param
 
 

@@ -1,1 +1,1 @@
-"""Finite elements: mixed displacement-pressure quadrilaterals, compiled by Taichi, with a band Cholesky inside."""
+"""Finite-element solvers of soft tissue under a rigid tool (axisymmetric, 3D solid, reduced), and shared modules."""

@@ -11,8 +11,8 @@ STICK = -1.0
 ALL_POINTS = 1_000_000
 
 
-class Bond(IntEnum):
-    """Bond of a contact point of the tissue to a rigid body.
+class ContactBond(IntEnum):
+    """State of the bond between a contact point of the tissue and a rigid body.
 
     Attributes:
         FREE: the point has not touched the body.
@@ -44,7 +44,7 @@ class ContactTolerances:
 
 @dataclass(frozen=True)
 class PenaltySettings:
-    """Penalty stiffness that eliminates the contact forces (augmented Lagrangian).
+    """Penalty stiffness of contact points (augmented Lagrangian), relative to the stiffness of the tissue.
 
     Attributes:
         normal: normal penalty stiffness of a point, in units of the shear modulus times the size of the surface that

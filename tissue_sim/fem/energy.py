@@ -20,21 +20,23 @@ else:
 _NEAR = 0.3
 
 
-def taichi_function(derive, kept_as: tuple | None, source: str):
-    """Return a Python function that builds expressions of Taichi variables when a kernel is compiled.
+def make_expression_function(derive_expressions, kept_as: tuple | None, source: str):
+    """Return a Python function that builds Taichi expressions from symbolic (sympy) expressions.
+
+    A kernel calls the function while it is compiled, on Taichi variables.
 
     Args:
-        derive: returns the arguments and the expressions (sympy).
+        derive_expressions: function that returns the arguments and the expressions (sympy).
         kept_as: key of the function in the cache; None: not cached.
-        source: file that defines `derive`; see `tissue_sim.laws.derivation`.
+        source: file that defines `derive_expressions`; see `tissue_sim.laws.derivation`.
     """
     ti = initialise()
     names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
-    return derived(derive, kept_as=kept_as, source=source, names=names)
+    return derived(derive_expressions, kept_as=kept_as, source=source, names=names)
 
 
-def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
-    """Return the derivatives of a law of the isochoric invariants.
+def make_invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
+    """Return a function that evaluates energy and derivatives of a law of the isochoric invariants.
 
     Args:
         energy: energy of (I1, I2).
@@ -43,34 +45,35 @@ def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
     Returns:
         Python function of (I1, I2, coefficients) -> W, W1, W2, W11, W12, W22.
     """
-    def derive():
+    def derive_expressions():
         W, (I1, I2) = energy.energy, energy.variables
         second = [sp.diff(W, I1, 2), sp.diff(W, I1, I2), sp.diff(W, I2, 2)] if tangents else [sp.Integer(0)] * 3
         return (I1, I2, energy.coefficients), [W, sp.diff(W, I1), sp.diff(W, I2), *second]
 
-    return taichi_function(derive, _cache_key(energy, tangents), __file__)
+    return make_expression_function(derive_expressions, _derivation_cache_key(energy, tangents), __file__)
 
 
-def stretch_derivatives(energy: KernelEnergy):
-    """Return a function (stretch, coefficients) -> (w', w'', w) of a law that is a sum over isochoric stretches."""
-    def derive():
+def make_stretch_derivatives(energy: KernelEnergy):
+    """Return a function (stretch, coefficients) -> (w', w'', w) of a law W = sum of w over the isochoric stretches."""
+    def derive_expressions():
         W, (stretch,) = energy.energy, energy.variables
         return (stretch, energy.coefficients), [sp.diff(W, stretch), sp.diff(W, stretch, 2), W]
 
-    return taichi_function(derive, _cache_key(energy), __file__)
+    return make_expression_function(derive_expressions, _derivation_cache_key(energy), __file__)
 
 
-def _cache_key(energy: KernelEnergy, *what) -> tuple | None:
+def _derivation_cache_key(energy: KernelEnergy, *what) -> tuple | None:
+    """Return the cache key of the derivatives of an energy; None if they are not cached."""
     return None if energy.kept_as is None else (*energy.kept_as, "energy", *what)
 
 
 @cache
-def inverse_root_function():
-    """Return the Taichi function ``inverse_root(J)``: J^(-1/3) of a vector, without a call per lane for J near 1."""
+def make_inverse_cube_root_function():
+    """Return the Taichi function ``inverse_cube_root(J)``: J^(-1/3) of a vector, by Newton's method for J near 1."""
     ti = initialise()
 
     @ti.func
-    def inverse_root(J):
+    def inverse_cube_root(J):
         x = J - 1.0
         r = 1.0 + x * (-1.0 / 3.0 + x * (2.0 / 9.0 - x * (14.0 / 81.0)))
         for _i in ti.static(range(3)):
@@ -79,26 +82,26 @@ def inverse_root_function():
             r = ti.pow(J, -1.0 / 3.0)
         return r
 
-    return inverse_root
+    return inverse_cube_root
 
 
-def packed_indices(size: int) -> tuple[tuple[int, int], ...]:
-    """Row and column of the entries of a symmetric matrix in packed storage: lower triangle, row by row."""
+def packed_symmetric_indices(size: int) -> tuple[tuple[int, int], ...]:
+    """Return row and column of each entry of a symmetric matrix in packed storage: lower triangle, row by row."""
     return tuple((m, n) for m in range(size) for n in range(m + 1))
 
 
 @cache
-def soften_function(size: int):
-    """Return the Taichi function ``soften(W, largest, loss, modulus, share, P, A) -> (P, A)``.
+def make_softening_function(size: int):
+    """Return the Taichi function ``apply_softening(W, largest, loss, modulus, share, P, A) -> (P, A)``.
 
     Args:
-        size: number of stress components P; A is the tangent in packed storage, see `packed_indices`.
+        size: number of stress components P; A is the tangent in packed storage, see `packed_symmetric_indices`.
     """
     ti = initialise()
-    entries = packed_indices(size)
+    entries = packed_symmetric_indices(size)
 
     @ti.func
-    def soften(W, largest, loss, modulus, share, P, A):
+    def apply_softening(W, largest, loss, modulus, share, P, A):
         """Multiply stress and tangent by the softening factor eta at a point that had a larger energy density before.
 
         eta = 1 - loss tanh((largest - W) / (modulus + share largest)). Source: Dorfmann and Ogden, IJSS 40 (2003) 2699.
@@ -111,4 +114,4 @@ def soften_function(size: int):
                    for n in ti.static(range(len(entries)))]
         return [eta * P[i] for i in ti.static(range(size))], tangent
 
-    return soften
+    return apply_softening

@@ -14,7 +14,7 @@ TAIL = 0.01
 
 
 def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
-    """Return the volume-weighted quantile of values.
+    """Return the value below which a given fraction of the volume lies (volume-weighted quantile).
 
     Args:
         values: at the quadrature points, any shape.
@@ -26,7 +26,7 @@ def volume_quantile(values: np.ndarray, weights: np.ndarray, share: float) -> fl
     return float(values.ravel()[order][np.searchsorted(below, share * below[-1]).clip(0, below.size - 1)])
 
 
-def extrapolate(mesh: Any, values: np.ndarray) -> np.ndarray:
+def extrapolate_to_nodes(mesh: Any, values: np.ndarray) -> np.ndarray:
     """Extrapolate values from the quadrature points to the nodes and average them over the elements of a node.
 
     Args:

@@ -18,7 +18,7 @@ AT_REST = 0.1
 
 
 class FreeTool:
-    """The part of the contract of a `tissue_sim.fem.solver.Solver` that concerns a tool in the air."""
+    """Interface of a `tissue_sim.fem.solver.Solver` for a tool in the air, before and after contact."""
 
     mesh: Any = None
     #: Whether the rotation of the tool about its own axis at the touch has no influence, as for a body of revolution.
@@ -26,73 +26,74 @@ class FreeTool:
     ignores_twist: ClassVar[bool] = False
 
     @property
-    def relaxes(self) -> bool:
-        """Whether the tissue changes with time while nothing moves, so that it has to be stepped without a tool."""
+    def is_time_dependent(self) -> bool:
+        """Whether the tissue changes with time while nothing moves, so that steps are needed without contact."""
         return True
 
-    def identity(self) -> str:
-        """Digest of what a saved state belongs to: the undeformed mesh."""
-        return digest(getattr(self.mesh, "nodes", None), getattr(self.mesh, "connectivity", None))
+    def mesh_digest(self) -> str:
+        """Return a digest of the undeformed mesh; a saved state can be restored on a mesh with the same digest."""
+        return digest_arrays(getattr(self.mesh, "nodes", None), getattr(self.mesh, "connectivity", None))
 
-    def height_above(self, pose: Pose) -> float:
-        """Distance that the tool must go down from a pose until it touches the undeformed tissue.
+    def height_above_tissue(self, pose: Pose) -> float:
+        """Return the distance that the tool must move down from a pose to touch the undeformed tissue.
 
         Called before the first touch.
 
         Returns:
-            m, or a positive lower bound of the distance; zero or negative if the tool touches.
+            Distance, m, or a positive lower bound of the distance; zero or negative if the tool touches.
         """
         return pose.position[2]
 
-    def place_tool(self, pose: Pose) -> bool:
-        """Place the tool at the pose of its first touch, on tissue that has not been touched.
+    def place_tool_at_first_touch(self, pose: Pose) -> bool:
+        """Place the tool at the pose of its first touch on undeformed tissue; return whether this is possible.
 
         A solver whose mesh, contact or reference belongs to one position of the tool moves them to `pose`, so that the
         tool drags no tissue there.
 
         Returns:
-            False if the solver cannot place the tool there; nothing is changed.
+            True if the tool was placed; False if the solver cannot place the tool at this pose and has changed nothing.
         """
         return True
 
     def clearance(self, pose: Pose) -> float | None:
-        """Distance between a tool at a pose and the tissue at the last committed state.
+        """Return the distance between the tool at a pose and the tissue at the last committed state.
 
         Returns:
-            m, negative inside; or another number with the same sign. None if the tool touches, holds or attracts
-            tissue at the last committed state, or if the solver does not know: then every motion is stepped.
+            Distance, m, negative if the tool is inside the tissue; or another number with the same sign. None if the
+            tool touches, holds or attracts tissue at the last committed state, or if the solver cannot compute the
+            distance: then every motion is stepped.
         """
         return None
 
     def move_in_air(self, pose: Pose) -> None:
-        """Move the tool without a step, between poses whose `clearance` is positive."""
+        """Set the pose of the tool without solving a step; `clearance` must be positive there and on the path."""
 
     def move_to_next_touch(self, pose: Pose) -> bool:
-        """Move a tool that has lifted off, in the air, to the pose at which it touches again.
+        """Move a lifted tool in the air to the pose of its next touch; return whether this is like a first touch.
 
         Elastic tissue that is at rest again is touched as at the first touch: the solver returns to the state in which
         the tool just touches, so that the whole face sticks from the touch on. A solver whose mesh belongs to one
         position of the tool may move it here.
 
         Returns:
-            Whether the touch begins as a first touch, with the tool already at the surface.
+            Whether the touch begins as a first touch: the solver is in the state in which the tool just touches.
         """
         self.move_in_air(pose)
         return False
 
     def bind_points_on_path(self, pose: Pose) -> None:
-        """Bind the points of the tissue that the tool touches on its path to a pose, with stick or friction.
+        """Bind the surface points that the tool touches on its path to a pose, so that stick or friction acts on them.
 
         Called before the first increment of a touch that does not begin as a first touch (`move_to_next_touch`);
         without this call the tissue that touches within an increment slides without friction until its end.
         """
 
-    def stand_still(self) -> None:
+    def stop_tissue_motion(self) -> None:
         """Set the velocity of the tissue to zero."""
 
 
-def digest(*arrays: np.ndarray | None) -> str:
-    """Hexadecimal digest of the contents of arrays; "" if there are none."""
+def digest_arrays(*arrays: np.ndarray | None) -> str:
+    """Return a hexadecimal BLAKE2 digest of shapes, types and contents of arrays; "" if all are None."""
     known = [array for array in arrays if array is not None]
     found = hashlib.blake2b(digest_size=16)
     for array in known:

@@ -10,8 +10,8 @@ from tissue_sim.material.softening import Softening
 from tissue_sim.material.viscoelasticity import Prony
 
 
-class PastColumn(IntEnum):
-    """Columns of `Memory.past`, the numbers of the history that are equal at all points."""
+class MemoryCoefficient(IntEnum):
+    """Indices of `MaterialMemory.past`: coefficients of relaxation and softening in this step, equal at all points."""
 
     #: Instantaneous stress over the stress of the law, 1.
     FACTOR = 0
@@ -23,8 +23,8 @@ class PastColumn(IntEnum):
     LOSS_SHARE = 4
 
 
-class Memory:
-    """Hereditary stresses and the largest energy density so far; arrays that the kernel of a step reads and writes.
+class MaterialMemory:
+    """Material history (relaxation, softening) at the quadrature points, in arrays that the kernel of a step uses.
 
     The recursion is that of `tissue_sim.material.viscoelasticity`: the stress of the law is linear in time within a
     step.
@@ -34,7 +34,7 @@ class Memory:
         components: number of components of a symmetric tensor.
 
     Attributes:
-        past: coefficients of the stresses in this step, see `PastColumn`, shape (5,).
+        past: coefficients of the stresses in this step, see `MemoryCoefficient`, shape (5,).
         inherited: contribution of earlier steps to the isochoric second Piola-Kirchhoff stress, Pa, shape
             (elements, q, components).
         largest: largest isochoric energy density so far, J/m3, shape (elements, q).
@@ -54,14 +54,20 @@ class Memory:
         self.set_material(None, None, 1.0)
 
     def set_material(self, relaxation: Prony | None, softening: Softening | None, factor: float) -> None:
-        """Set relaxation and softening of the material; `factor` is the instantaneous stress over that of the law."""
+        """Set relaxation and softening of the material; None: the material has none.
+
+        Args:
+            relaxation: Prony series.
+            softening: softening by the largest energy density so far.
+            factor: instantaneous stress over the stress of the law, 1.
+        """
         self._prony: Prony | None = relaxation
         self._known: float | None = None
         terms = 0 if relaxation is None else len(relaxation.terms)
         if len(self.internal) != terms:
             self.internal = np.zeros((terms, *self.stresses.shape))
-        self.past[PastColumn.FACTOR] = factor
-        self.past[PastColumn.LOSS], self.past[PastColumn.LOSS_MODULUS], self.past[PastColumn.LOSS_SHARE] = (
+        self.past[MemoryCoefficient.FACTOR] = factor
+        self.past[[MemoryCoefficient.LOSS, MemoryCoefficient.LOSS_MODULUS, MemoryCoefficient.LOSS_SHARE]] = (
             (0.0, 1.0, 0.0) if softening is None else (softening.loss, softening.modulus, softening.share))
         self.works = relaxation is not None or softening is not None
         if relaxation is None:
@@ -69,14 +75,18 @@ class Memory:
         self.prepare_step(0.0)
 
     def prepare_step(self, dt: float) -> None:
-        """Set the length of the next step, dt in s: 0 for a sudden step, infinity for the relaxed state."""
+        """Set the duration of the next step, and compute the inherited stresses.
+
+        Args:
+            dt: duration, s; 0: a sudden step; infinity: the relaxed state.
+        """
         self.dt = dt
         if self._prony is None:
-            self.past[PastColumn.INSTANT] = 1.0
+            self.past[MemoryCoefficient.INSTANT] = 1.0
             return
         if dt != self._known:
             self._increment, self._known = self._prony.increment(dt), dt
-        self.past[PastColumn.INSTANT], decay, gain = self._increment
+        self.past[MemoryCoefficient.INSTANT], decay, gain = self._increment
         self.step = decay, gain
         np.multiply(self.before, -gain.sum(), out=self.inherited)
         for term, left in zip(self.internal, decay, strict=True):
@@ -84,7 +94,7 @@ class Memory:
             self.inherited += self._scratch
 
     def commit_step(self) -> None:
-        """Accept the stresses and energies of the last step, which converged."""
+        """Update the history with the stresses and energies of the last step; to be called if the step converged."""
         if not self.works:
             return
         if self._prony is not None:
@@ -97,7 +107,7 @@ class Memory:
             self.before[:] = self.stresses
         np.maximum(self.largest, self.energies, out=self.largest)
 
-    def total(self) -> np.ndarray:
+    def total_stress(self) -> np.ndarray:
         """Return the isochoric stress of the last committed step with relaxation, Pa, shape (elements, q, components).
 
         The second Piola-Kirchhoff stress is (1 - sum g) S + sum Q_i.

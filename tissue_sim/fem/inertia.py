@@ -16,7 +16,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class StepRatios:
+class SecondOrderStepRatios:
     """Ratios of a time step to the step before for which the step is of second order.
 
     Attributes:
@@ -28,11 +28,11 @@ class StepRatios:
     largest: float = 2.0
 
 
-_RATIOS = StepRatios()
+_RATIOS = SecondOrderStepRatios()
 
 
-class Motion:
-    """Velocity of the degrees of freedom at the last equilibrium, m/s, and the history that BDF2 needs.
+class InertialMotion:
+    """Time integration of the inertia by BDF2: velocities at the last equilibrium, m/s, and earlier states.
 
     Args:
         masses, rest: arrays of the step's kernel, shape (freedoms,), which this object updates.
@@ -52,14 +52,14 @@ class Motion:
         self._weights = (1.0, -1.0, 0.0)
 
     def prepare_step(self, state: np.ndarray, dt: float) -> float:
-        """Compute `rest` for an inertial step.
+        """Compute the force-free displacements (`rest`) of the next inertial step, and return its `rate`.
 
         Args:
             state: committed state, whose first entries are the displacements, m.
             dt: length of the step, s.
 
         Returns:
-            `rate`, 1/s2.
+            `rate`, 1/s2: inertial force per mass and displacement from `rest`.
         """
         before = float(self._before[0])
         ratio = dt / before if before > 0.0 else 0.0
@@ -77,7 +77,7 @@ class Motion:
         return (now / dt) ** 2
 
     def commit_step(self, before: np.ndarray, after: np.ndarray, dt: float, inertial: bool) -> None:
-        """Update velocity and history after a converged step.
+        """Update velocities and earlier states with a converged step.
 
         Args:
             before: state before the step, displacements first, m.
@@ -109,11 +109,12 @@ class Motion:
         self._earlier_place[:] = before[:size]
         self._before[:] = dt
 
-    def ahead(self, state: np.ndarray, dt: float, mass: np.ndarray, direction: np.ndarray) -> tuple[
+    def predict_inertial_force_change(self, state: np.ndarray, dt: float, mass: np.ndarray,
+                                      direction: np.ndarray) -> tuple[
             np.ndarray, np.ndarray]:
         """Predict the change of the inertial forces in a next step without motion, after a committed inertial step.
 
-        The next step must call `prepare` again.
+        The next step must call `prepare_step` again.
 
         Args:
             state: committed state, displacements first, m.
@@ -133,11 +134,11 @@ class Motion:
         change -= self._acceleration
         return weighted @ change, weighted @ direction * (rate - self._rate)
 
-    def restart(self) -> None:
-        """Make the next step of first order: second-order differences across an impact are not valid."""
+    def restart_at_first_order(self) -> None:
+        """Use first-order differences in the next step, as after an impact, where the velocity jumps."""
         self._before[:] = 0.0
 
-    def stop(self) -> None:
+    def reset_velocity(self) -> None:
         """Set the velocity of all degrees of freedom to zero."""
         self.velocity[:], self._before[:] = 0.0, 0.0
 

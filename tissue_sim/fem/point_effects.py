@@ -8,7 +8,7 @@ from itertools import chain
 import numpy as np
 
 from tissue_sim.errors import InputError, located
-from tissue_sim.fem.taichi.trace import TRIED, Formula, traced
+from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, trace_values
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Longest time step that is passed to a formula, s, because kernels have no infinity.
@@ -28,11 +28,12 @@ class PointEffects:
 
     def __init__(self, points: tuple[int, int]):
         self._points = points
-        self.formulas: tuple[Formula[PointEffect], ...] = ()
+        self.formulas: tuple[KernelFormula[PointEffect], ...] = ()
         self.settings = np.zeros(1)
-        self._allocate(())
+        self._allocate_states(())
 
-    def _allocate(self, rest: tuple[float, ...]) -> None:
+    def _allocate_states(self, rest: tuple[float, ...]) -> None:
+        """Allocate the state variables; `rest` are their values at rest."""
         # Without effects the kernel does not read the arrays.
         shape = (*self._points, len(rest) + 4) if self.formulas else (1, 1, 1)
         self.states = np.zeros(shape)
@@ -46,13 +47,13 @@ class PointEffects:
             InputError: a kernel cannot execute a formula, or a formula returns other shapes than required.
         """
         points = [effect for effect in effects if isinstance(effect, PointEffect)]
-        formulas = tuple(Formula.of(effect) for effect in points)
+        formulas = tuple(KernelFormula.from_instance(effect) for effect in points)
         if formulas != self.formulas:
             for formula in formulas:
-                require_formula(formula)
+                require_valid_formula(formula)
             self.formulas = formulas
-            self._allocate(tuple(value for effect in points for value in effect.rest))
-        numbers = (formula.numbers(effect) for formula, effect in zip(formulas, points, strict=True))
+            self._allocate_states(tuple(value for effect in points for value in effect.rest))
+        numbers = (formula.get_parameter_values(effect) for formula, effect in zip(formulas, points, strict=True))
         settings = np.array([0.0, *chain.from_iterable(numbers)])
         if settings.shape == self.settings.shape:
             self.settings[:] = settings  # in place: the kernel has a reference to the array
@@ -60,31 +61,32 @@ class PointEffects:
             self.settings = settings
 
     def prepare_step(self, dt: float) -> None:
-        """Set the length of the next step, dt in s."""
+        """Set the duration dt of the next step, s, in the settings of the formulas."""
         self.settings[0] = min(dt, LONGEST)
 
     def commit_step(self) -> None:
-        """Accept the state variables of the last step, which converged."""
+        """Commit the state variables of the last step; to be called if the step converged."""
         if self.formulas:
             self.states[:] = self.found
 
     @property
-    def stress(self) -> np.ndarray:
+    def total_stress(self) -> np.ndarray:
         """Sum of the stresses of all effects at the last committed step, Pa, shape (elements, q, 4)."""
         return self.states[..., -4:]
 
 
-def require_formula(formula: Formula[PointEffect]) -> None:
-    """Execute a formula once outside of a kernel and check the shapes of its result.
+def require_valid_formula(formula: KernelFormula[PointEffect]) -> None:
+    """Check a formula of a point effect: execute it once outside of a kernel and check the shapes of its result.
 
     Raises:
         InputError: the formula uses an operation that kernels do not support, or returns other shapes.
     """
     kind, field = formula.kind, f"effects.{formula.kind.name}"
-    parameters = traced([TRIED] * len(formula.parameters), lanes=False)
-    C, state, (dt,) = traced([TRIED] * 6, True), traced([TRIED] * len(kind.rest), True), traced([TRIED], False)
+    parameters = trace_values([TRIED] * len(formula.parameter_names), lanes=False)
+    C, state, (dt,) = trace_values([TRIED] * 6,
+                                   True), trace_values([TRIED] * len(kind.rest), True), trace_values([TRIED], False)
     with located(field=field):
-        stress, tangent, found = formula.bind(parameters).response(C, state, dt)
+        stress, tangent, found = formula.with_parameters(parameters).response(C, state, dt)
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
     if shape != (6, 6, {6}, len(kind.rest)):
         raise InputError(f"the response of {kind.__name__} must return 6 stresses, 6 rows of 6 tangent entries and "

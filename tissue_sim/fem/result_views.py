@@ -11,7 +11,7 @@ from tissue_sim.material.material import Material
 
 
 class Fields(Protocol):
-    """Fields at the samples of a simulation, computed on request."""
+    """Interface of field quantities at the samples of a simulation, computed on request."""
 
     @property
     def mesh(self) -> Any:
@@ -26,37 +26,37 @@ class Fields(Protocol):
         """Names of the available fields; see `tissue_sim.fem.fields.FIELD_UNITS`."""
 
     def displacement(self, sample: int = -1) -> np.ndarray:
-        """Displacement of the nodes, m, shape (nodes, coordinates of a node)."""
+        """Return the displacements of the nodes, m, shape (nodes, coordinates of a node)."""
 
     def at_points(self, name: str, sample: int = -1) -> np.ndarray:
-        """Field at the quadrature points, shape (elements, q)."""
+        """Return the field `name` at the quadrature points, shape (elements, q), in the unit of `FIELD_UNITS`."""
 
     def at_nodes(self, name: str, sample: int = -1) -> np.ndarray:
-        """Field at the nodes, shape (nodes,)."""
+        """Return the field `name` at the nodes, shape (nodes,), in the unit of `FIELD_UNITS`."""
 
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
-        """Smallest and largest principal stretch in the tissue; 1 % of the volume is left out at each end."""
+        """Return the smallest and largest principal stretch in the tissue, without 1 % of the volume at each end."""
 
 
 @runtime_checkable
 class SharedFields(Fields, Protocol):
-    """Fields that a loop publishes for viewers in other processes."""
+    """Interface of fields that a loop publishes, as arrays, for viewers in other processes."""
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that change from sample to sample; the other data are sent once."""
+        """Return the arrays that change from sample to sample; all other data are sent once."""
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> SharedFields:
-        """Return the fields of another sample."""
+        """Return fields with the arrays of another sample, from `arrays`."""
 
     def material_data(self) -> dict[str, Any]:
-        """Return the data, besides the arrays, that change with the parameters of the material."""
+        """Return the attributes that change with the parameters of the material, by name; see `with_material`."""
 
     def with_material(self, changed: Mapping[str, Any]) -> SharedFields:
-        """Return the fields with the data of `material_data` of another material."""
+        """Return fields with the attributes of another material, from `material_data`."""
 
 
 class Surface(Protocol):
-    """Deformed surface of the tissue in the frame of the scene."""
+    """Interface of the deformed surface of the tissue, in the frame of the scene."""
 
     @property
     def outline(self) -> np.ndarray | None:

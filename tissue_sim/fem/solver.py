@@ -29,14 +29,20 @@ from tissue_sim.tool_force import Matrix, NextForce, axial_stiffness, axial_wren
 #: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
                 "realtime_rungs": "realtime_levels", "comparison": "error_estimate", "sample": "field_sample",
-                "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path"}
-__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate"})
+                "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path",
+                "creep": "step_with_damping", "follow_motion": "enable_inertia", "ahead": "predict_next_force",
+                "unchanged": "equilibria_since_contact_change", "relaxes": "is_time_dependent",
+                "identity": "mesh_digest", "height_above": "height_above_tissue",
+                "place_tool": "place_tool_at_first_touch", "stand_still": "stop_tissue_motion"}
+__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate",
+                                   "OwnStiffness": "StaticStiffnessRequest", "Derivatives": "ForceDerivatives",
+                                   "SpatialDerivatives": "ForceVectorDerivatives"})
 
 
 class StepStatus(IntEnum):
-    """Result of a step.
+    """Status with which a step of a solver ends.
 
-    Only CONVERGED commits a new state. See `message` for causes and remedies.
+    Only CONVERGED commits a new state. `message` states the cause.
     """
 
     CONVERGED = 1
@@ -48,7 +54,7 @@ class StepStatus(IntEnum):
 
     @property
     def message(self) -> str:
-        """Cause in one phrase, for messages and recordings."""
+        """Cause of the status in one phrase, for messages and recordings."""
         return {
             StepStatus.CONVERGED: "converged",
             StepStatus.INVERTED: "an element turned inside out",
@@ -59,7 +65,7 @@ class StepStatus(IntEnum):
         }[self]
 
 
-class OwnStiffness(IntEnum):
+class StaticStiffnessRequest(IntEnum):
     """Request for the static stiffness of the tissue, without its mass, after an inertial step; True is `IF_LEFT`."""
 
     #: The stiffness is not computed.
@@ -70,9 +76,9 @@ class OwnStiffness(IntEnum):
     RESERVED = 2
 
     @staticmethod
-    def is_due(request: int, has_left: bool) -> bool:
-        """Whether a converged step computes the stiffness, given whether a linear solve is left to the step."""
-        return request == OwnStiffness.RESERVED or (bool(request) and has_left)
+    def is_stiffness_due(request: int, has_left: bool) -> bool:
+        """Return whether a converged step computes the stiffness; `has_left`: a linear solve is left to the step."""
+        return request == StaticStiffnessRequest.RESERVED or (bool(request) and has_left)
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +95,7 @@ class Step:
             respect to (position, rotation vector), 6 x 6, N/m, N, N m; None if it was not requested.
         violation: largest violation of a contact condition (penetration, or slip of points that must stick), m.
         slipping: number of surface points that slip against friction.
-        dissipated: energy dissipated by the artificial viscous damping of `Solver.creep`, J.
+        dissipated: energy dissipated by the artificial viscous damping of `Solver.step_with_damping`, J.
         step_stiffness_matrix: the same derivative within an inertial step, which includes the inertia of the tissue;
             None: no other than `stiffness_matrix`.
         force_error: estimated error of the force, N; None if the solver has no estimate.
@@ -112,7 +118,7 @@ class Step:
     @classmethod
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
               slipping: int = 0, stiffness: float | None = None) -> Step:
-        """Make the result of a solver of axial motion only: force along z, N, and axial stiffness, N/m."""
+        """Return the result of a solver with axial motion only, from force along z, N, and axial stiffness, N/m."""
         return cls(status, iterations, residual, axial_wrench(force),
                    None if stiffness is None else axial_stiffness(stiffness), violation, slipping)
 
@@ -122,8 +128,8 @@ class Step:
         return self.wrench[2]
 
     @property
-    def found_own_stiffness(self) -> bool:
-        """Whether this is an inertial step for which the static stiffness was computed as well."""
+    def has_static_and_step_stiffness(self) -> bool:
+        """Whether the result contains two stiffnesses: that of the inertial step, and the static one without mass."""
         return self.step_stiffness_matrix is not None and self.stiffness_matrix is not None
 
     @property
@@ -134,7 +140,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class ResolutionLevel:
-    """One resolution of a series of meshes for real time.
+    """Resolution of a real-time mesh, with its largest known force error.
 
     Attributes:
         resolution: name of the resolution.
@@ -158,7 +164,7 @@ class ErrorEstimate:
     fraction: float
 
 
-class Derivatives(Protocol):
+class ForceDerivatives(Protocol):
     """Derivatives of the force along z with respect to material parameters, updated by each step of a solver.
 
     Attributes:
@@ -167,12 +173,12 @@ class Derivatives(Protocol):
 
     force: np.ndarray
 
-    def pop_changed(self) -> bool:
-        """Whether the contact changed since the last call, so that the force has a kink as a function of parameters."""
+    def pop_contact_change(self) -> bool:
+        """Return and reset whether the contact changed since the last call: a kink of the force over the parameters."""
 
 
 @runtime_checkable
-class SpatialDerivatives(Derivatives, Protocol):
+class ForceVectorDerivatives(ForceDerivatives, Protocol):
     """Derivatives of a solver that computes the force vector.
 
     Attributes:
@@ -195,16 +201,6 @@ class Solver(FreeTool, ABC):
         datum: height of the tool's deepest point at its first touch, in the frame of the mesh, m.
     """
 
-    doubts = OldName("warnings")
-    follow = OldName("project_pose")
-    takes = OldName("accepts_pose")
-    realtime_rungs = OldName("realtime_levels")
-    comparison = OldName("error_estimate")
-    sample = OldName("field_sample")
-    surface = OldName("deformed_surface")
-    approach = OldName("move_to_next_touch")
-    meet = OldName("bind_points_on_path")
-
     mesh: Any = None
     datum: float = 0.0
     #: Highest order of extrapolation that `step` implements.
@@ -220,8 +216,8 @@ class Solver(FreeTool, ABC):
         """Pose of the tool at the last committed state."""
 
     @property
-    def unchanged(self) -> int:
-        """Number of equilibria since the set of touching, sticking or slipping points last changed.
+    def equilibria_since_contact_change(self) -> int:
+        """Number of converged steps since the set of touching, sticking or slipping points last changed.
 
         A predictor of higher order than this number would extrapolate across the change.
         """
@@ -238,7 +234,7 @@ class Solver(FreeTool, ABC):
     @abstractmethod
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+             own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for equilibrium; the state is committed only if the step converges.
 
         Args:
@@ -247,14 +243,14 @@ class Solver(FreeTool, ABC):
             tolerance: largest relative residual, 1.
             max_iterations: largest number of linear solves.
             predictor_order: highest order of extrapolation from earlier steps (0: none).
-            inertial: whether the mass of the tissue acts; requires `follow_motion` before, and dt > 0.
+            inertial: whether the mass of the tissue acts; requires `enable_inertia` before, and dt > 0.
             resumes: continue Newton's iteration of the last step, which did not converge; dt counts from the last
                 converged step.
-            own_stiffness: whether an inertial step also computes the static stiffness; see `OwnStiffness`.
+            own_stiffness: whether an inertial step also computes the static stiffness; see `StaticStiffnessRequest`.
         """
 
-    def creep(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
-              allowed: Callable[[], int] | None = None) -> Generator[Step]:
+    def step_with_damping(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
+                          allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Find the equilibrium at a pose that `step` does not reach, with artificial viscous damping.
 
         Where an equilibrium is lost the tissue snaps through to another one. The damping is reduced to zero on the
@@ -285,7 +281,7 @@ class Solver(FreeTool, ABC):
 
     @classmethod
     def error_estimate(cls, resolution: str) -> ErrorEstimate | None:
-        """Rule that estimates the error of the force of a resolution; None if the solver has none."""
+        """Return the rule that estimates the force error of a resolution; None if the solver has none."""
         return None
 
     @abstractmethod
@@ -313,10 +309,10 @@ class Solver(FreeTool, ABC):
 
     @abstractmethod
     def ask_for_stiffness(self) -> None:
-        """Let every step compute its stiffness matrix from now on."""
+        """Make every step from now on compute its stiffness matrix, `Step.stiffness_matrix`."""
 
-    def follow_motion(self, density: float) -> bool:
-        """Give the tissue a mass, for inertial steps.
+    def enable_inertia(self, density: float) -> bool:
+        """Give the tissue a mass, so that steps may be inertial; return whether the solver supports inertia.
 
         Args:
             density: kg/m3.
@@ -326,7 +322,7 @@ class Solver(FreeTool, ABC):
         """
         return False
 
-    def ahead(self, dt: float) -> NextForce | None:
+    def predict_next_force(self, dt: float) -> NextForce | None:
         """Predict the force of the next step, directly after an inertial step that converged.
 
         Args:
@@ -337,8 +333,8 @@ class Solver(FreeTool, ABC):
         """
         return None
 
-    def differentiate(self, neighbours: Neighbours) -> Derivatives | None:
-        """Compute exact derivatives from now on, to be called before the first step; None if the solver has none."""
+    def differentiate(self, neighbours: Neighbours) -> ForceDerivatives | None:
+        """Make every step compute exact derivatives; to be called before the first step; None if there are none."""
         return None
 
     @abstractmethod
@@ -354,7 +350,7 @@ class Solver(FreeTool, ABC):
         """Return the deformed surface of the tissue at the last committed state."""
 
     def warnings(self) -> Sequence[str]:
-        """Return sentences with reasons why the force at the last committed equilibrium may be wrong; usually none."""
+        """Return reasons, as sentences, why the force of the last committed step may be wrong; usually none."""
         return ()
 
     @abstractmethod
@@ -365,6 +361,11 @@ class Solver(FreeTool, ABC):
         ``slipping_points``; for a specimen under its weight ``self_weight`` {sag_mm, moulded_height_mm}. Penetration
         and slipping points are maxima over the steps.
         """
+
+
+for _old, _new in _OLD_MEMBERS.items():
+    setattr(Solver, _old, OldName(_new))
+    vars(Solver)[_old].__set_name__(Solver, _old)  # messages contain the class and the old name
 
 
 class SolverMaker(Protocol):

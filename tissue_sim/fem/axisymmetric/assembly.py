@@ -16,31 +16,31 @@ from functools import cache
 from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.point_effects import effects_function
-from tissue_sim.fem.axisymmetric.scratch import AT, scratch
-from tissue_sim.fem.energy import inverse_root_function, soften_function
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.axisymmetric.point_effects import make_effect_stress_function
+from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
+from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 
 
-class ElementFunctions(NamedTuple):
-    """Taichi functions of one element and one family of laws."""
+class ElementAssemblyFunctions(NamedTuple):
+    """Taichi functions that compute forces and stiffness of one element type and one family of laws."""
 
-    integrate: object
-    add_weight: object
-    add_inertia: object
-    stiffen: object
-    scatter_stiffness: object
+    compute_nodal_forces: object
+    add_weight_forces: object
+    add_interior_node_inertia: object
+    compute_condensed_stiffness: object
+    add_stiffness_to_band_matrix: object
 
 
 @cache
-def element_functions(element_name: str, energy: KernelEnergy,
-                      effects: tuple[Formula, ...] = ()) -> ElementFunctions:
-    """Return the element functions of an element type and a law, to be called in this order for each batch b."""
+def make_element_functions(element_name: str, energy: KernelEnergy,
+                           effects: tuple[KernelFormula, ...] = ()) -> ElementAssemblyFunctions:
+    """Return the Taichi functions of an element type and a law; a kernel calls them in this order for each batch b."""
     ti = initialise()
     element = ELEMENTS[element_name]
     nodes, nb, modes = element.node_count, element.boundary_nodes, element.pressure_modes
@@ -48,12 +48,12 @@ def element_functions(element_name: str, energy: KernelEnergy,
     has_centre, centre = nodes > nb, nodes - 1
     pairs = nb * (nb + 1) // 2
     vec = ti.types.vector(LANES, ti.f64)
-    s = scratch()
-    with_tangent, without = point.function(energy), point.function(energy, tangents=False)
-    inverse_root = inverse_root_function()
-    add_volume = point.volume_function()
-    soften, relax = soften_function(5), point.relax_function()
-    has_effects, add_effects = bool(effects), effects_function(effects)
+    s = get_scratch_field()
+    with_tangent, without = point.make_stress_function(energy), point.make_stress_function(energy, tangents=False)
+    inverse_cube_root = make_inverse_cube_root_function()
+    add_pressure_terms = point.make_pressure_term_function()
+    apply_softening, apply_relaxation = make_softening_function(5), point.make_relaxation_function()
+    has_effects, add_effect_stresses = bool(effects), make_effect_stress_function(effects)
     variables = sum(len(formula.kind.rest) for formula in effects)
     UR, UZ, FR, FZ, SR, SZ = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ"))
     PRESSURE, GAP, VR, VZ, STRESS = (AT[name] for name in ("PRESSURE", "GAP", "VR", "VZ", "STRESS"))
@@ -64,35 +64,38 @@ def element_functions(element_name: str, energy: KernelEnergy,
     # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def gather(values: ti.template(), places: ti.template(), i):
+    def gather_lane_values(values: ti.template(), places: ti.template(), i):
+        """Return the vector with one entry of `values` for each SIMD lane, from the indices in row i of `places`."""
         return ti.Vector([values[places[i, l]] for l in ti.static(range(LANES))])
 
     @ti.func
-    def at_point(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(), weights: ti.template(),
-                 moduli: ti.template(), coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
-                 largest: ti.template(), stresses: ti.template(), energies: ti.template(),
-                 effect_settings: ti.template(), states: ti.template(), states_found: ti.template()):
-        """Store stress, tangent and dJ/dF of a quadrature point, times its weight."""
-        root = inverse_root(ti.max(J, 1e-6))
+    def evaluate_quadrature_point(b, q, F, J, p, remembers, tangents: ti.template(), elements: ti.template(),
+                                  weights: ti.template(), moduli: ti.template(), coefficients: ti.template(),
+                                  past: ti.template(), inherited: ti.template(), largest: ti.template(),
+                                  stresses: ti.template(), energies: ti.template(), effect_settings: ti.template(),
+                                  states: ti.template(), states_found: ti.template()):
+        """Store stress, tangent and dJ/dF of quadrature point q, each times the weight of the point."""
+        root = inverse_cube_root(ti.max(J, 1e-6))
         W, P, A = (with_tangent if ti.static(tangents) else without)(F, root, coefficients)
         if ti.static(tangents):
             if remembers == 1:
-                f = past[PastColumn.FACTOR]
+                f = past[MemoryCoefficient.FACTOR]
                 W = f * W
                 for l in ti.static(range(LANES)):
                     energies[elements[b, l], q] = W[l]
                 P1, A1 = [f * P[i] for i in ti.static(range(5))], [f * A[n] for n in ti.static(range(15))]
-                if past[PastColumn.LOSS] != 0.0:
+                if past[MemoryCoefficient.LOSS] != 0.0:
                     most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                    P2, A2 = soften(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
-                                    past[PastColumn.LOSS_SHARE], P1, A1)
+                    P2, A2 = apply_softening(W, most, past[MemoryCoefficient.LOSS],
+                                             past[MemoryCoefficient.LOSS_MODULUS], past[MemoryCoefficient.LOSS_SHARE],
+                                             P1, A1)
                     for i in ti.static(range(5)):
                         P1[i] = P2[i]
                     for n in ti.static(range(15)):
                         A1[n] = A2[n]
                 h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                      for i in ti.static(range(4))]
-                S, P3, A3 = relax(F, past[PastColumn.INSTANT], h, P1, A1)
+                S, P3, A3 = apply_relaxation(F, past[MemoryCoefficient.INSTANT], h, P1, A1)
                 for i in ti.static(range(4)):
                     for l in ti.static(range(LANES)):
                         stresses[elements[b, l], q, i] = S[i][l]
@@ -103,7 +106,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
                 if ti.static(has_effects):
                     before = [ti.Vector([states[elements[b, l], q, i] for l in ti.static(range(LANES))])
                               for i in ti.static(range(variables))]
-                    S5, P5, A5, found = add_effects(F, P, A, before, effect_settings)
+                    S5, P5, A5, found = add_effect_stresses(F, P, A, before, effect_settings)
                     for i in ti.static(range(variables)):
                         for l in ti.static(range(LANES)):
                             states_found[elements[b, l], q, i] = found[i][l]
@@ -115,8 +118,8 @@ def element_functions(element_name: str, energy: KernelEnergy,
                     for n in ti.static(range(15)):
                         A[n] = A5[n]
         modulus, w = moduli[b], weights[b * points + q]
-        P4, A4 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
-                            [modulus * A[n] for n in ti.static(range(15))])
+        P4, A4 = add_pressure_terms(F, p, [modulus * P[i] for i in ti.static(range(5))],
+                                    [modulus * A[n] for n in ti.static(range(15))])
         for i in ti.static(range(5)):
             s[STRESS + 5 * q + i] = w * P4[i]
         if ti.static(tangents):
@@ -128,14 +131,15 @@ def element_functions(element_name: str, energy: KernelEnergy,
         s[COFACTOR + 5 * q + 4] = w * (F[0] * F[3] - F[1] * F[2])
 
     @ti.func
-    def integrate(b, tangent, kappa, remembers, x: ti.template(), pressures, elements: ti.template(),
-                  dofs: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
-                  weights: ti.template(), mode_values: ti.template(), moduli: ti.template(),
-                  coefficients: ti.template(), past: ti.template(), inherited: ti.template(), largest: ti.template(),
-                  stresses: ti.template(), energies: ti.template(), effect_settings: ti.template(),
-                  states: ti.template(), states_found: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
-                  gap: ti.template()):
-        """Compute the forces of all nodes with the pressure increment of the volume residual; return the smallest J.
+    def compute_nodal_forces(b, tangent, kappa, remembers, x: ti.template(), pressures, elements: ti.template(),
+                             dofs: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
+                             value_r: ti.template(), weights: ti.template(), mode_values: ti.template(),
+                             moduli: ti.template(), coefficients: ti.template(), past: ti.template(),
+                             inherited: ti.template(), largest: ti.template(), stresses: ti.template(),
+                             energies: ti.template(), effect_settings: ti.template(), states: ti.template(),
+                             states_found: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                             gap: ti.template()):
+        """Compute the nodal forces of batch b with the pressure increment of the volume residual; return the least J.
 
         For tissue with memory (`remembers`), `past` contains the parameters of the memory, `inherited` the inherited
         stresses and `largest` the largest energy of each point; the present stresses and energies are written to
@@ -143,7 +147,7 @@ def element_functions(element_name: str, energy: KernelEnergy,
         """
         for a in range(nodes):
             i = b * nodes + a
-            s[UR + a] = gather(x, dofs, i)
+            s[UR + a] = gather_lane_values(x, dofs, i)
             s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
         bulk = kappa * moduli[b]
         for m in range(modes):
@@ -173,11 +177,13 @@ def element_functions(element_name: str, energy: KernelEnergy,
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
             # Tissue with memory always gets a tangent: a variant without it would double the compile time.
             if tangent == 1 or remembers == 1:
-                at_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, weights, moduli, coefficients, past,
-                         inherited, largest, stresses, energies, effect_settings, states, states_found)
+                evaluate_quadrature_point(b, q, F, 1.0 + dilation, p, remembers, True, elements, weights, moduli,
+                                          coefficients, past, inherited, largest, stresses, energies, effect_settings,
+                                          states, states_found)
             else:
-                at_point(b, q, F, 1.0 + dilation, p, remembers, False, elements, weights, moduli, coefficients, past,
-                         inherited, largest, stresses, energies, effect_settings, states, states_found)
+                evaluate_quadrature_point(b, q, F, 1.0 + dilation, p, remembers, False, elements, weights, moduli,
+                                          coefficients, past, inherited, largest, stresses, energies, effect_settings,
+                                          states, states_found)
         for a in range(nodes):
             fr, fz = vec(0.0), vec(0.0)
             vr, vz = [vec(0.0) for _m in ti.static(range(modes))], [vec(0.0) for _m in ti.static(range(modes))]
@@ -208,25 +214,26 @@ def element_functions(element_name: str, energy: KernelEnergy,
         return least.min()
 
     @ti.func
-    def add_weight(b, weight, volumes: ti.template()):
+    def add_weight_forces(b, weight, volumes: ti.template()):
         """Add the nodal forces of the weight, which acts towards -z, to the internal forces."""
         for a in range(nodes):
             i = b * nodes + a
             s[FZ + a] = s[FZ + a] + weight * volumes[i]
 
     @ti.func
-    def add_inertia(b, inertia, density, volumes: ti.template(), dofs: ti.template(), rest: ti.template()):
+    def add_interior_node_inertia(b, inertia, density, volumes: ti.template(), dofs: ti.template(),
+                                  rest: ti.template()):
         """Add the inertial force of the interior node: mass times `inertia` (1/s2) times displacement from `rest`."""
         if ti.static(has_centre):
             i = b * nodes + centre
             mass = density * inertia * volumes[i]
-            s[FR + centre] = s[FR + centre] + mass * (s[UR + centre] - gather(rest, dofs, i))
+            s[FR + centre] = s[FR + centre] + mass * (s[UR + centre] - gather_lane_values(rest, dofs, i))
             s[FZ + centre] = s[FZ + centre] + mass * (
                 s[UZ + centre] - ti.Vector([rest[dofs[i, l] + 1] for l in ti.static(range(LANES))]))
 
     @ti.func
-    def rate_of(c, b, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
-        """Store the stress increments at every point for a displacement of a node along r (0 to 4) and z (5 to 9)."""
+    def store_stress_increments(c, b, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
+        """Store the stress increments per displacement of node c, along r (0 to 4) and z (5 to 9), at all points."""
         for q in range(points):
             g = (b * points + q) * nodes + c
             x, y, h = gradient_r[g], gradient_z[g], value_r[g]
@@ -239,8 +246,8 @@ def element_functions(element_name: str, energy: KernelEnergy,
             s[at + 9] = s[t + ti.static(row[4][2])] * x + s[t + ti.static(row[4][3])] * y
 
     @ti.func
-    def pair(c, a, b, kappa, moduli: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
-             value_r: ti.template()):
+    def compute_node_pair_stiffness(c, a, b, kappa, moduli: ti.template(), gradient_r: ti.template(),
+                                    gradient_z: ti.template(), value_r: ti.template()):
         """Return the stiffness rr, zr, rz, zz of node a for displacements of node c, from the stress increments."""
         k0, k1, k2, k3 = vec(0.0), vec(0.0), vec(0.0), vec(0.0)
         for q in range(points):
@@ -260,12 +267,13 @@ def element_functions(element_name: str, energy: KernelEnergy,
         return k0, k1, k2, k3
 
     @ti.func
-    def stiffen(b, kappa, pending, mass, moduli: ti.template(), gradient_r: ti.template(),
-                gradient_z: ti.template(), value_r: ti.template(), dofs: ti.template(), step: ti.template(),
-                volumes: ti.template(), k_rr: ti.template(), k_zr: ti.template(), k_rz: ti.template(),
-                k_zz: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
-                rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
-                inverse_zz: ti.template()):
+    def compute_condensed_stiffness(b, kappa, pending, mass, moduli: ti.template(), gradient_r: ti.template(),
+                                    gradient_z: ti.template(), value_r: ti.template(), dofs: ti.template(),
+                                    step: ti.template(), volumes: ti.template(), k_rr: ti.template(),
+                                    k_zr: ti.template(), k_rz: ti.template(), k_zz: ti.template(),
+                                    rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                                    rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                                    inverse_zz: ti.template()):
         """Compute the stiffness of all pairs of shared nodes with the interior node eliminated.
 
         If a motion `step` of the prescribed nodes is still to be made (`pending`), its forces are added. Returns 0 if
@@ -275,14 +283,14 @@ def element_functions(element_name: str, energy: KernelEnergy,
         if pending == 1:
             for a in range(nb):
                 i = b * nodes + a
-                s[SR + a] = gather(step, dofs, i)
+                s[SR + a] = gather_lane_values(step, dofs, i)
                 s[SZ + a] = ti.Vector([step[dofs[i, l] + 1] for l in ti.static(range(LANES))])
         # The interior node first, since it is eliminated from the others.
         for back in range(nodes):
             c = nodes - 1 - back
-            rate_of(c, b, gradient_r, gradient_z, value_r)
+            store_stress_increments(c, b, gradient_r, gradient_z, value_r)
             for a in range(c + 1):
-                k0, k1, k2, k3 = pair(c, a, b, kappa, moduli, gradient_r, gradient_z, value_r)
+                k0, k1, k2, k3 = compute_node_pair_stiffness(c, a, b, kappa, moduli, gradient_r, gradient_z, value_r)
                 if c >= nb:
                     s[CENTRE + 4 * a], s[CENTRE + 4 * a + 1] = k0, k1
                     s[CENTRE + 4 * a + 2], s[CENTRE + 4 * a + 3] = k2, k3
@@ -323,9 +331,10 @@ def element_functions(element_name: str, energy: KernelEnergy,
         return good
 
     @ti.func
-    def scatter_stiffness(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
-                          starts: ti.template(), pulls: ti.template(), factors: ti.template(), pull: ti.template()):
-        """Add the stiffness of a batch to the band matrix and to the forces of nodes that move with the tool."""
+    def add_stiffness_to_band_matrix(b, places: ti.template(), stiffness: ti.template(), flat: ti.template(),
+                                     starts: ti.template(), pulls: ti.template(), factors: ti.template(),
+                                     pull: ti.template()):
+        """Add the stiffness of batch b to the flattened band matrix, and the forces of moving nodes to `pull`."""
         for i in range(4 * pairs * LANES):
             at = places[b, i]
             flat[at] = flat[at] + stiffness[i]
@@ -333,4 +342,5 @@ def element_functions(element_name: str, energy: KernelEnergy,
             at = pulls[i, 0]
             pull[at] = pull[at] + factors[i] * stiffness[pulls[i, 1]]
 
-    return ElementFunctions(integrate, add_weight, add_inertia, stiffen, scatter_stiffness)
+    return ElementAssemblyFunctions(compute_nodal_forces, add_weight_forces, add_interior_node_inertia,
+                                    compute_condensed_stiffness, add_stiffness_to_band_matrix)

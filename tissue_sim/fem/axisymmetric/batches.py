@@ -10,7 +10,7 @@ from tissue_sim.mesh import Mesh
 
 
 class ElementBatches:
-    """Elements in batches: lane l of batch b is element LANES b + l.
+    """Element data in SIMD batches: lane l of batch b is element LANES b + l.
 
     Surplus lanes of the last batch repeat the last element and write to an unused entry. Arrays of vectors have one row
     of `LANES` numbers for each batch and each combination of the axes in brackets. Pairs are pairs (c, a), a <= c, of
@@ -48,7 +48,7 @@ class ElementBatches:
 
         Args:
             mesh: undeformed mesh.
-            gradients: see `Reference.node_gradients`, shape (elements, q, nodes, 3).
+            gradients: see `ReferenceQuadrature.node_gradients`, shape (elements, q, nodes, 3).
             weights: volumes of the quadrature points, m3, shape (elements, q).
             modes: pressure modes, shape (elements, q, m).
             volumes: integrals of the shape functions, m3, shape (elements, nodes).
@@ -75,19 +75,26 @@ class ElementBatches:
         self.centre_force = tuple(np.zeros((batches, LANES)) for _ in range(2))
 
     def _arrange_in_lanes(self, values: np.ndarray) -> np.ndarray:
-        """Return values of the elements, shape (elements, ...), with lanes last, shape (batches times rest, LANES)."""
+        """Return element values in SIMD order.
+
+        Args:
+            values: one array for each element, shape (elements, ...).
+
+        Returns:
+            Shape (rows, `LANES`); the rows are numbered by batch and by the entries of an element, the last fastest.
+        """
         taken = values[self.elements]
         return np.ascontiguousarray(np.moveaxis(taken, 1, -1).reshape(-1, LANES))
 
-    def eliminated(self) -> dict[str, np.ndarray]:
-        """Return the arrays of the statically condensed unknowns, by their names in the kernels."""
+    def condensation_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of the static condensation (pressures, interior nodes), by their names in the kernels."""
         named = dict(zip(("volume_r", "volume_z"), self.volume, strict=True))
         named |= zip(("known_volume_r", "known_volume_z"), self.known_volume, strict=True)
         named |= zip(("rows_rr", "rows_rz", "rows_zr", "rows_zz"), self.centre_rows, strict=True)
         return named | dict(zip(("inverse_rr", "inverse_rz", "inverse_zz"), self.centre_inverse, strict=True))
 
-    def arrays(self) -> dict[str, np.ndarray]:
-        """Return all other arrays, by their names in the kernel of a step."""
+    def step_kernel_arrays(self) -> dict[str, np.ndarray]:
+        """Return all arrays except `condensation_arrays`, by their names in the kernel of a step."""
         named = {"elements": self.elements, "dofs": self.dofs, "real": self.real, "point_weights": self.weights,
                  "mode_values": self.modes, "volumes": self.volumes, "moduli": self.moduli, "places": self.places,
                  "pull_starts": self.pull_starts, "pulls": self.pulls, "pull_factors": self.pull_factors,
@@ -97,8 +104,8 @@ class ElementBatches:
         named |= zip(("k_rr", "k_zr", "k_rz", "k_zz"), np.split(self.stiffness, 4), strict=True)
         return named | dict(zip(("force_r", "force_z"), self.centre_force, strict=True))
 
-    def move_interior_nodes(self, displacement: np.ndarray) -> None:
-        """Set the displacements of the interior nodes that follow from those of the shared nodes.
+    def set_interior_displacements(self, displacement: np.ndarray) -> None:
+        """Set the displacements of the interior nodes from those of the shared nodes, by back substitution.
 
         Args:
             displacement: displacements of the degrees of freedom, shape (freedoms,); changed at interior nodes.
@@ -115,12 +122,12 @@ class ElementBatches:
             moved = (on_r * along_r + on_z * along_z).reshape(self.batches, shared, LANES).sum(axis=1)
             displacement[target] = -moved.reshape(-1)[:count]
 
-    def set_modulus_ratios(self, moduli: np.ndarray) -> None:
+    def set_element_moduli(self, moduli: np.ndarray) -> None:
         """Set the moduli of the elements, in units of the material's modulus, shape (elements,)."""
         self.moduli[:] = moduli[self.elements]
 
-    def number(self, mesh: Mesh, equation: np.ndarray, free: int, direction: np.ndarray,
-               shape: tuple[int, int]) -> None:
+    def compute_scatter_indices(self, mesh: Mesh, equation: np.ndarray, free: int, direction: np.ndarray,
+                                shape: tuple[int, int]) -> None:
         """Compute the indices with which kernels add forces and stiffnesses to the residual and the matrix.
 
         Args:
@@ -142,14 +149,14 @@ class ElementBatches:
         rows, columns = own[:, a][:, :, i].swapaxes(1, 2), own[:, c][:, :, k].swapaxes(1, 2)  # (elements, 4, pairs)
         # In the diagonal block of a node rz equals zr and is omitted.
         twice = (c == a) & ((i == 0) & (k == 1))[:, None]
-        places = np.where(twice, -1, _find_band_indices(rows, columns, free, shape))
+        places = np.where(twice, -1, _compute_band_indices(rows, columns, free, shape))
         last = shape[0] * shape[1] * band.BLOCK**2
         places = np.where(places < 0, last, places)
         lanes = np.where(self.real[:, :, None, None] > 0, places[self.elements], last)
         self.places = np.ascontiguousarray(np.moveaxis(lanes, 1, -1).reshape(self.batches, -1), dtype=np.int32)
-        self._number_pulls(mesh, own, direction, rows, columns, twice, free)
+        self._compute_pull_table(mesh, own, direction, rows, columns, twice, free)
 
-    def _number_pulls(self, mesh, own, direction, rows, columns, twice, free) -> None:
+    def _compute_pull_table(self, mesh, own, direction, rows, columns, twice, free) -> None:
         """Compute the rows of `pulls`: stiffness between moving and free nodes, and within the moving nodes."""
         shared = mesh.element.boundary_nodes
         moves = np.zeros(int(own.max()) + 1)
@@ -175,7 +182,7 @@ class ElementBatches:
         self.pull_factors = np.ascontiguousarray(table[:, 3])
 
 
-def _find_band_indices(rows: np.ndarray, columns: np.ndarray, free: int, shape: tuple[int, int]) -> np.ndarray:
+def _compute_band_indices(rows: np.ndarray, columns: np.ndarray, free: int, shape: tuple[int, int]) -> np.ndarray:
     """Return the index of each entry in the flattened lower band; -1 for equations that are not free."""
     low, high = np.minimum(rows, columns), np.maximum(rows, columns)
     I, J, width = high // band.BLOCK, low // band.BLOCK, shape[1]

@@ -21,8 +21,8 @@ NODE_RULES = {1: (np.array([-1.0, 1.0]), np.array([1.0, 1.0])),
               2: (np.array([-1.0, 0.0, 1.0]), np.array([1.0, 4.0, 1.0]) / 3.0)}
 
 
-class SpanColumn(IntEnum):
-    """Columns of `ContactPoints.spans`: the part of a body's outline that a contact point may meet.
+class ContactSpanColumn(IntEnum):
+    """Columns of `ContactPoints.spans`: segments of a body's outline that a contact point may touch.
 
     Attributes:
         FIRST_LINE: index of the first line segment of the outline.
@@ -39,7 +39,7 @@ class SpanColumn(IntEnum):
     STAYS = 4
 
 
-class RateColumn(IntEnum):
+class ContactRateColumn(IntEnum):
     """Columns of `ContactPoints.rates`: linearisation of the contact force of a point.
 
     Attributes:
@@ -64,8 +64,8 @@ class RateColumn(IntEnum):
     LAW_ZZ = 11
 
 
-class KnownRateColumn(IntEnum):
-    """Columns of `ContactPoints.known_rates`: the derivatives that the factorised matrix contains, N/m.
+class FactorisedRateColumn(IntEnum):
+    """Columns of `ContactPoints.known_rates`: contact derivatives that the factorised matrix contains, N/m.
 
     Attributes:
         RR, RZ, ZR, ZZ: derivative of the contact force with respect to the displacement of the point.
@@ -82,13 +82,13 @@ class KnownRateColumn(IntEnum):
 
 
 #: Number of columns of `ContactPoints.rates`.
-RATE_COLUMNS = len(RateColumn)
+RATE_COLUMNS = len(ContactRateColumn)
 #: Number of columns of `ContactPoints.known_rates`.
-KNOWN_RATE_COLUMNS = len(KnownRateColumn)
+KNOWN_RATE_COLUMNS = len(FactorisedRateColumn)
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
+class ContactPair:
     """Element edges of the tissue surface and the rigid body with which they may come into contact.
 
     Attributes:
@@ -117,8 +117,8 @@ class Pair:
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
-    """All contact pairs of a boundary-value problem.
+class ContactPairs:
+    """All contact pairs of a boundary-value problem, with the tolerance and the contact laws.
 
     Attributes:
         pairs: contact pairs, those of bodies that rest first, then those of bodies that move with the tool.
@@ -128,7 +128,7 @@ class Contact:
         level: whether the moving body is a plate, which touches the whole settled top at once.
     """
 
-    pairs: tuple[Pair, ...]
+    pairs: tuple[ContactPair, ...]
     tolerance: float
     laws: tuple[ContactLaw, ...] = ()
     face: float = 1.0
@@ -145,7 +145,7 @@ class ContactPoints:
         count: number of contact points, n below; 0 without contact.
         nodes: nodes of the edge of each point, shape (n, a).
         shapes: shape functions of these nodes at the point, shape (n, a).
-        spans: columns of `SpanColumn`, shape (n, 5).
+        spans: columns of `ContactSpanColumn`, shape (n, 5).
         vertices: vertices of the outlines of all bodies, one outline after the other, m, shape (v, 2).
         rounding: edge radius of each point's body, m, shape (n,).
         friction: coefficients of the face and of the shaft of each point's body, shape (n, 2).
@@ -153,24 +153,25 @@ class ContactPoints:
         face: numbers of the points under a face without slip of the tool.
         areas: surface area of each point, m2, shape (n,).
         springs: penalty stiffness of each point, N/m, shape (n,).
-        anchors: bond (a `tissue_sim.fem.contact_settings.Bond`) and anchor of each point at the last equilibrium;
-            the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
-        initial: the same at the beginning of a step, with the bonds of points that the tool reaches in the step.
-        held: the same during a step.
-        met: the same after the step, if the step converges.
+        anchors: bond (a `tissue_sim.fem.contact_settings.ContactBond`) and anchor of each point at the last
+            equilibrium; the anchor is the displacement of the point in the frame of the body, (r, z), m; shape (n, 3).
+        initial: bond and anchor at the beginning of a step, with the bonds of points that the tool reaches in the step,
+            shape (n, 3).
+        held: bond and anchor during a step, shape (n, 3).
+        met: bond and anchor for the next step if this step converges, shape (n, 3).
         pressed: 1 where a point is in the active set of the normal contact, else 0, shape (n,).
         slip_signs: direction of slip along the surface during a step, 1, -1 or 0 (no slip), shape (n,).
-        slipped: the same at the last equilibrium.
+        slipped: `slip_signs` at the last equilibrium, shape (n,).
         forces: forces of the tissue on the bodies, N, shape (n, 2).
-        rates: columns of `RateColumn`, shape (n, `RATE_COLUMNS`).
-        known_rates: columns of `KnownRateColumn`, N/m, shape (n, `KNOWN_RATE_COLUMNS`).
+        rates: columns of `ContactRateColumn`, shape (n, `RATE_COLUMNS`).
+        known_rates: columns of `FactorisedRateColumn`, N/m, shape (n, `KNOWN_RATE_COLUMNS`).
     """
 
-    def __init__(self, mesh: Mesh, contact: Contact | None):
+    def __init__(self, mesh: Mesh, contact: ContactPairs | None):
         pairs = () if contact is None else contact.pairs
         order = mesh.element.order
         # Each point: pair, nodes of the edge, coordinate on the edge. Each edge: nodes, its points, their weights.
-        points: list[tuple[Pair, np.ndarray, float]] = []
+        points: list[tuple[ContactPair, np.ndarray, float]] = []
         numbers: dict[tuple[int, bool], int] = {}
         edges: list[tuple[np.ndarray, list[int], np.ndarray]] = []
         for pair in pairs:
@@ -185,7 +186,7 @@ class ContactPoints:
                 edges.append((edge, at, weights))
         self.count = len(points)
         if not points:
-            unused = Pair(Profile(np.zeros((2, 2)), 0.0, 0), np.zeros((1, order + 1), np.int32), (0.0, 0.0))
+            unused = ContactPair(Profile(np.zeros((2, 2)), 0.0, 0), np.zeros((1, order + 1), np.int32), (0.0, 0.0))
             points = [(unused, unused.edges[0], 0.0)]
         owners, n = [pair for pair, _edge, _coordinate in points], len(points)
         self.nodes = np.array([edge for _pair, edge, _coordinate in points], dtype=np.int32)
@@ -205,7 +206,8 @@ class ContactPoints:
             for k, pair in zip(self._owner, owners, strict=True)], dtype=np.int32)
         self.rounding = np.array([pair.profile.rounding for pair in owners])
         self.friction = np.array([pair.friction for pair in owners], dtype=float)
-        self.tied, self.moves = np.array([pair.tied for pair in owners]), self.spans[:, SpanColumn.MOVES].astype(bool)
+        self.tied = np.array([pair.tied for pair in owners])
+        self.moves = self.spans[:, ContactSpanColumn.MOVES].astype(bool)
         self.face = np.flatnonzero(self.tied & self.moves)
         self.areas, self._lengths, self.springs = np.zeros((3, n))
         for edge, at, weights in edges:
@@ -222,12 +224,12 @@ class ContactPoints:
         self.known_rates = np.zeros((n, KNOWN_RATE_COLUMNS))
 
     @property
-    def slips(self) -> bool:
-        """Whether a point of the surface can slip against friction."""
+    def can_slip(self) -> bool:
+        """Whether any contact point has Coulomb friction, so that the point can slip and the tangent is unsymmetric."""
         return bool((self.friction > 0.0).any())
 
-    def set_stiffness(self, modulus: float) -> None:
-        """Set the penalty stiffness of all points, and `rounding_rate`.
+    def set_penalty_stiffness(self, modulus: float) -> None:
+        """Set the penalty stiffness (`springs`) of all contact points, and the attribute `rounding_rate`.
 
         `rounding_rate` is the force that rounding errors of displacements cause, N per m of displacement.
 
@@ -237,8 +239,8 @@ class ContactPoints:
         self.springs[:] = modulus * self._lengths
         self.rounding_rate = np.finfo(float).eps * float(np.linalg.norm(self.springs))
 
-    def positions(self, displacement: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
-        """Return the deformed positions (r, z) of points, m, shape (points, 2).
+    def deformed_positions(self, displacement: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return the positions (r, z) of contact points on the deformed surface, m, shape (points, 2).
 
         Args:
             displacement: displacements of the nodes, m, shape (nodes, 2).
@@ -249,8 +251,8 @@ class ContactPoints:
             places, shapes, nodes = places[points], shapes[points], nodes[points]
         return places + np.einsum("na,nai->ni", shapes, displacement[nodes])
 
-    def gaps(self, place: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
-        """Return the signed distance of points from their bodies, negative inside, m, shape (points,).
+    def signed_gaps(self, place: np.ndarray, points: np.ndarray | None = None) -> np.ndarray:
+        """Return the signed distance of contact points from their rigid bodies, m, shape (points,); negative inside.
 
         Args:
             place: positions (r, z) of the points in the frames of their bodies, m, shape (points, 2).

@@ -2,32 +2,32 @@
 
 from functools import cache
 
-from tissue_sim.fem.axisymmetric.contact import SpanColumn
+from tissue_sim.fem.axisymmetric.contact import ContactSpanColumn
 from tissue_sim.fem.taichi.runtime import initialise
 
 
 @cache
-def nearest_function():
-    """Return the Taichi function ``nearest`` (closest-point projection).
+def make_closest_point_function():
+    """Return the Taichi function ``find_closest_point``: projection onto the outline of a rigid body.
 
-    ``nearest(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z, curvature, line)`` evaluates point
-    i of `ContactPoints` at (r, z) in the frame of its body, with the tool at `depth`.
+    ``find_closest_point(r, z, i, depth, spans, vertices, rounding) -> (gap, normal r, normal z, curvature, line)``
+    evaluates point i of `ContactPoints` at (r, z) in the frame of its body, with the tool at `depth`.
     """
     ti = initialise()
     far = 1e30
 
     @ti.func
-    def nearest(r, z, i, depth, spans: ti.template(), vertices: ti.template(), rounding: ti.template()):
+    def find_closest_point(r, z, i, depth, spans: ti.template(), vertices: ti.template(), rounding: ti.template()):
         """Return gap (m), outward normal, curvature (1/m) and index of the line segment closest to (r, z).
 
         While a tool with a sharp shaft is pressed in, the shaft is extended downwards: the tissue below the face
         occupies that region, so that tissue next to the tool cannot enter it.
         """
-        first = spans[i, SpanColumn.FIRST_LINE]
-        closed = first == spans[i, SpanColumn.SHAFT] and rounding[i] == 0.0 and depth >= 0.0
+        first = spans[i, ContactSpanColumn.FIRST_LINE]
+        closed = first == spans[i, ContactSpanColumn.SHAFT] and rounding[i] == 0.0 and depth >= 0.0
         best, gap, nr, nz, curved, line = far, far, 0.0, 0.0, 0.0, first
         front_best = 0.0
-        for s in range(first, spans[i, SpanColumn.LAST_LINE] + 1):
+        for s in range(first, spans[i, ContactSpanColumn.LAST_LINE] + 1):
             tr, tz = vertices[s + 1, 0] - vertices[s, 0], vertices[s + 1, 1] - vertices[s, 1]
             length = ti.sqrt(tr * tr + tz * tz)
             tr, tz = tr / length, tz / length
@@ -53,4 +53,4 @@ def nearest_function():
                     curved = 1.0 / distance
         return gap, nr, nz, curved, line
 
-    return nearest
+    return find_closest_point

@@ -19,52 +19,52 @@ touched.
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import PENALTY, KnownRateColumn, RateColumn, SpanColumn
-from tissue_sim.fem.axisymmetric.contact_gap import nearest_function
-from tissue_sim.fem.axisymmetric.contact_laws import law_functions
-from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, Bond
+from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactRateColumn, ContactSpanColumn, FactorisedRateColumn
+from tissue_sim.fem.axisymmetric.contact_gap import make_closest_point_function
+from tissue_sim.fem.axisymmetric.contact_laws import make_contact_law_functions
+from tissue_sim.fem.contact_settings import ALL_POINTS, ActiveSetSettings, ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 
-#: `Bond.FREE` as a float, because the kernels store bonds in arrays of floats.
-FREE = float(Bond.FREE)
-#: `Bond.HELD` as a float.
-HELD = float(Bond.HELD)
-#: `Bond.TOUCHED` as a float.
-TOUCHED = float(Bond.TOUCHED)
+#: `ContactBond.FREE` as a float, because the kernels store bonds in arrays of floats.
+FREE = float(ContactBond.FREE)
+#: `ContactBond.HELD` as a float.
+HELD = float(ContactBond.HELD)
+#: `ContactBond.TOUCHED` as a float.
+TOUCHED = float(ContactBond.TOUCHED)
 #: Settings of the active set; the kernels contain the values as constants.
 ACTIVE_SET = ActiveSetSettings(augmentation_factor=1e-3)
 #: Relative tolerance of Coulomb's friction cone, and of negligible friction.
 CONE_TOLERANCE = 1e-3
 
 
-class ContactFunctions(NamedTuple):
-    """Taichi functions of the contact forces at points of the surface."""
+class ContactForceFunctions(NamedTuple):
+    """Taichi functions that evaluate and update the contact forces at the contact points."""
 
-    add_contact: object
-    add_missing: object
-    update_forces: object
-    take_off_forces: object
-    release: object
-    hold: object
+    add_contact_forces: object
+    add_constraint_residual_forces: object
+    update_contact_forces: object
+    subtract_contact_forces: object
+    release_points_under_tension: object
+    commit_contact_bonds: object
 
 
 @cache
-def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
-    """Return the contact functions; `laws` are additional tractions, as of adhesion."""
+def make_contact_force_functions(laws: tuple[KernelFormula, ...] = ()) -> ContactForceFunctions:
+    """Return the contact functions; `laws` are additional contact laws, such as adhesion."""
     ti = initialise()
-    has_laws, law = bool(laws), law_functions(laws)
-    nearest = nearest_function()
+    has_laws, law = bool(laws), make_contact_law_functions(laws)
+    find_closest_point = make_closest_point_function()
 
     @ti.func
-    def add_contact(count, changeable, slack, pending, bending, move, depth, lift, free, tolerance, negligible, reach,
-                    law_settings: ti.template(), multipliers, nodes: ti.template(), shapes: ti.template(),
-                    spans: ti.template(), places: ti.template(), areas: ti.template(), vertices: ti.template(),
-                    rounding: ti.template(), friction: ti.template(), springs: ti.template(), held: ti.template(),
-                    pressed: ti.template(), slip_signs: ti.template(), met: ti.template(), forces: ti.template(),
-                    rates: ti.template(), x: ti.template(), target: ti.template(), equation: ti.template(),
-                    residual: ti.template()):
-        """Add the contact forces to the residual, and store their derivatives and constraint residuals in `rates`.
+    def add_contact_forces(count, changeable, slack, pending, bending, move, depth, lift, free, tolerance, negligible,
+                           reach, law_settings: ti.template(), multipliers, nodes: ti.template(), shapes: ti.template(),
+                           spans: ti.template(), places: ti.template(), areas: ti.template(), vertices: ti.template(),
+                           rounding: ti.template(), friction: ti.template(), springs: ti.template(),
+                           held: ti.template(), pressed: ti.template(), slip_signs: ti.template(), met: ti.template(),
+                           forces: ti.template(), rates: ti.template(), x: ti.template(), target: ti.template(),
+                           equation: ti.template(), residual: ti.template()):
+        """Add the contact forces to the residual; store their derivatives and the constraint residuals in `rates`.
 
         Args (scalars): `changeable`: which points may change their contact state (0: none, `ALL_POINTS`, or a number
         that selects some); `slack`: gap below which a point counts as touching, m; `pending`: 1 if the motion `move`
@@ -78,7 +78,7 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
         """
         axial, squares, violation, slipping, switched, wanting = 0.0, 0.0, 0.0, 0, 0, 0
         for i in range(count):
-            moves = float(spans[i, SpanColumn.MOVES])
+            moves = float(spans[i, ContactSpanColumn.MOVES])
             # Displacement in the frame of the body; its differences have smaller rounding errors than positions.
             ur, uz = 0.0, moves * lift
             for a in range(shapes.shape[1]):
@@ -88,18 +88,18 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             # A point without slip that touched in this step stays at the face that it touched: before convergence
             # another face may be closer to a point at an edge.
             clings = bound == TOUCHED and friction[i, 0] < 0.0
-            gap, nr, nz, curved, line = nearest(places[i, 0] + (held[i, 1] if clings else ur),
-                                                places[i, 1] + (held[i, 2] if clings else uz), i, depth, spans,
-                                                vertices, rounding)
+            gap, nr, nz, curved, line = find_closest_point(places[i, 0] + (held[i, 1] if clings else ur),
+                                                           places[i, 1] + (held[i, 2] if clings else uz), i, depth,
+                                                           spans, vertices, rounding)
             if clings:
                 gap, curved = (ur - held[i, 1]) * nr + (uz - held[i, 2]) * nz, 0.0
             # Rounded edges have the friction of the face.
-            mu = friction[i, 0] if curved > 0.0 or line < spans[i, SpanColumn.SHAFT] else friction[i, 1]
+            mu = friction[i, 0] if curved > 0.0 or line < spans[i, ContactSpanColumn.SHAFT] else friction[i, 1]
             spring = springs[i]
             at = multipliers + 2 * i
             along = x[at + 1] * nr - x[at] * nz
             normal = x[at] * nr + x[at + 1] * nz
-            if spans[i, SpanColumn.STAYS] == 0:
+            if spans[i, ContactSpanColumn.STAYS] == 0:
                 normal = ti.min(normal, 0.0)
             trial = normal + ACTIVE_SET.augmentation_factor * spring * gap
             acting = 0.0
@@ -107,7 +107,7 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
             drawn = (changeable == ALL_POINTS
                      or (changeable > 0 and (7 * i + 5 * changeable) % ACTIVE_SET.draw_interval == 0))
             if changeable > 0 and bound != HELD:
-                presses = 1.0 if trial < 0.0 or gap < slack or spans[i, SpanColumn.STAYS] == 1 else 0.0
+                presses = 1.0 if trial < 0.0 or gap < slack or spans[i, ContactSpanColumn.STAYS] == 1 else 0.0
                 if ti.static(not has_laws):
                     if pending == 1 and bound == TOUCHED and mu != 0.0:
                         # The tool is about to reach the point.
@@ -200,7 +200,7 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                         tr, tz = -nz, nr
                         area = areas[i]
                         slip = (ur - held[i, 1]) * tr + (uz - held[i, 2]) * tz
-                        pull, drag, nn, tt = law.traction(gap, ti.max(-normal, 0.0) / area, slip, law_settings)
+                        pull, drag, nn, tt = law.evaluate_traction(gap, ti.max(-normal, 0.0) / area, slip, law_settings)
                         fr += area * pull * nr
                         fz += area * pull * nz
                         if ti.static(law.drags):
@@ -211,11 +211,13 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                             lrz = area * (nn * nr * nz + tt * tr * tz)
                             lzz = area * (nn * nz * nz + tt * tz * tz)
             krr, krz, kzr, kzz = krr + lrr, krz + lrz, kzr + lrz, kzz + lzz
-            rates[i, RateColumn.RR], rates[i, RateColumn.RZ] = krr, krz
-            rates[i, RateColumn.ZR], rates[i, RateColumn.ZZ] = kzr, kzz
-            rates[i, RateColumn.NORMAL_R], rates[i, RateColumn.NORMAL_Z], rates[i, RateColumn.FRICTION] = nr, nz, acting
-            rates[i, RateColumn.MISSED_R], rates[i, RateColumn.MISSED_Z] = missed_r, missed_z
-            rates[i, RateColumn.LAW_RR], rates[i, RateColumn.LAW_RZ], rates[i, RateColumn.LAW_ZZ] = lrr, lrz, lzz
+            rates[i, ContactRateColumn.RR], rates[i, ContactRateColumn.RZ] = krr, krz
+            rates[i, ContactRateColumn.ZR], rates[i, ContactRateColumn.ZZ] = kzr, kzz
+            (rates[i, ContactRateColumn.NORMAL_R], rates[i, ContactRateColumn.NORMAL_Z],
+             rates[i, ContactRateColumn.FRICTION]) = nr, nz, acting
+            rates[i, ContactRateColumn.MISSED_R], rates[i, ContactRateColumn.MISSED_Z] = missed_r, missed_z
+            (rates[i, ContactRateColumn.LAW_RR], rates[i, ContactRateColumn.LAW_RZ],
+             rates[i, ContactRateColumn.LAW_ZZ]) = lrr, lrz, lzz
             axial += moves * fz
             squares += fr * fr + fz * fz
             if pending == 1:
@@ -236,49 +238,51 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
         return axial, squares, violation, slipping, switched, wanting
 
     @ti.func
-    def force_change(i, pr, pz, rates: ti.template(), known: ti.template()):
+    def compute_force_change(i, pr, pz, rates: ti.template(), known: ti.template()):
         """Return the change of a point's force for a displacement (pr, pz) and for its constraint residual.
 
         The derivatives are those in the matrix, because others would leave large unbalanced penalty forces.
         """
-        krr = known[i, KnownRateColumn.RR] - known[i, KnownRateColumn.LAW_RR]
-        krz = known[i, KnownRateColumn.RZ] - known[i, KnownRateColumn.LAW_RZ]
-        kzr = known[i, KnownRateColumn.ZR] - known[i, KnownRateColumn.LAW_RZ]
-        kzz = known[i, KnownRateColumn.ZZ] - known[i, KnownRateColumn.LAW_ZZ]
-        wr, wz = pr + rates[i, RateColumn.MISSED_R], pz + rates[i, RateColumn.MISSED_Z]
+        krr = known[i, FactorisedRateColumn.RR] - known[i, FactorisedRateColumn.LAW_RR]
+        krz = known[i, FactorisedRateColumn.RZ] - known[i, FactorisedRateColumn.LAW_RZ]
+        kzr = known[i, FactorisedRateColumn.ZR] - known[i, FactorisedRateColumn.LAW_RZ]
+        kzz = known[i, FactorisedRateColumn.ZZ] - known[i, FactorisedRateColumn.LAW_ZZ]
+        wr, wz = pr + rates[i, ContactRateColumn.MISSED_R], pz + rates[i, ContactRateColumn.MISSED_Z]
         return krr * wr + krz * wz, kzr * wr + kzz * wz
 
     @ti.func
-    def add_missing(count, nodes: ti.template(), shapes: ti.template(), rates: ti.template(), known: ti.template(),
-                    equation: ti.template(), residual: ti.template()):
-        """Add the forces of the constraint residuals to the right-hand side of a linear solve."""
+    def add_constraint_residual_forces(count, nodes: ti.template(), shapes: ti.template(), rates: ti.template(),
+                                       known: ti.template(), equation: ti.template(), residual: ti.template()):
+        """Add the penalty forces of the constraint residuals to the right-hand side (`residual`) of a linear solve."""
         for i in range(count):
-            fr, fz = force_change(i, 0.0, 0.0, rates, known)
+            fr, fz = compute_force_change(i, 0.0, 0.0, rates, known)
             for a in range(shapes.shape[1]):
                 ir, iz = equation[2 * nodes[i, a]], equation[2 * nodes[i, a] + 1]
                 residual[ir] = residual[ir] + shapes[i, a] * fr
                 residual[iz] = residual[iz] + shapes[i, a] * fz
 
     @ti.func
-    def update_forces(count, move, multipliers, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
-                      rates: ti.template(), known: ti.template(), motion: ti.template(), x: ti.template()):
+    def update_contact_forces(count, move, multipliers, nodes: ti.template(), shapes: ti.template(),
+                              spans: ti.template(), rates: ti.template(), known: ti.template(), motion: ti.template(),
+                              x: ti.template()):
         """Update the contact forces after a linear solve in which the tool moved down by `move`, m."""
         for i in range(count):
-            pr, pz = 0.0, float(spans[i, SpanColumn.MOVES]) * move
+            pr, pz = 0.0, float(spans[i, ContactSpanColumn.MOVES]) * move
             for a in range(shapes.shape[1]):
                 pr += shapes[i, a] * motion[2 * nodes[i, a]]
                 pz += shapes[i, a] * motion[2 * nodes[i, a] + 1]
-            fr, fz = force_change(i, pr, pz, rates, known)
+            fr, fz = compute_force_change(i, pr, pz, rates, known)
             at = multipliers + 2 * i
             x[at] = x[at] + fr
             x[at + 1] = x[at + 1] + fz
 
     @ti.func
-    def take_off_forces(count, multipliers, nodes: ti.template(), shapes: ti.template(), equation: ti.template(),
-                        x: ti.template(), residual: ti.template()):
+    def subtract_contact_forces(count, multipliers, nodes: ti.template(), shapes: ti.template(),
+                                equation: ti.template(), x: ti.template(), residual: ti.template()):
         """Subtract the present contact forces from the residual.
 
-        The linearised tissue balances these forces, so that the forces of the next `add_contact` leave the residual.
+        The linearised tissue balances these forces, so that only the forces of the next `add_contact_forces` act as
+        a load.
         """
         for i in range(count):
             at = multipliers + 2 * i
@@ -288,25 +292,27 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                 residual[iz] = residual[iz] - shapes[i, a] * x[at + 1]
 
     @ti.func
-    def release(count, negligible, strength, reach, places: ti.template(), areas: ti.template(), spans: ti.template(),
-                vertices: ti.template(), rounding: ti.template(), held: ti.template(), forces: ti.template()):
-        """Release held points under tension at an equilibrium; return their number.
+    def release_points_under_tension(count, negligible, strength, reach, places: ti.template(), areas: ti.template(),
+                                     spans: ti.template(), vertices: ti.template(), rounding: ti.template(),
+                                     held: ti.template(), forces: ti.template()):
+        """Release held points whose tension exceeds the strength at an equilibrium; return their number.
 
-        Tension below `negligible` (N) is a rounding error, as at the first touch.
+        Args (scalars): `negligible`: tension that counts as a rounding error, as at the first touch, N; `strength`:
+        largest tension per area, Pa; `reach`: largest gap at which contact laws act, m; 0 without laws.
         """
         released = 0
         for i in range(count):
-            if held[i, 0] == HELD and spans[i, SpanColumn.STAYS] == 0:
+            if held[i, 0] == HELD and spans[i, ContactSpanColumn.STAYS] == 0:
                 r, z = places[i, 0] + held[i, 1], places[i, 1] + held[i, 2]
-                _, nr, nz, _, _ = nearest(r, z, i, 0.0, spans, vertices, rounding)
+                _, nr, nz, _, _ = find_closest_point(r, z, i, 0.0, spans, vertices, rounding)
                 if nr * forces[i, 0] + nz * forces[i, 1] > strength * areas[i] + negligible:
                     released += 1
                     held[i, 0] = TOUCHED if reach > 0.0 else FREE
         return released
 
     @ti.func
-    def hold(count, held: ti.template(), met: ti.template()):
-        """Commit the bonds that the points got in this step; return the number of changed bonds."""
+    def commit_contact_bonds(count, held: ti.template(), met: ti.template()):
+        """Copy the bonds found in this step (`met`) to `held`; return the number of bonds that changed."""
         bound = 0
         for i in range(count):
             if held[i, 0] != HELD:
@@ -316,4 +322,5 @@ def contact_functions(laws: tuple[Formula, ...] = ()) -> ContactFunctions:
                     held[i, k] = met[i, k]
         return bound
 
-    return ContactFunctions(add_contact, add_missing, update_forces, take_off_forces, release, hold)
+    return ContactForceFunctions(add_contact_forces, add_constraint_residual_forces, update_contact_forces,
+                                 subtract_contact_forces, release_points_under_tension, commit_contact_bonds)

@@ -8,64 +8,65 @@ import numpy as np
 from tissue_sim.errors import InputError, located
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import TRIED, Formula, expressions, traced
+from tissue_sim.fem.taichi.trace import TRIED, KernelFormula, extract_expressions, trace_values
 
 
-class LawFunctions(NamedTuple):
+class ContactLawFunctions(NamedTuple):
     """Contact laws in the form that the kernel of a step calls.
 
     Attributes:
-        traction: Taichi function ``traction(gap, pressure, slip, settings) -> (pull, drag, pull rate, drag rate)``:
-            normal and tangential traction (Pa) and their derivatives with respect to gap and slip (Pa/m).
+        evaluate_traction: Taichi function ``evaluate_traction(gap, pressure, slip, settings)``. It returns normal and
+            tangential traction, Pa, and their derivatives with respect to gap and slip, Pa/m.
         drags: whether a law has a tangential traction.
         stiffens: whether a law has nonzero derivatives.
     """
 
-    traction: object
+    evaluate_traction: object
     drags: bool
     stiffens: bool
 
 
-def law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
-    """Return the settings of `traction`: contact area of the tool, m2, then reach (m) and parameters of each law."""
-    numbers = [[law.reach, *Formula.of(law).numbers(law)] for law in laws]
+def pack_contact_law_settings(laws: tuple[ContactLaw, ...], face: float) -> np.ndarray:
+    """Return `settings` of `evaluate_traction`: contact area of the tool, m2; then reach, m, and parameters per law."""
+    numbers = [[law.reach, *KernelFormula.from_instance(law).get_parameter_values(law)] for law in laws]
     return np.array([face, *(value for law in numbers for value in law)])
 
 
 @cache
-def law_functions(formulas: tuple[Formula[ContactLaw], ...]) -> LawFunctions:
+def make_contact_law_functions(formulas: tuple[KernelFormula[ContactLaw], ...]) -> ContactLawFunctions:
     """Return the Taichi functions of the sum of several contact laws.
 
     Raises:
         InputError: a law uses an operation that kernels do not support.
     """
     ti = initialise()
-    count = 1 + sum(1 + len(formula.parameters) for formula in formulas)
-    tried = _sum_tractions(formulas, [TRIED] * 3, [TRIED] * count)
+    count = 1 + sum(1 + len(formula.parameter_names) for formula in formulas)
+    tried = _sum_law_tractions(formulas, [TRIED] * 3, [TRIED] * count)
     constant = [not hasattr(value, "lanes") for value in tried]
 
-    def total(gap, pressure, slip, settings):
-        values = _sum_tractions(formulas, [gap, pressure, slip], settings)
-        return expressions(values, traced([gap], lanes=False)[0])
+    def build_traction_expressions(gap, pressure, slip, settings):
+        values = _sum_law_tractions(formulas, [gap, pressure, slip], settings)
+        return extract_expressions(values, trace_values([gap], lanes=False)[0])
 
     @ti.func
-    def traction(gap, pressure, slip, settings: ti.template()):
-        return ti.static(total(gap, pressure, slip, [settings[i] for i in range(count)]))
+    def evaluate_traction(gap, pressure, slip, settings: ti.template()):
+        """Return normal and tangential traction, Pa, and their derivatives with gap and slip, Pa/m."""
+        return ti.static(build_traction_expressions(gap, pressure, slip, [settings[i] for i in range(count)]))
 
-    return LawFunctions(traction, not constant[1], not (constant[2] and constant[3]))
+    return ContactLawFunctions(evaluate_traction, not constant[1], not (constant[2] and constant[3]))
 
 
-def _sum_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, settings: list) -> list:
+def _sum_law_tractions(formulas: tuple[KernelFormula[ContactLaw], ...], place: list, settings: list) -> list:
     """Return normal and tangential traction, and their derivatives with gap and slip, summed over all laws."""
-    (gap, pressure, slip), (face, *numbers) = traced(place, lanes=False), traced(settings, lanes=False)
+    (gap, pressure, slip), (face, *numbers) = trace_values(place, lanes=False), trace_values(settings, lanes=False)
     total = [0.0] * 4
     for formula in formulas:
-        reach, *parameters = numbers[: 1 + len(formula.parameters)]
-        numbers = numbers[1 + len(formula.parameters):]
+        reach, *parameters = numbers[: 1 + len(formula.parameter_names)]
+        numbers = numbers[1 + len(formula.parameter_names):]
         with located(field=f"contact_laws.{formula.kind.name}"):
-            found = formula.bind(parameters).traction(gap, pressure, (slip, 0.0), face)
+            found = formula.with_parameters(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
-                raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}")
+                raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}.")
         values = [found.pull, found.drag[0], found.pull_rate, found.drag_rates[0][0]]
         if len(formulas) > 1:
             # Each law ends at its own reach; the contact uses the largest reach.

@@ -7,7 +7,7 @@ import numpy as np
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.tools.outline import Profile
 from tissue_sim.experiment.tools.plate import PLATE_RADIUS
-from tissue_sim.fem.axisymmetric.contact import Contact, Pair
+from tissue_sim.fem.axisymmetric.contact import ContactPair, ContactPairs
 from tissue_sim.fem.contact_settings import STICK, TOLERANCES
 from tissue_sim.mesh import Mesh
 
@@ -15,15 +15,20 @@ from tissue_sim.mesh import Mesh
 BLUNT = 0.5
 
 
-def friction_coefficient(interface: str | float) -> float:
-    """Return the coefficient of friction of an interface for tissue that touches it during the test."""
+def interface_friction_coefficient(interface: str | float) -> float:
+    """Return the Coulomb coefficient of an interface for tissue that touches the interface during the test.
+
+    Args:
+        interface: coefficient of friction, or ``"bonded"``, ``"stick"`` (both give `STICK`: no slip) or
+            ``"frictionless"`` (0).
+    """
     if not isinstance(interface, str):
         return interface
     return {"bonded": STICK, "stick": STICK, "frictionless": 0.0}[interface]
 
 
-def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
-                  homogeneous: bool | None = None) -> Contact | None:
+def build_contact_pairs(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
+                        homogeneous: bool | None = None) -> ContactPairs | None:
     """Return the contact pairs: the base with the lower half of the side, the tool with the rest of the surface.
 
     Args:
@@ -49,8 +54,8 @@ def build_contact(experiment: Experiment, mesh: Mesh, *, tool: bool = True,
     else:
         tolerance = TOLERANCES.needle * experiment.tool.require_radius()
     level = tool and experiment.tool.is_plate
-    return Contact(tuple(pairs), tolerance, experiment.acting_laws if tool else (),
-                   np.pi * experiment.contact_radius**2, level)
+    return ContactPairs(tuple(pairs), tolerance, experiment.acting_laws if tool else (),
+                        np.pi * experiment.contact_radius**2, level)
 
 
 def _split_side_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
@@ -60,45 +65,46 @@ def _split_side_edges(mesh: Mesh) -> tuple[np.ndarray, np.ndarray]:
     return side[~high], side[high]
 
 
-def _make_base_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
-    """Return the pairs with the base.
+def _make_base_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[ContactPair]:
+    """Return the contact pairs of the tissue with the base plate.
 
     The side may bulge onto the base. A base with friction also holds the bottom, which stays in contact.
     """
     bottom = mesh.nodes[:, 1].min()
     plane = Profile(np.array([[PLATE_RADIUS, bottom], [0.0, bottom]]), 0.0, 1)
-    mu = friction_coefficient(experiment.base_interface)
+    mu = interface_friction_coefficient(experiment.base_interface)
     pairs = []
     if experiment.base_interface not in ("bonded", "frictionless"):
-        pairs.append(Pair(plane, mesh.select_edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True))
+        pairs.append(ContactPair(plane, mesh.select_edges("base"), (mu, mu), moves=False, tied=mu == STICK, stays=True))
     if side is not None:
-        pairs.append(Pair(plane, side, (mu, mu), moves=False))
+        pairs.append(ContactPair(plane, side, (mu, mu), moves=False))
     return pairs
 
 
-def _make_plate_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[Pair]:
+def _make_plate_pairs(experiment: Experiment, mesh: Mesh, side: np.ndarray | None) -> list[ContactPair]:
     """Return the contact pairs of a plate profile with mesh edges: the top, unless bonded, and the upper side."""
-    profile, mu = experiment.tool.profile, friction_coefficient(experiment.friction)
+    profile, mu = experiment.tool.profile, interface_friction_coefficient(experiment.friction)
     pairs = []
     if experiment.friction != "bonded":
-        pairs.append(Pair(profile, mesh.select_edges("top"), (mu, mu), tied=mu == STICK))
+        pairs.append(ContactPair(profile, mesh.select_edges("top"), (mu, mu), tied=mu == STICK))
     if side is not None:
-        pairs.append(Pair(profile, side, (mu, mu)))
+        pairs.append(ContactPair(profile, side, (mu, mu)))
     return pairs
 
 
-def _make_needle_pairs(experiment: Experiment, mesh: Mesh) -> list[Pair]:
-    """Return the pairs with the needle: the whole top; under a bonded face only the top next to the face."""
+def _make_needle_pairs(experiment: Experiment, mesh: Mesh) -> list[ContactPair]:
+    """Return the contact pairs of the needle and the top; with a bonded face, only the top next to the face."""
     tool = experiment.tool
     profile = tool.profile
-    friction = friction_coefficient(experiment.friction), friction_coefficient(experiment.friction_wall)
+    friction = (interface_friction_coefficient(experiment.friction),
+                interface_friction_coefficient(experiment.friction_wall))
     if tool.face_radius == 0:
         blunt = profile.rounding >= BLUNT * experiment.contact_radius and friction[0] != STICK
-        return [Pair(profile, mesh.select_edges("top"), friction, between_nodes=blunt)]
+        return [ContactPair(profile, mesh.select_edges("top"), friction, between_nodes=blunt)]
     face, free = mesh.select_edges("face"), mesh.select_edges("free")
     if experiment.friction == "bonded":
-        return [Pair(profile, free, friction, first_line=1)]
+        return [ContactPair(profile, free, friction, first_line=1)]
     # Tissue next to a sharp edge cannot come under the face without slip.
     first, tied = 0 if tool.edge_radius else 1, friction[0] == STICK
-    return [Pair(profile, face, friction, tied=tied, between_nodes=not tied),
-            Pair(profile, free, friction, first_line=first, between_nodes=not tied)]
+    return [ContactPair(profile, face, friction, tied=tied, between_nodes=not tied),
+            ContactPair(profile, free, friction, first_line=first, between_nodes=not tied)]

@@ -7,39 +7,45 @@ the first changed block row on.
 from functools import cache
 from typing import NamedTuple
 
-from tissue_sim.fem.axisymmetric.contact import KNOWN_RATE_COLUMNS, KnownRateColumn, RateColumn, SpanColumn
-from tissue_sim.fem.linear.band import BLOCK, add_any_function, add_entry_function
+from tissue_sim.fem.axisymmetric.contact import (
+    KNOWN_RATE_COLUMNS,
+    ContactRateColumn,
+    ContactSpanColumn,
+    FactorisedRateColumn,
+)
+from tissue_sim.fem.linear.band import BLOCK, make_add_lower_entry_function, make_add_unsymmetric_entry_function
 from tissue_sim.fem.taichi.runtime import initialise
 
 #: A derivative counts as changed if it differs by more than this fraction of the penalty stiffness of its point.
 CHANGE_TOLERANCE = 0.01
 
 
-class RateFunctions(NamedTuple):
-    """Taichi functions of the derivatives of the contact forces."""
+class ContactRateFunctions(NamedTuple):
+    """Taichi functions that add the derivatives of the contact forces to the matrix of a step."""
 
-    forget_rates: object
-    first_rows: object
-    add_rates: object
-    have_changed: object
-    add_tool_rates: object
+    clear_factorised_rates: object
+    find_first_changed_rows: object
+    add_contact_rates_to_matrix: object
+    have_contact_rates_changed: object
+    add_tool_depth_derivatives: object
 
 
 @cache
-def rate_functions(slips: bool) -> RateFunctions:
-    """Return the functions; without `slips` no point can slip and the matrix is symmetric."""
+def make_contact_rate_functions(slips: bool) -> ContactRateFunctions:
+    """Return the functions; if `slips` is false, no contact point can slip and the matrix is symmetric."""
     ti = initialise()
-    add_entry, add_any = add_entry_function(), add_any_function()
+    add_lower_entry, add_unsymmetric_entry = make_add_lower_entry_function(), make_add_unsymmetric_entry_function()
 
     @ti.func
-    def forget_rates(count, known: ti.template()):
-        """Set the derivatives that the matrix contains to zero."""
+    def clear_factorised_rates(count, known: ti.template()):
+        """Set the stored derivatives of the factorised matrix (`known`) to zero, as in a matrix without contact."""
         for i in range(count):
             for k in ti.static(range(KNOWN_RATE_COLUMNS)):
                 known[i, k] = 0.0
 
     @ti.func
-    def has_changed(i, springs: ti.template(), rates: ti.template(), known: ti.template()):
+    def has_point_rate_changed(i, springs: ti.template(), rates: ti.template(), known: ti.template()):
+        """Return 1 if a derivative of point i differs from the factorised matrix by more than `CHANGE_TOLERANCE`."""
         changed = 0
         for k in ti.static(range(4)):
             if ti.abs(rates[i, k] - known[i, k]) > CHANGE_TOLERANCE * springs[i]:
@@ -47,17 +53,21 @@ def rate_functions(slips: bool) -> RateFunctions:
         return changed
 
     @ti.func
-    def have_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
-        """Return 1 if a derivative differs from that in the matrix: a point touched, separated, stuck or slipped."""
+    def have_contact_rates_changed(count, springs: ti.template(), rates: ti.template(), known: ti.template()):
+        """Return 1 if `has_point_rate_changed` holds for any point: it touched, separated, stuck or slipped."""
         changed = 0
         for i in range(count):
-            changed = ti.max(changed, has_changed(i, springs, rates, known))
+            changed = ti.max(changed, has_point_rate_changed(i, springs, rates, known))
         return changed
 
     @ti.func
-    def first_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(), springs: ti.template(),
-                   slip_signs: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template()):
-        """Return the first block row of the points that have changed, and of the points that slip."""
+    def find_first_changed_rows(count, fresh, free, rows, nodes: ti.template(), shapes: ti.template(),
+                                springs: ti.template(), slip_signs: ti.template(), rates: ti.template(),
+                                known: ti.template(), equation: ti.template()):
+        """Return the first block row with a changed contact derivative, and the first block row with a slipping point.
+
+        Both are the number of block rows, `rows`, if there is none.
+        """
         changed, skewed = rows, rows
         for i in range(count):
             first = rows
@@ -66,22 +76,22 @@ def rate_functions(slips: bool) -> RateFunctions:
                     row = equation[2 * nodes[i, a] + k]
                     if shapes[i, a] != 0.0 and row < free:
                         first = ti.min(first, row // BLOCK)
-            if rates[i, RateColumn.FRICTION] > 0.0 and slip_signs[i] != 0.0:
+            if rates[i, ContactRateColumn.FRICTION] > 0.0 and slip_signs[i] != 0.0:
                 skewed = ti.min(skewed, first)
-            if fresh == 0 and has_changed(i, springs, rates, known) == 1:
+            if fresh == 0 and has_point_rate_changed(i, springs, rates, known) == 1:
                 changed = ti.min(changed, first)
         return changed, skewed
 
     @ti.func
-    def add_rates(count, fresh, unsymmetric, free, width, nodes: ti.template(), shapes: ti.template(),
-                  springs: ti.template(), rates: ti.template(), known: ti.template(), equation: ti.template(),
-                  entries: ti.template(), upper: ti.template()):
-        """Add the changes of the derivatives of the contact forces to the matrix; all derivatives if it is `fresh`.
+    def add_contact_rates_to_matrix(count, fresh, unsymmetric, free, width, nodes: ti.template(), shapes: ti.template(),
+                                    springs: ti.template(), rates: ti.template(), known: ti.template(),
+                                    equation: ti.template(), entries: ti.template(), upper: ti.template()):
+        """Add the changes of the contact derivatives to the matrix; all derivatives if the matrix is `fresh`.
 
         The upper half of the matrix is needed only if points slip.
         """
         for i in range(count):
-            if fresh == 1 or has_changed(i, springs, rates, known) == 1:
+            if fresh == 1 or has_point_rate_changed(i, springs, rates, known) == 1:
                 for a in range(shapes.shape[1]):
                     for b in range(shapes.shape[1]):
                         share = shapes[i, a] * shapes[i, b]
@@ -91,18 +101,18 @@ def rate_functions(slips: bool) -> RateFunctions:
                                 value = share * (rates[i, e] - known[i, e])
                                 if ti.static(slips):
                                     if unsymmetric > 0:
-                                        add_any(row, column, value, free, width, entries, upper)
+                                        add_unsymmetric_entry(row, column, value, free, width, entries, upper)
                                 if unsymmetric == 0:
-                                    add_entry(row, column, value, free, width, entries)
+                                    add_lower_entry(row, column, value, free, width, entries)
                 for k in ti.static(range(4)):
                     known[i, k] = rates[i, k]
-                for k in ti.static(range(KNOWN_RATE_COLUMNS - KnownRateColumn.LAW_RR)):
-                    known[i, KnownRateColumn.LAW_RR + k] = rates[i, RateColumn.LAW_RR + k]
+                for k in ti.static(range(KNOWN_RATE_COLUMNS - FactorisedRateColumn.LAW_RR)):
+                    known[i, FactorisedRateColumn.LAW_RR + k] = rates[i, ContactRateColumn.LAW_RR + k]
 
     @ti.func
-    def add_tool_rates(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
-                       rates: ti.template(), direction: ti.template(), equation: ti.template(), pull: ti.template(),
-                       reaction: ti.template()):
+    def add_tool_depth_derivatives(count, free, nodes: ti.template(), shapes: ti.template(), spans: ti.template(),
+                                   rates: ti.template(), direction: ti.template(), equation: ti.template(),
+                                   pull: ti.template(), reaction: ti.template()):
         """Add the derivatives of the contact forces with respect to the depth of the tool at fixed tissue to `pull`.
 
         The derivatives of the force on the tool with respect to the displacements are added to `reaction`. Returns the
@@ -110,9 +120,10 @@ def rate_functions(slips: bool) -> RateFunctions:
         """
         stiff = 0.0
         for i in range(count):
-            krz, kzr, kzz = rates[i, RateColumn.RZ], rates[i, RateColumn.ZR], rates[i, RateColumn.ZZ]
+            krz, kzr, kzz = rates[i,
+                                  ContactRateColumn.RZ], rates[i, ContactRateColumn.ZR], rates[i, ContactRateColumn.ZZ]
             # Displacement of the point relative to its body per depth of the tool, with the free nodes fixed.
-            apart = float(spans[i, SpanColumn.MOVES])
+            apart = float(spans[i, ContactSpanColumn.MOVES])
             for a in range(shapes.shape[1]):
                 if equation[2 * nodes[i, a] + 1] >= free:
                     apart += shapes[i, a] * direction[2 * nodes[i, a] + 1]
@@ -127,4 +138,5 @@ def rate_functions(slips: bool) -> RateFunctions:
                     reaction[iz] = reaction[iz] + share * kzz
         return stiff
 
-    return RateFunctions(forget_rates, first_rows, add_rates, have_changed, add_tool_rates)
+    return ContactRateFunctions(clear_factorised_rates, find_first_changed_rows, add_contact_rates_to_matrix,
+                                have_contact_rates_changed, add_tool_depth_derivatives)

@@ -15,14 +15,14 @@ from typing import Protocol
 
 import numpy as np
 
-from tissue_sim.fem.axisymmetric.equations import Equations
-from tissue_sim.fem.axisymmetric.predictor import extrapolation_weights
-from tissue_sim.fem.axisymmetric.state import SavedState, State
+from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
+from tissue_sim.fem.axisymmetric.predictor import compute_extrapolation_weights
+from tissue_sim.fem.axisymmetric.state import SavedState, SolverState
 from tissue_sim.fem.solver import Step, StepStatus
 
 
 @dataclass(frozen=True)
-class ContinuationSettings:
+class PseudoTransientSettings:
     """Settings of the pseudo-transient continuation.
 
     Damping is given in shear moduli over the squared height of the specimen.
@@ -63,17 +63,17 @@ class ContinuationSettings:
 
 
 #: Settings of every continuation.
-_SETTINGS = ContinuationSettings()
+_SETTINGS = PseudoTransientSettings()
 
 
-class DampedSolver(Protocol):
-    """Part of a solver that `creep` uses."""
+class DampedStepSolver(Protocol):
+    """Attributes and methods of a solver that the continuation uses."""
 
-    equations: Equations
-    committed: State
+    equations: EquilibriumEquations
+    committed: SolverState
 
-    def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
-                 rate: float, *, resumes: bool = False) -> Step:
+    def solve_depth_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
+                         rate: float, *, resumes: bool = False) -> Step:
         """Solve a step with a damping force: `rate` (N/m4) times nodal volume times displacement from rest."""
 
     def save(self) -> SavedState:
@@ -83,8 +83,8 @@ class DampedSolver(Protocol):
         """Return to a saved state."""
 
 
-def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_iterations: int,
-          allowed: Callable[[], int] | None = None) -> Generator[Step]:
+def iterate_damped_steps(solver: DampedStepSolver, depth: float, dt: float, tolerance: float, max_iterations: int,
+                         allowed: Callable[[], int] | None = None) -> Generator[Step]:
     """Yield the steps of the continuation to a depth; the last one has converged without damping.
 
     The first step is damped towards the extrapolated motion of the tissue, the others towards the last state. If the
@@ -102,8 +102,8 @@ def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_i
         Steps; `Step.dissipated` is the energy that the damping dissipates, J.
     """
     equations, state = solver.equations, solver.committed
-    saved, volumes = solver.save(), equations.all_masses()
-    masses, rest, density = equations.begin_damping()
+    saved, volumes = solver.save(), equations.compute_dof_volumes()
+    masses, rest, density = equations.enable_artificial_damping()
     # Unit of the damping: shear modulus over the squared height of the specimen.
     unit = equations.material.mu0 / float(np.ptp(equations.mesh.nodes[:, 1])) ** 2
     working_damping = damping = _SETTINGS.first_damping * unit
@@ -112,9 +112,9 @@ def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_i
     try:
         while failures <= _SETTINGS.max_failures and total_solves < _SETTINGS.max_solves:
             if has_begun:
-                rest[:] = state.latest[: rest.size]
+                rest[:] = state.latest_state[: rest.size]
             else:
-                weights = extrapolation_weights(state.depths, depth, 1)
+                weights = compute_extrapolation_weights(state.depths, depth, 1)
                 rest[:] = sum(weight * state.history[slot, : rest.size]
                               for weight, slot in zip(weights, state.slots, strict=True))
             origin = rest.copy()
@@ -122,8 +122,8 @@ def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_i
             while True:
                 left = limit - step_solves
                 most = left if allowed is None else min(left, allowed())
-                step = solver.try_step(depth, 0.0 if has_begun else dt, tolerance, most, 0 if has_begun else 1, damping,
-                                       resumes=resumes)
+                step = solver.solve_depth_step(depth, 0.0 if has_begun else dt, tolerance, most, 0 if has_begun else 1,
+                                               damping, resumes=resumes)
                 step_solves += max(1, step.iterations)
                 if step.status is StepStatus.SLOW and most == left and limit == max_iterations and (
                         step.residual <= _SETTINGS.near_residual):
@@ -134,7 +134,7 @@ def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_i
                 yield step
             total_solves += step_solves
             if step.status is StepStatus.CONVERGED:
-                displacement = state.latest[: rest.size] - origin
+                displacement = state.latest_state[: rest.size] - origin
                 has_arrived, has_begun, failures = damping == 0.0, True, 0
                 working_damping = max(damping, _SETTINGS.repeated_damping * unit)
                 yield replace(step, dissipated=damping * float(volumes @ displacement**2))
@@ -156,7 +156,7 @@ def creep(solver: DampedSolver, depth: float, dt: float, tolerance: float, max_i
                     remaining_pause, pause = pause, min(2 * pause, _SETTINGS.max_pause)
                 damping, ratio = working_damping, max(_SETTINGS.min_reduction, 0.5 * ratio)
     finally:
-        equations.end_damping(masses, density)
+        equations.disable_artificial_damping(masses, density)
         if not has_arrived:
             solver.restore(saved)
     if not has_arrived:

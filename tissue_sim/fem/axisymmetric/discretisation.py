@@ -8,8 +8,8 @@ import numpy as np
 
 from tissue_sim.errors import ConvergenceError, InputError, nearest
 from tissue_sim.experiment.experiment import Experiment
-from tissue_sim.fem.axisymmetric.contact_pairs import build_contact
-from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, Resolution
+from tissue_sim.fem.axisymmetric.contact_pairs import build_contact_pairs
+from tissue_sim.fem.axisymmetric.resolutions import RESOLUTIONS, STUDY_SLENDERNESS, UNMEASURED, MeshResolution
 from tissue_sim.fem.axisymmetric.solver import AxisymmetricSolver
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.material.layer import Layer
@@ -79,10 +79,10 @@ def build_mesh(experiment: Experiment, resolution: str = "fast", element: Quadri
     return replace(layered, sets={**layered.sets, **top_sets})
 
 
-def _make_unlayered_mesh(experiment: Experiment, resolution: Resolution, element: QuadrilateralElement, *,
+def _make_unlayered_mesh(experiment: Experiment, resolution: MeshResolution, element: QuadrilateralElement, *,
                          small: bool) -> Mesh:
     """Return the mesh without layers; `small`: four elements, for a homogeneous deformation."""
-    specimen, tool = _require_cylinder(experiment), experiment.tool
+    specimen, tool = _require_cylinder_specimen(experiment), experiment.tool
     if small:
         # Every mesh is exact for a homogeneous deformation.
         return cylinder_mesh(specimen.radius, specimen.height, (2, 2), element)
@@ -112,22 +112,22 @@ def _make_unlayered_mesh(experiment: Experiment, resolution: Resolution, element
     return cylinder_mesh(specimen.radius, specimen.height, (columns, rows), element, grading=grading)
 
 
-def moved_mesh(mesh: Mesh, before: Model, after: Model) -> Mesh:
+def move_mesh_to_geometry(mesh: Mesh, before: Model, after: Model) -> Mesh:
     """Return the mesh of one model with its nodes moved to the geometry of another; the elements stay the same."""
-    lines = [_element_boundaries(model) for model in (before, after)]
+    lines = [_list_element_boundaries(model) for model in (before, after)]
     return mesh.move_mesh_lines(*zip(*lines, strict=True))
 
 
-def _element_boundaries(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Return the radii and heights of the element boundaries that every mesh of a model has, m, ascending."""
+def _list_element_boundaries(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Return the radii r and heights z at which every mesh of a model has element boundaries, m, ascending."""
     experiment = model.experiment
     face = [experiment.tool.face_radius] if experiment.tool.face_radius else []
     interfaces = -np.cumsum([layer.thickness for layer in model.material.layers])
-    return (np.array([0.0, *face, _require_cylinder(experiment).radius]),
+    return (np.array([0.0, *face, _require_cylinder_specimen(experiment).radius]),
             np.array([-experiment.specimen.height, *interfaces[::-1], 0.0]))
 
 
-def _require_cylinder(experiment: Experiment) -> Cylinder:
+def _require_cylinder_specimen(experiment: Experiment) -> Cylinder:
     """Return the specimen; raises InputError if the specimen is not a cylinder."""
     return require_cylinder(experiment.specimen, "the axisymmetric solver")
 
@@ -154,7 +154,7 @@ def make_solver(model: Model, *, resolution: str = "fast", mesh: Mesh | None = N
     meshed = model if topology is None else topology
     if mesh is None:
         mesh = build_mesh(meshed.experiment, resolution, layers=meshed.material.layers)
-    return build_solver(model, moved_mesh(mesh, meshed, model))
+    return build_solver(model, move_mesh_to_geometry(mesh, meshed, model))
 
 
 def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
@@ -171,14 +171,15 @@ def build_solver(model: Model, mesh: Mesh) -> AxisymmetricSolver:
     layers = element_layers(mesh, model.material.layers)
     uniform = experiment.homogeneous and not model.material.layers
     if weight:
-        start = _settle_as_moulded(model, mesh, layers)
+        start = _settle_moulded_specimen(model, mesh, layers)
         mesh = start.mesh
     held = {}
     if experiment.friction == "bonded":
         held = {"top" if experiment.tool.is_plate else "face": "rz"}
-    return AxisymmetricSolver(mesh, model.material, _fixed_components(experiment), held,
-                              contact=build_contact(experiment, mesh, homogeneous=uniform), specific_weight=weight,
-                              element_layers=layers, contact_radius=experiment.contact_radius, start=start)
+    return AxisymmetricSolver(mesh, model.material, _find_fixed_components(experiment), held,
+                              contact=build_contact_pairs(experiment, mesh, homogeneous=uniform),
+                              specific_weight=weight, element_layers=layers, contact_radius=experiment.contact_radius,
+                              start=start)
 
 
 def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
@@ -190,34 +191,34 @@ def element_layers(mesh: Mesh, layers: tuple[Layer, ...]) -> np.ndarray:
     return np.searchsorted(np.cumsum([layer.thickness for layer in layers]), depth)
 
 
-def _fixed_components(experiment: Experiment) -> dict[str, str]:
+def _find_fixed_components(experiment: Experiment) -> dict[str, str]:
     """Return the fixed components of the base, node set -> components."""
     interface = experiment.base_interface
     return {"base": _FIXED_COMPONENTS[interface]} if interface in _FIXED_COMPONENTS else {}
 
 
-def _settle_as_moulded(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
+def _settle_moulded_specimen(model: Model, mesh: Mesh, layers: np.ndarray) -> AxisymmetricSolver:
     """Return the solver of the specimen as moulded, settled under its own weight without the tool."""
     specimen = model.experiment.specimen
     height = -float(mesh.nodes[:, 1].min())
     factor = 1.0
     for _ in range(50):
         moulded = mesh.scale_height(factor)
-        solver = AxisymmetricSolver(moulded, model.material, _fixed_components(model.experiment), {},
-                                    contact=build_contact(model.experiment, moulded, tool=False), element_layers=layers,
-                                    contact_radius=model.experiment.contact_radius)
-        _apply_weight(solver, specimen.specific_weight)
+        solver = AxisymmetricSolver(moulded, model.material, _find_fixed_components(model.experiment), {},
+                                    contact=build_contact_pairs(model.experiment, moulded, tool=False),
+                                    element_layers=layers, contact_radius=model.experiment.contact_radius)
+        _apply_weight_in_increments(solver, specimen.specific_weight)
         stands = factor * height - solver.sag
         if specimen.height_is == "moulded" or abs(stands / height - 1) < 1e-10:
             return solver
         # The sag grows with the square of the height: one Newton step on factor - c factor^2 = 1.
         loss = (factor * height - stands) / (factor**2 * height)
         factor -= (factor - loss * factor**2 - 1) / (1 - 2 * loss * factor) if 2 * loss * factor < 1 else -0.1
-    raise ConvergenceError(f"no height as moulded settles to {height * 1e3:g} mm under a specific weight of "
+    raise ConvergenceError(f"no moulded height settles to {height * 1e3:g} mm under a specific weight of "
                            f"{specimen.specific_weight:g} N/m3. Check density and moduli.")
 
 
-def _apply_weight(solver: AxisymmetricSolver, specific_weight: float) -> None:
+def _apply_weight_in_increments(solver: AxisymmetricSolver, specific_weight: float) -> None:
     """Apply the weight in increments, halved after a failure, and store the result as the start of the solver."""
     applied, increment = 0.0, 1.0
     while applied < 1.0:
@@ -231,7 +232,7 @@ def _apply_weight(solver: AxisymmetricSolver, specific_weight: float) -> None:
             increment /= 2.0
             if increment < 2.0**-10:
                 raise ConvergenceError("the specimen has no equilibrium under its own weight: the solver stopped at "
-                                       f"{applied:.0%} of the weight ({step.status.message}); check density and "
-                                       "moduli")
+                                       f"{applied:.0%} of the weight ({step.status.message}). Check density and "
+                                       "moduli.")
     start = solver.equations.start
     start[:] = solver.state[: start.size]

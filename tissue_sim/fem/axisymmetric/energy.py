@@ -10,7 +10,12 @@ Every function works on lists of numbers (one point) and on lists of vectors (se
 from functools import cache
 from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import invariant_derivatives, packed_indices, stretch_derivatives, taichi_function
+from tissue_sim.fem.energy import (
+    make_expression_function,
+    make_invariant_derivatives,
+    make_stretch_derivatives,
+    packed_symmetric_indices,
+)
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.public_names import LazyModule
@@ -21,7 +26,7 @@ else:
     sp = LazyModule("sympy")
 
 #: Row and column of each entry of the packed symmetric 5 x 5 tangent.
-PACKED = packed_indices(5)
+PACKED = packed_symmetric_indices(5)
 #: Second derivatives of the in-plane determinant: (F_zZ, F_rR) and (F_zR, F_rZ).
 COFACTOR_SIGNS = {(3, 0): 1.0, (2, 1): -1.0}
 
@@ -31,7 +36,7 @@ PLACE = tuple(tuple(PACKED.index((max(i, k), min(i, k))) for k in range(5)) for 
 
 
 @cache
-def _isochoric_chain(tangents: bool):
+def _make_isochoric_chain_rule(tangents: bool):
     """Return the function (a, j, c, s, W1, W2, W11, W12, W22) -> gradient and Hessian of the isochoric energy.
 
     In axisymmetry the invariants are functions of three scalars: a, the sum of squares of the in-plane deformation
@@ -41,38 +46,39 @@ def _isochoric_chain(tangents: bool):
     Args:
         tangents: whether the function returns the Hessian besides the gradient.
     """
-    return taichi_function(lambda: _isochoric_derivatives(tangents), ("chain", tangents), __file__)
+    return make_expression_function(lambda: _derive_isochoric_chain_rule(tangents), ("chain", tangents), __file__)
 
 
-def _isochoric_derivatives(tangents: bool):
-    """Return arguments and symbolic expressions of `_isochoric_chain`."""
+def _derive_isochoric_chain_rule(tangents: bool):
+    """Return the arguments and the symbolic (sympy) results of the function of `_make_isochoric_chain_rule`."""
     a, j, c = v = sp.symbols("a j c", positive=True)
     s = sp.Symbol("s", positive=True)
     first = sp.symbols("W1 W2", real=True)
     second = sp.symbols("W11 W12 W22", real=True)
     hessian = sp.Matrix(2, 2, [second[0], second[1], second[1], second[2]])
 
-    def total(expression, x):
-        """Return the total derivative with respect to x, including that of s."""
+    def differentiate_totally(expression, x):
+        """Return the total derivative of an expression with respect to x, where s = J^(-2/3) depends on x."""
         inner = 0 if x is a else -sp.Rational(2, 3) * s / x
         return sp.diff(expression, x) + sp.diff(expression, s) * inner
 
     bars = (s * (a + c**2), s**2 * (j**2 + a * c**2))
-    slopes = [[total(bar, x) for x in v] for bar in bars]
+    slopes = [[differentiate_totally(bar, x) for x in v] for bar in bars]
     gradient = [sum(first[m] * slopes[m][i] for m in range(2)) for i in range(3)]
-    curvature = [sum(first[m] * total(slopes[m][i], v[k]) for m in range(2))
+    curvature = [sum(first[m] * differentiate_totally(slopes[m][i], v[k]) for m in range(2))
                  + sum(hessian[m, n] * slopes[m][i] * slopes[n][k] for m in range(2) for n in range(2))
                  for i in range(3) for k in range(i + 1)]
     return (*v, s, *first, *second), [*gradient, *curvature] if tangents else gradient
 
 
 @cache
-def volume_function():
-    """Return the Taichi function ``add_volume(F, p, P, A) -> (P, A)``, which adds p dJ/dF to P and p d2J/dF2 to A."""
+def make_pressure_term_function():
+    """Return the Taichi function ``add_pressure_terms(F, p, P, A) -> (P, A)``: P + p dJ/dF and A + p d2J/dF2."""
     ti = initialise()
 
     @ti.func
-    def add_volume(F, p, P, A):
+    def add_pressure_terms(F, p, P, A):
+        """Return stress P + p dJ/dF and tangent A + p d2J/dF2 for the pressure p."""
         c = F[4]
         cofactor = [F[3], -F[2], -F[1], F[0]]
         stress = [P[i] + 0.0 * c for i in ti.static(range(5))]
@@ -85,16 +91,16 @@ def volume_function():
             tangent[ti.static(PLACE[place[0]][place[1]])] += sign * p * c
         return stress, tangent
 
-    return add_volume
+    return add_pressure_terms
 
 
 @cache
-def relax_function():
-    """Return the Taichi function ``relax(F, instant, h, P, A) -> (S, P, A)`` of the hereditary integral."""
+def make_relaxation_function():
+    """Return the Taichi function ``apply_relaxation(F, instant, h, P, A) -> (S, P, A)`` of the hereditary integral."""
     ti = initialise()
 
     @ti.func
-    def relax(F, instant, h, P, A):
+    def apply_relaxation(F, instant, h, P, A):
         """Replace the instantaneous stress P = F S by F (instant S + h), and the tangent likewise; return S as well.
 
         S is the instantaneous and h the inherited isochoric second Piola stress (RR, RZ, ZZ, hoop); see
@@ -113,12 +119,12 @@ def relax_function():
         tangent[ti.static(PLACE[4][4])] += h[3]
         return S, [instant * P[i] + pushed[i] for i in ti.static(range(5))], tangent
 
-    return relax
+    return apply_relaxation
 
 
 @cache
-def function(energy: KernelEnergy, tangents: bool = True):
-    """Return the Taichi function ``stress_and_tangent(F, root, coefficients) -> (W, P, A)`` of an energy.
+def make_stress_function(energy: KernelEnergy, tangents: bool = True):
+    """Return the Taichi function ``compute_stress_and_tangent(F, root, coefficients) -> (W, P, A)`` of an energy.
 
     The Taichi function takes the deformation gradient F (5 components, positive determinant), root = J^(-1/3), and the
     array of the energy's coefficients. It returns the isochoric energy density W, the first Piola stress P = dW/dF (5
@@ -128,19 +134,21 @@ def function(energy: KernelEnergy, tangents: bool = True):
         energy: energy of a law.
         tangents: whether A is computed; otherwise A is zero.
     """
-    return (_function_of_invariants if energy.family == "invariants" else _function_of_stretches)(energy, tangents)
+    if energy.family == "invariants":
+        return _make_stress_function_of_invariants(energy, tangents)
+    return _make_stress_function_of_stretches(energy, tangents)
 
 
-def _function_of_invariants(energy: KernelEnergy, tangents: bool):
-    """Return `stress_and_tangent` of an energy that depends on the isochoric invariants."""
+def _make_stress_function_of_invariants(energy: KernelEnergy, tangents: bool):
+    """Return `compute_stress_and_tangent` of an energy that depends on the isochoric invariants."""
     ti = initialise()
     count = energy.count
 
-    derivatives = invariant_derivatives(energy, tangents)
-    chain = _isochoric_chain(tangents)
+    derivatives = make_invariant_derivatives(energy, tangents)
+    chain = _make_isochoric_chain_rule(tangents)
 
     @ti.func
-    def stress_and_tangent(F, root, coefficients: ti.template()):
+    def compute_stress_and_tangent(F, root, coefficients: ti.template()):
         a = F[0] * F[0] + F[1] * F[1] + F[2] * F[2] + F[3] * F[3]
         j = F[0] * F[3] - F[1] * F[2]
         c = F[4]
@@ -166,18 +174,18 @@ def _function_of_invariants(energy: KernelEnergy, tangents: bool):
             A[ti.static(PLACE[4][4])] = d[8]
         return w[0], P, A
 
-    return stress_and_tangent
+    return compute_stress_and_tangent
 
 
-def _function_of_stretches(energy: KernelEnergy, tangents: bool):
-    """Return `stress_and_tangent` of an energy that is a sum of functions of the isochoric principal stretches."""
+def _make_stress_function_of_stretches(energy: KernelEnergy, tangents: bool):
+    """Return `compute_stress_and_tangent` of an energy that is a sum over the isochoric principal stretches."""
     ti = initialise()
     count = energy.count
 
-    derivatives = stretch_derivatives(energy)
+    derivatives = make_stretch_derivatives(energy)
 
     @ti.func
-    def stress_and_tangent(F, root, coefficients: ti.template()):
+    def compute_stress_and_tangent(F, root, coefficients: ti.template()):
         # Singular value decomposition of the in-plane part; all expressions have a limit for equal stretches. The
         # singular vectors are rotated by half the sum and half the difference of the angles of (e, h) and (f, g); only
         # their products are needed, without trigonometric functions.
@@ -225,4 +233,4 @@ def _function_of_stretches(energy: KernelEnergy, tangents: bool):
             A[ti.static(PLACE[4][4])] = w2[2][2]
         return density, P, A
 
-    return stress_and_tangent
+    return compute_stress_and_tangent

@@ -16,18 +16,18 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.contact_law import sum_pulls_at_touch
 from tissue_sim.fem.axisymmetric import contact_kernels, newton
 from tissue_sim.fem.axisymmetric.batches import ElementBatches
-from tissue_sim.fem.axisymmetric.contact import PENALTY, Contact, ContactPoints
-from tissue_sim.fem.axisymmetric.contact_laws import law_settings
+from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactPairs, ContactPoints
+from tissue_sim.fem.axisymmetric.contact_laws import pack_contact_law_settings
 from tissue_sim.fem.axisymmetric.numbering import number_equations
-from tissue_sim.fem.axisymmetric.reference import integrate
-from tissue_sim.fem.axisymmetric.state import State
-from tissue_sim.fem.axisymmetric.touch import bind_reached
-from tissue_sim.fem.history import Memory
+from tissue_sim.fem.axisymmetric.reference import compute_reference_quadrature
+from tissue_sim.fem.axisymmetric.state import SolverState
+from tissue_sim.fem.axisymmetric.touch import bind_face_points_reached
+from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.linear import band
 from tissue_sim.fem.point_effects import PointEffects
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.material.material import BULK_RATIOS, Material, incompressible_ratio
 from tissue_sim.material.viscoelasticity import Prony
@@ -38,11 +38,11 @@ from tissue_sim.mesh import Mesh
 FLOOR_FRACTION = 0.1
 
 
-class Equations:
-    """Equilibrium of a mesh of one material; see `AxisymmetricSolver` for the arguments.
+class EquilibriumEquations:
+    """Discrete equilibrium equations of a mesh, their arrays and kernel; for the arguments see `AxisymmetricSolver`.
 
     Attributes:
-        equation, direction, free, half_band: see `tissue_sim.fem.axisymmetric.numbering.Numbering`.
+        equation, direction, free, half_band: see `tissue_sim.fem.axisymmetric.numbering.EquationNumbering`.
         reference: quantities of the undeformed mesh at its quadrature points.
         specific_weight: density times gravity, N/m3.
         surface: contact points.
@@ -51,9 +51,9 @@ class Equations:
         state: state that a step changes, and committed states.
         moduli: moduli of the elements in units of the material's modulus, shape (elements,).
         bulk_modulus: K, Pa.
-        counts: integer inputs and outputs of a step, see `newton.Count`.
-        settings: inputs of a step, see `newton.Setting`.
-        report: results of a step, see `newton.Report`.
+        counts: integer inputs and outputs of a step, see `newton.CountIndex`.
+        settings: inputs of a step, see `newton.SettingIndex`.
+        report: results of a step, see `newton.ReportIndex`.
         entries: lower blocks of the tangent.
         upper: upper blocks of the tangent if contact points can slip.
         residual: residual forces, N.
@@ -62,37 +62,38 @@ class Equations:
     """
 
     def __init__(self, mesh: Mesh, material: Material, supports: dict[str, str], tool: dict[str, str],
-                 contact: Contact | None, specific_weight: float, element_layers: np.ndarray | None,
-                 contact_radius: float, start: Equations | None):
+                 contact: ContactPairs | None, specific_weight: float, element_layers: np.ndarray | None,
+                 contact_radius: float, start: EquilibriumEquations | None):
         self.mesh, self.contact, self.specific_weight = mesh, contact, specific_weight
         self.equation, self.direction, self.free, self.half_band = number_equations(mesh, supports, tool)
-        self.reference = reference = integrate(mesh)
+        self.reference = reference = compute_reference_quadrature(mesh)
         self.batches = ElementBatches(mesh, reference.node_gradients, reference.weights, reference.pressure_modes,
                                       reference.volumes)
-        self.surface, self.memory = ContactPoints(mesh, contact), Memory(reference.weights.shape, 4)
+        self.surface, self.memory = ContactPoints(mesh, contact), MaterialMemory(reference.weights.shape, 4)
         self.effects = PointEffects(reference.weights.shape)
-        self._allocate_tangent()
+        self._allocate_tangent_arrays()
         elements, freedoms = len(mesh.connectivity), 2 * len(mesh.nodes)
         self._element_layers, self._contact_radius, self.moduli = element_layers, contact_radius, np.ones(elements)
         x = np.zeros(freedoms + mesh.element.pressure_modes * elements + 2 * self.surface.springs.size)
         if start is not None:
-            settled, bound = start.state.latest, start.surface
+            settled, bound = start.state.latest_state, start.surface
             x[: settled.size] = settled
             self.surface.anchors[: bound.count], self.surface.slipped[: bound.count] = (
                 bound.anchors[: bound.count], bound.slipped[: bound.count])
         self._before, self._coefficients = np.zeros_like(x), np.zeros(0)
         self._kernel: Callable[[], None] = _do_nothing
-        self.state: State = State(x, self.surface, self.memory, self.effects)
+        self.state: SolverState = SolverState(x, self.surface, self.memory, self.effects)
         self.start = x[:freedoms].copy()
         self._target, self._motion, self.masses, self.rest = np.zeros((4, freedoms))
         self.weights, self._predicted = np.array([1.0, 0.0, 0.0]), 0.0
-        self.report, self.settings = np.zeros(len(newton.Report)), np.zeros(len(newton.Setting))
+        self.report, self.settings = np.zeros(len(newton.ReportIndex)), np.zeros(len(newton.SettingIndex))
         if contact is not None:
             reach = max((law.reach for law in contact.laws), default=0.0)
-            self.settings[newton.Setting.CONTACT_TOLERANCE: newton.Setting.INERTIA] = (
+            self.settings[newton.SettingIndex.CONTACT_TOLERANCE: newton.SettingIndex.INERTIA] = (
                 contact.tolerance, sum_pulls_at_touch(contact.laws, contact.face), reach)
         laws, face = ((), 1.0) if contact is None else (contact.laws, contact.face)
-        self._laws, self._law_settings = tuple(map(Formula.of, laws)), law_settings(laws, face)
+        self._laws, self._law_settings = tuple(map(KernelFormula.from_instance,
+                                                   laws)), pack_contact_law_settings(laws, face)
         self.counts = np.array([1, self.free, 0, self.surface.count, *[0] * 9], dtype=np.int32)
         self.set_material(material)
         if start is not None:
@@ -100,15 +101,15 @@ class Equations:
                 array[:] = settled
             self.effects.states[:] = start.effects.states
 
-    def _allocate_tangent(self) -> None:
+    def _allocate_tangent_arrays(self) -> None:
         """Allocate the arrays of the matrix, its factorisation and the right-hand sides."""
-        rows, width = band.block_shape(self.free, self.half_band)
-        self.batches.number(self.mesh, self.equation, self.free, self.direction, (rows, width))
+        rows, width = band.band_block_shape(self.free, self.half_band)
+        self.batches.compute_scatter_indices(self.mesh, self.equation, self.free, self.direction, (rows, width))
         # The last entry collects the values that belong to no equation.
         self._scattered = np.zeros(rows * width * band.BLOCK**2 + 1)
         self.entries = self._scattered[:-1].reshape(rows, width, band.BLOCK, band.BLOCK)
         # The tangent of slipping contact is unsymmetric and needs its upper half.
-        self.upper = np.zeros_like(self.entries if self.surface.slips else self.entries[:1])
+        self.upper = np.zeros_like(self.entries if self.surface.can_slip else self.entries[:1])
         self._factor, self._upper_factor = np.zeros_like(self.entries), np.zeros_like(self.upper)
         self._inverse = np.zeros(rows * band.BLOCK)
         self._right = np.zeros((rows, band.BLOCK))
@@ -122,7 +123,7 @@ class Equations:
             InputError: the bulk ratio is outside `BULK_RATIOS`.
         """
         energy: KernelEnergy = material.energy_law.kernel_energy
-        coefficients, bulk_modulus, factor, moduli = self.inputs(material)
+        coefficients, bulk_modulus, factor, moduli = self.compute_kernel_inputs(material)
         ratio = bulk_modulus / material.mu0
         low, high = BULK_RATIOS
         if not low <= ratio <= high:
@@ -130,21 +131,21 @@ class Equations:
                              f"{ratio:g}.", field="bulk")
         self.material, self.bulk_modulus = material, bulk_modulus
         self.moduli[:] = moduli
-        self.batches.set_modulus_ratios(moduli)
+        self.batches.set_element_moduli(moduli)
         if len(coefficients) == self._coefficients.size:
             self._coefficients[:] = coefficients
         else:
             self._coefficients = np.array(coefficients)
-        self.memory.set_material(self.relaxation(material), material.softening, factor)
+        self.memory.set_material(self.relaxation_at_contact_radius(material), material.softening, factor)
         self.effects.set_effects(material.effects.values())
-        self.counts[newton.Count.REMEMBERS] = self.remembers
+        self.counts[newton.CountIndex.REMEMBERS] = self.has_material_history
         with LOCK:
-            kernel = newton.step_kernel(self.mesh.element.name, energy, self.surface.slips, self.effects.formulas,
-                                        self._laws)
-            arrays = self._kernel_arrays()
-            if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_of(kernel, arrays)):
+            kernel = newton.make_step_kernel(self.mesh.element.name, energy, self.surface.can_slip,
+                                             self.effects.formulas, self._laws)
+            arrays = self._step_kernel_arrays()
+            if not (isinstance(self._kernel, BoundKernel) and self._kernel.is_bound_to(kernel, arrays)):
                 self._kernel = BoundKernel(kernel, arrays)
-        self.surface.set_stiffness(PENALTY.normal * material.mu0)
+        self.surface.set_penalty_stiffness(PENALTY.normal * material.mu0)
         # Forces of rounding errors, per m of depth and for the coordinates of the contact points.
         height = np.ptp(self.mesh.nodes[:, 1])
         stiff = self.bulk_modulus * float(np.linalg.norm(self.reference.rounding * self.moduli))
@@ -156,8 +157,8 @@ class Equations:
         # Smallest force by which the residual is divided, N; smaller reactions are no load.
         self._floor = 1e-6 * material.mu0 * np.pi * top**2
 
-    def inputs(self, material: Material) -> tuple[np.ndarray, float, float, np.ndarray]:
-        """Return the kernel inputs of a material.
+    def compute_kernel_inputs(self, material: Material) -> tuple[np.ndarray, float, float, np.ndarray]:
+        """Compute the numbers of a material that the kernels read.
 
         Returns:
             Coefficients of its law, bulk modulus (Pa), factor of the instantaneous modulus, and moduli of the elements
@@ -173,33 +174,37 @@ class Equations:
         coefficients = material.energy_law.kernel_coefficients(material.parameters)
         return coefficients, K, material.instantaneous_factor, moduli
 
-    def relaxation(self, material: Material) -> Prony | None:
-        """Return the relaxation of a material for the contact radius of this problem; None without relaxation."""
+    def relaxation_at_contact_radius(self, material: Material) -> Prony | None:
+        """Return the Prony series of a material for the contact radius of this problem; None without relaxation."""
         return material.relaxation(self._contact_radius)
 
     @property
-    def has_contact_rounds(self) -> bool:
-        """Whether contact iterates on the linearised tissue, see `newton.PassMode.CONTACT`."""
+    def iterates_contact_on_linearisation(self) -> bool:
+        """Whether the contact iterates on the linearised tissue after each solve; see `newton.PassMode.CONTACT`."""
         return self.surface.count > 0 and not self._laws
 
     @property
-    def remembers(self) -> bool:
-        """Whether the tissue has a memory or effects, so that the kernel stores stresses."""
+    def has_material_history(self) -> bool:
+        """Whether the tissue has relaxation, softening or point effects, so that the kernel stores stresses."""
         return self.memory.works or bool(self.effects.formulas)
 
     def prepare_step(self, dt: float) -> None:
-        """Prepare the memory and the effects for a step of duration dt, s."""
+        """Set the duration dt (s) of the next step in the memory and the effects; see `MaterialMemory.prepare_step`."""
         self.memory.prepare_step(dt)
         self.effects.prepare_step(dt)
 
-    def predict(self, weights: list[float]) -> None:
-        """Set the weights of the latest states in the initial state of the next step; see `extrapolation_weights`."""
+    def set_extrapolation_weights(self, weights: list[float]) -> None:
+        """Set the weights of the stored states in the initial state of the next step.
+
+        Args:
+            weights: see `tissue_sim.fem.axisymmetric.predictor.compute_extrapolation_weights`.
+        """
         self.weights[:] = weights
         self._predicted = sum(weight * depth for weight, depth in zip(weights, self.state.depths, strict=False))
 
-    def solve(self, depth: float, tolerance: float, max_iterations: int, *, resumed_depth: float | None = None,
-              iterated: int = 0) -> None:
-        """Solve for the equilibrium at a depth from the state of `predict`; results in `report` and `state.x`.
+    def solve_equilibrium(self, depth: float, tolerance: float, max_iterations: int, *,
+                          resumed_depth: float | None = None, iterated: int = 0) -> None:
+        """Solve for the equilibrium at a depth from the extrapolated state; results in `report` and `state.x`.
 
         Args:
             depth: depth of the tool, m.
@@ -212,37 +217,38 @@ class Equations:
         resumes = resumed_depth is not None
         rounding = (self._rounding_rate * (abs(depth) + self._sag_per_weight * self.specific_weight)
                     + self._coordinate_rounding)
-        self.settings[: newton.Setting.TOUCH] = (
+        self.settings[: newton.SettingIndex.TOUCH] = (
             depth, resumed_depth if resumes else self._predicted, self.bulk_modulus, self.specific_weight,
             tolerance,
             max(self._floor, FLOOR_FRACTION * self.state.largest_force), rounding)
-        self.counts[newton.Count.MAX_ITERATIONS] = max_iterations
-        self.counts[newton.Count.START_MODE] = newton.StartMode.RESUME if resumes else newton.StartMode.PREDICT
-        self.counts[newton.Count.ITERATED] = iterated
+        self.counts[newton.CountIndex.MAX_ITERATIONS] = max_iterations
+        self.counts[newton.CountIndex.START_MODE] = newton.StartMode.RESUME if resumes else newton.StartMode.PREDICT
+        self.counts[newton.CountIndex.ITERATED] = iterated
         if not resumes:
             surface = self.surface
             surface.initial[:], surface.slip_signs[:], surface.pressed[:] = surface.anchors, surface.slipped, 0.0
             if surface.face.size and not surface.anchors[surface.face, 0].all() and not self._laws:
-                self._bind_reached(depth)
+                self._bind_reached_points(depth)
             surface.held[:] = surface.initial
         with LOCK:
             self._kernel()
 
-    def _bind_reached(self, depth: float) -> None:
-        """Bind the free points under a face without slip that the tool reaches in a step to a depth, m."""
+    def _bind_reached_points(self, depth: float) -> None:
+        """Bind the free points under a no-slip face that the tool reaches in a step to `depth`, m."""
         state, surface, freedoms = self.state, self.surface, self.start.size
         points = surface.face[surface.anchors[surface.face, 0] == contact_kernels.FREE]
-        lift, descent = state.depths[0] - self.settings[newton.Setting.TOUCH], depth - state.depths[0]
+        lift, descent = state.depths[0] - self.settings[newton.SettingIndex.TOUCH], depth - state.depths[0]
         dofs = 2 * surface.nodes[points] + 1
         heights = surface.places[points, 1] + (
             surface.shapes[points] * state.history[state.slots[:, None, None], dofs]).sum(axis=-1)
         if max(heights[0].max(), (self.weights @ heights).max()) + lift + descent <= 0.0:
             return  # the deepest point of the tool is at z = 0 in its frame
         now, predicted = (x[:freedoms].reshape(-1, 2) for x in (
-            state.latest, self.weights @ state.history[state.slots]))
-        bind_reached(surface, points, now, predicted, lift, descent)
+            state.latest_state, self.weights @ state.history[state.slots]))
+        bind_face_points_reached(surface, points, now, predicted, lift, descent)
 
-    def respond(self, launch, assembles: bool = True, mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
+    def run_with_exact_tangent(self, launch, assembles: bool = True,
+                               mode: newton.StartMode = newton.StartMode.FIXED_CONTACT) -> None:
         """Assemble the exact tangent at the last equilibrium with the contact bonds of the step, and call `launch`.
 
         Args:
@@ -261,32 +267,34 @@ class Equations:
             return
         remembered = [(array, array.copy()) for array in (
             self.memory.stresses, self.memory.energies, self.effects.found, self.state.x, surface.forces)]
-        self.settings[newton.Setting.PREDICTED] = self.settings[newton.Setting.DEPTH]
-        self.settings[newton.Setting.TOLERANCE] = -1.0
-        self.counts[newton.Count.MAX_ITERATIONS], self.counts[newton.Count.START_MODE] = newton.StartMode.PREDICT, mode
+        self.settings[newton.SettingIndex.PREDICTED] = self.settings[newton.SettingIndex.DEPTH]
+        self.settings[newton.SettingIndex.TOLERANCE] = -1.0
+        self.counts[newton.CountIndex.MAX_ITERATIONS] = newton.StartMode.PREDICT
+        self.counts[newton.CountIndex.START_MODE] = mode
         with LOCK:
             self._kernel()
             launch()
-        self.counts[newton.Count.START_MODE] = newton.StartMode.PREDICT
+        self.counts[newton.CountIndex.START_MODE] = newton.StartMode.PREDICT
         surface.held[:] = after
         # The evaluation with the tangent has other rounding errors, which must not influence later steps.
         for array, before in remembered:
             array[:] = before
 
-    def stiffness_without_mass(self) -> float | None:
+    def compute_static_stiffness(self) -> float | None:
         """Return the static stiffness at the last inertial equilibrium, with the contact state of that equilibrium.
 
         Returns:
             Derivative of the axial force with respect to the depth without inertia, N/m; None if the static tangent is
             not positive definite, so that the tissue is unstable without its mass.
         """
-        report, right, inertia = self.report.copy(), self._right.copy(), float(self.settings[newton.Setting.INERTIA])
-        self.settings[newton.Setting.INERTIA] = 0.0
-        self.respond(_do_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
-        self.settings[newton.Setting.INERTIA] = inertia
-        stiffness = float(self.report[newton.Report.STIFFNESS])
+        report, right = self.report.copy(), self._right.copy()
+        inertia = float(self.settings[newton.SettingIndex.INERTIA])
+        self.settings[newton.SettingIndex.INERTIA] = 0.0
+        self.run_with_exact_tangent(_do_nothing, mode=newton.StartMode.STIFFNESS_ONLY)
+        self.settings[newton.SettingIndex.INERTIA] = inertia
+        stiffness = float(self.report[newton.ReportIndex.STIFFNESS])
         self.report[:], self._right[:] = report, right
-        return stiffness if self.counts[newton.Count.FACTORISED] else None
+        return stiffness if self.counts[newton.CountIndex.FACTORISED] else None
 
     def tangent(self) -> np.ndarray:
         """Return the condensed tangent at the last committed state, N/m, in LAPACK's lower band storage.
@@ -294,21 +302,21 @@ class Equations:
         Returns:
             Array of shape (half_band + 1, free).
         """
-        self.predict([1.0, 0.0, 0.0])
+        self.set_extrapolation_weights([1.0, 0.0, 0.0])
         self.prepare_step(0.0)
         # With a negative tolerance and no iteration the matrix stays as assembled.
-        self.solve(self.state.depths[0], -1.0, 0)
-        return band.unpack(self.entries, self.free, self.half_band)
+        self.solve_equilibrium(self.state.depths[0], -1.0, 0)
+        return band.unpack_band_blocks(self.entries, self.free, self.half_band)
 
     @cached_property
-    def node_masses(self) -> np.ndarray:
-        """Nodal volumes of the degrees of freedom of the shared nodes, m3, shape (freedoms,)."""
+    def shared_dof_volumes(self) -> np.ndarray:
+        """Lumped nodal volume of each degree of freedom of shared nodes, m3, shape (freedoms,); 0 at interior nodes."""
         shared, volumes = self.mesh.element.boundary_nodes, np.zeros(len(self.mesh.nodes))
         np.add.at(volumes, self.mesh.connectivity[:, :shared], self.reference.volumes[:, :shared])
         return np.repeat(volumes, 2)
 
-    def all_masses(self) -> np.ndarray:
-        """Return the nodal volumes of all degrees of freedom, with the interior nodes, m3, shape (freedoms,)."""
+    def compute_dof_volumes(self) -> np.ndarray:
+        """Return the lumped nodal volume of each degree of freedom, interior nodes too, m3, shape (freedoms,)."""
         volumes = np.zeros(len(self.mesh.nodes))
         np.add.at(volumes, self.mesh.connectivity, self.reference.volumes)
         return np.repeat(volumes, 2)
@@ -316,34 +324,34 @@ class Equations:
     def compute_displacement_per_depth(self) -> np.ndarray:
         """Return the displacement per depth of the tool from the stiffness of the last step, shape (freedoms,)."""
         displacement = self.direction.astype(float)
-        moved = self._free_freedoms
+        moved = self._free_dof_numbers
         displacement[moved] = -self._right.reshape(-1)[self.equation[moved]]
-        self.batches.move_interior_nodes(displacement)
+        self.batches.set_interior_displacements(displacement)
         return displacement
 
     @cached_property
-    def _free_freedoms(self) -> np.ndarray:
+    def _free_dof_numbers(self) -> np.ndarray:
         """Degrees of freedom with a free equation, shape (free,)."""
         return np.flatnonzero((self.equation >= 0) & (self.equation < self.free))
 
-    def begin_damping(self) -> tuple[np.ndarray, np.ndarray, float]:
-        """Use the arrays of the inertia for artificial viscous damping: volumes replace the masses.
+    def enable_artificial_damping(self) -> tuple[np.ndarray, np.ndarray, float]:
+        """Prepare steps with artificial viscous damping: in the arrays of the inertia, volumes replace the masses.
 
         Returns:
-            Masses, array of the positions towards which the damping acts (m), and density; `end_damping` needs the
-            first and the last.
+            Masses, array of the displacements towards which the damping acts (m), and density. Pass masses and density
+            to `disable_artificial_damping`.
         """
-        masses, density = self.masses.copy(), float(self.settings[newton.Setting.DENSITY])
-        self.masses[:], self.settings[newton.Setting.DENSITY] = self.node_masses, 1.0
+        masses, density = self.masses.copy(), float(self.settings[newton.SettingIndex.DENSITY])
+        self.masses[:], self.settings[newton.SettingIndex.DENSITY] = self.shared_dof_volumes, 1.0
         return masses, self.rest, density
 
-    def end_damping(self, masses: np.ndarray, density: float) -> None:
-        """Restore the masses and the density after `begin_damping`."""
-        self.masses[:], self.settings[newton.Setting.DENSITY] = masses, density
+    def disable_artificial_damping(self, masses: np.ndarray, density: float) -> None:
+        """Restore the masses and the density that `enable_artificial_damping` returned."""
+        self.masses[:], self.settings[newton.SettingIndex.DENSITY] = masses, density
 
-    def shared_arrays(self) -> dict[str, np.ndarray]:
+    def shared_kernel_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays that the kernels of the step and of the sensitivities share, by their names in both."""
-        surface, memory, state, batches = self.surface, self.memory, self.state, self.batches.arrays()
+        surface, memory, state, batches = self.surface, self.memory, self.state, self.batches.step_kernel_arrays()
         of_elements = ("elements", "dofs", "real", "gradient_r", "gradient_z", "value_r", "point_weights",
                        "mode_values", "moduli", "equations_r", "equations_z")
         return {"counts": self.counts, "settings": self.settings, "equation": self.equation,
@@ -356,13 +364,13 @@ class Equations:
                 "energies": memory.energies, "x": state.x, "entries": self.entries, "blocks": self.entries,
                 "upper_blocks": self.upper, "factor": self._factor, "upper_factor": self._upper_factor,
                 "inverse": self._inverse, "right": self._right,
-                "residual": self.residual, "pull": self._pull, **self.batches.eliminated(),
+                "residual": self.residual, "pull": self._pull, **self.batches.condensation_arrays(),
                 **{name: batches[name] for name in of_elements}}
 
-    def _kernel_arrays(self) -> dict[str, np.ndarray]:
-        """Return all arrays of the step kernel by their names."""
+    def _step_kernel_arrays(self) -> dict[str, np.ndarray]:
+        """Return all arrays of the step kernel, by the names of its arguments."""
         surface, state = self.surface, self.state
-        return {**self.shared_arrays(), **self.batches.arrays(), "start": self.start,
+        return {**self.shared_kernel_arrays(), **self.batches.step_kernel_arrays(), "start": self.start,
                 "target": self._target, "contact_places": surface.places,
                 "areas": surface.areas, "vertices": surface.vertices, "contact_rounding": surface.rounding,
                 "friction": surface.friction, "pressed": surface.pressed, "met": surface.met,
@@ -376,4 +384,4 @@ class Equations:
 
 
 def _do_nothing() -> None:
-    """Do nothing: placeholder of a kernel before a material is set, and of a use of the tangent."""
+    """Do nothing: stands for the kernel before a material is set, and for `launch` if only the assembly is needed."""

@@ -9,21 +9,21 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate, volume_quantile
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes, volume_quantile
 from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 
 
 @dataclass(frozen=True, eq=False)
 class Fields:
-    """Displacement, stress, pressure, energy and stretch at every sample of a simulated recording.
+    """Fields of an axisymmetric simulation at every sample: displacement, stress, pressure, energy, stretch.
 
     Attributes:
         mesh: undeformed mesh.
         material: material of the specimen.
         bulk_modulus: K of the elements, Pa.
         states: states of the solver, shape (samples, unknowns).
-        gradients: see `Reference.node_gradients`, 1/m, shape (elements, q, nodes, 3).
+        gradients: see `ReferenceQuadrature.node_gradients`, 1/m, shape (elements, q, nodes, 3).
         pressure_modes: orthonormal pressure modes at the quadrature points, shape (elements, q, modes).
         weights: volumes of the quadrature points, m3, shape (elements, q).
         moduli: moduli of the elements in units of the material's modulus, shape (elements,).
@@ -47,11 +47,11 @@ class Fields:
         return FIELD_UNITS
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays with one entry for each sample; see `with_arrays`."""
+        """Return the arrays whose first axis is the sample: states, and stresses with memory; see `with_arrays`."""
         return (self.states,) if self.stresses is None else (self.states, self.stresses)
 
     def with_arrays(self, arrays: Sequence[np.ndarray]) -> Fields:
-        """Return the fields with other `arrays`."""
+        """Return fields with the arrays of other samples, from `arrays`."""
         return replace(self, states=arrays[0], stresses=arrays[1] if len(arrays) > 1 else None)
 
     def material_data(self) -> dict[str, Any]:
@@ -63,11 +63,11 @@ class Fields:
         return replace(self, **changed)
 
     def displacement(self, sample: int = -1) -> np.ndarray:
-        """Nodal displacement (r, z), m, shape (nodes, 2)."""
+        """Return the nodal displacements (r, z), m, shape (nodes, 2)."""
         return self.states[sample, : 2 * len(self.mesh.nodes)].reshape(-1, 2)
 
     def deformation_gradient(self, sample: int = -1) -> np.ndarray:
-        """Components rR, rZ, zR, zZ, hoop at the quadrature points, shape (elements, q, 5)."""
+        """Return the deformation gradient (rR, rZ, zR, zZ, hoop) at the quadrature points, shape (elements, q, 5)."""
         u = self.displacement(sample)[self.mesh.connectivity]
         rates = np.einsum("eqak,eai->eqik", self.gradients, u)
         return np.stack([1 + rates[..., 0, 0], rates[..., 0, 1], rates[..., 1, 0], 1 + rates[..., 1, 1],
@@ -103,7 +103,7 @@ class Fields:
         if name == "J":
             return J
         modulus = self.moduli[:, None]
-        angle, stretches = _principal_stretches(F)
+        angle, stretches = _compute_principal_stretches(F)
         all_stretches = np.stack([*stretches, F[..., 4]], axis=-1)
         if name == "stretch":
             return all_stretches.max(axis=-1)
@@ -133,7 +133,7 @@ class Fields:
     def stretch_range(self, sample: int = -1) -> tuple[float, float]:
         """Return the smallest and largest principal stretch, without the fraction `TAIL` of the volume at each end."""
         F = self.deformation_gradient(sample)
-        stretches = np.stack([*_principal_stretches(F)[1], F[..., 4]], axis=-1)
+        stretches = np.stack([*_compute_principal_stretches(F)[1], F[..., 4]], axis=-1)
         return (volume_quantile(stretches.min(axis=-1), self.weights, TAIL),
                 volume_quantile(stretches.max(axis=-1), self.weights, 1 - TAIL))
 
@@ -145,10 +145,10 @@ class Fields:
         """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        return extrapolate(self.mesh, self.at_points(name, sample))
+        return extrapolate_to_nodes(self.mesh, self.at_points(name, sample))
 
 
-def _principal_stretches(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
+def _compute_principal_stretches(F: np.ndarray) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
     """Return the angle of the larger in-plane principal stretch and both in-plane principal stretches.
 
     A 2 x 2 matrix is the sum of a scaled rotation and a scaled reflection; their magnitudes give the singular values.

@@ -9,23 +9,30 @@ solve the active set of the contact iterates on the linearised elements (`PassMo
 from functools import cache
 
 from tissue_sim.fem.axisymmetric import contact_kernels
-from tissue_sim.fem.axisymmetric.assembly import element_functions
-from tissue_sim.fem.axisymmetric.condensation import condensation_functions
-from tissue_sim.fem.axisymmetric.contact_rates import rate_functions
-from tissue_sim.fem.axisymmetric.newton_tables import NEWTON, Count, PassMode, Report, Setting, StartMode
+from tissue_sim.fem.axisymmetric.assembly import make_element_functions
+from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
+from tissue_sim.fem.axisymmetric.contact_rates import make_contact_rate_functions
+from tissue_sim.fem.axisymmetric.newton_tables import (
+    NEWTON,
+    CountIndex,
+    PassMode,
+    ReportIndex,
+    SettingIndex,
+    StartMode,
+)
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear.cholesky import cholesky_functions
-from tissue_sim.fem.linear.lu import lu_functions
+from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.solver import StepStatus
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.laws import KernelEnergy
 
 
 @cache
-def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[Formula, ...] = (),
-                laws: tuple[Formula, ...] = ()):
+def make_step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: tuple[KernelFormula, ...] = (),
+                     laws: tuple[KernelFormula, ...] = ()):
     """Return the kernel of a step for an element type and a law; see `AxisymmetricSolver.step`.
 
     Args:
@@ -36,7 +43,7 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
         laws: contact laws (adhesion).
     """
     ti = initialise()
-    work, own = element_functions(element_name, energy, effects), condensation_functions(element_name)
+    work, own = make_element_functions(element_name, energy, effects), make_condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
@@ -44,9 +51,10 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    complete, mirror = band_matrix.complete_function(), band_matrix.mirror_function()
-    cholesky, lu = cholesky_functions(), lu_functions()
-    contact, rates = contact_kernels.contact_functions(laws), rate_functions(slips)
+    fill_diagonal_blocks = band_matrix.make_fill_diagonal_blocks_function()
+    copy_lower_to_upper = band_matrix.make_copy_lower_to_upper_function()
+    cholesky, lu = make_cholesky_functions(), make_lu_functions()
+    contact, rates = contact_kernels.make_contact_force_functions(laws), make_contact_rate_functions(slips)
     # Contact laws act at a distance, so that the contact cannot iterate on the linearised elements.
     has_contact_rounds = not laws
     converged, inverted, indefinite, slow, diverged = (float(status) for status in (
@@ -55,50 +63,55 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
     # Arrays are updated by `a = a + b`, because `a += b` is an atomic operation in Taichi, four times slower here.
 
     @ti.func
-    def predict(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
-        """Extrapolate the state from up to three earlier states."""
+    def extrapolate_state(x: ti.template(), history: ti.template(), slots: ti.template(), weights: ti.template()):
+        """Set x to the weighted sum of the last three states (`history`), the initial state of the step."""
         for i in range(x.shape[0]):
             x[i] = (weights[0] * history[slots[0], i] + weights[1] * history[slots[1], i]
                     + weights[2] * history[slots[2], i])
 
     @ti.kernel
-    def step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1, elements:
-             int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1, value_r: vector1, point_weights:
-             vector1, mode_values: vector1, volumes: vector1, moduli: vector1, equations_r: int2, equations_z: int2,
-             places: int2, pull_starts: int1, pulls: int2, pull_factors: real1, k_rr: vector1, k_zr: vector1, k_rz:
-             vector1, k_zz: vector1, element_stiffness: real1, volume_r: vector1, volume_z: vector1, gap: vector1,
-             known_volume_r: vector1, known_volume_z: vector1,
-             rows_rr: vector1, rows_rz: vector1, rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz:
-             vector1, inverse_zz: vector1, force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes:
-             real2, spans: int2, contact_places: real2, areas: real1, vertices: real2,
-             contact_rounding: real1, friction: real2, springs: real1, held: real2, pressed: real1, slip_signs: real1,
-             met:
-             real2, forces: real2, contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1,
-             past: real1, inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
-             effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1, before: real1,
-             motion: real1, history: real2, slots: int1, weights: real1, entries: real4, blocks: block3, flat: block1,
-             scattered: real1, upper: real4, upper_blocks: block3, factor: block3, upper_factor: block3, inverse: real1,
-             right: block1, residual: real1, pull: real1, reaction: real1, report: real1):
+    def solve_step(counts: int1, settings: real1, equation: int1, direction: real1, start: real1, target: real1,
+                   elements: int2, dofs: int2, real: vector1, gradient_r: vector1, gradient_z: vector1,
+                   value_r: vector1, point_weights: vector1, mode_values: vector1, volumes: vector1, moduli: vector1,
+                   equations_r: int2, equations_z: int2, places: int2, pull_starts: int1, pulls: int2,
+                   pull_factors: real1, k_rr: vector1, k_zr: vector1, k_rz: vector1, k_zz: vector1,
+                   element_stiffness: real1, volume_r: vector1, volume_z: vector1, gap: vector1,
+                   known_volume_r: vector1, known_volume_z: vector1, rows_rr: vector1, rows_rz: vector1,
+                   rows_zr: vector1, rows_zz: vector1, inverse_rr: vector1, inverse_rz: vector1, inverse_zz: vector1,
+                   force_r: vector1, force_z: vector1, contact_nodes: int2, contact_shapes: real2, spans: int2,
+                   contact_places: real2, areas: real1, vertices: real2, contact_rounding: real1, friction: real2,
+                   springs: real1, held: real2, pressed: real1, slip_signs: real1, met: real2, forces: real2,
+                   contact_rates: real2, known_rates: real2, law_settings: real1, coefficients: real1, past: real1,
+                   inherited: real3, largest: real2, stresses: real3, energies: real2, effect_settings: real1,
+                   effect_states: real3, effect_states_found: real3, masses: real1, rest: real1, x: real1,
+                   before: real1, motion: real1, history: real2, slots: int1, weights: real1, entries: real4,
+                   blocks: block3, flat: block1, scattered: real1, upper: real4, upper_blocks: block3, factor: block3,
+                   upper_factor: block3, inverse: real1, right: block1, residual: real1, pull: real1, reaction: real1,
+                   report: real1):
         # One serial task, which starts without a thread pool; the number of passes is an argument, so that the compiler
         # does not unroll the loop into many tasks.
         ti.loop_config(serialize=True)
-        for _ in range(counts[Count.PASSES]):
-            free, max_iterations = counts[Count.FREE], counts[Count.MAX_ITERATIONS]
-            depth, kappa, tolerance = settings[Setting.DEPTH], settings[Setting.KAPPA], settings[Setting.TOLERANCE]
-            inertia = settings[Setting.INERTIA]
-            floor, rounding, weight = settings[Setting.FLOOR], settings[Setting.ROUNDING], settings[Setting.WEIGHT]
+        for _ in range(counts[CountIndex.PASSES]):
+            free, max_iterations = counts[CountIndex.FREE], counts[CountIndex.MAX_ITERATIONS]
+            depth, kappa, tolerance = (settings[SettingIndex.DEPTH], settings[SettingIndex.KAPPA],
+                                       settings[SettingIndex.TOLERANCE])
+            inertia = settings[SettingIndex.INERTIA]
+            floor, rounding, weight = (settings[SettingIndex.FLOOR], settings[SettingIndex.ROUNDING],
+                                       settings[SettingIndex.WEIGHT])
             width, rows = entries.shape[1], entries.shape[0]
             batches, equations = real.shape[0], residual.shape[0] - 1
             pressures = equation.shape[0]
             multipliers = x.shape[0] - 2 * springs.shape[0]
-            if counts[Count.START_MODE] == StartMode.PREDICT:
-                predict(x, history, slots, weights)
-            if counts[Count.START_MODE] != StartMode.RESUME:  # a resumed iteration has already evaluated the contact
-                counts[Count.CHANGEABLE] = (contact_kernels.ALL_POINTS
-                                            if counts[Count.START_MODE] == StartMode.PREDICT else 0)
-            strength, reach = settings[Setting.STRENGTH], settings[Setting.REACH]
+            if counts[CountIndex.START_MODE] == StartMode.PREDICT:
+                extrapolate_state(x, history, slots, weights)
+            # A resumed iteration has already evaluated the contact.
+            if counts[CountIndex.START_MODE] != StartMode.RESUME:
+                counts[CountIndex.CHANGEABLE] = (contact_kernels.ALL_POINTS
+                                                 if counts[CountIndex.START_MODE] == StartMode.PREDICT else 0)
+            strength, reach = settings[SettingIndex.STRENGTH], settings[SettingIndex.REACH]
             pending = 0
-            if counts[Count.CONTACTS] > 0 and ti.abs(depth - settings[Setting.PREDICTED]) > 1e-10 * ti.abs(depth):
+            if counts[CountIndex.CONTACTS] > 0 and (
+                    ti.abs(depth - settings[SettingIndex.PREDICTED]) > 1e-10 * ti.abs(depth)):
                 pending = 1
             for dof in range(pressures):
                 target[dof] = start[dof] + depth * direction[dof]
@@ -109,23 +122,23 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         motion[dof] = target[dof] - x[dof]
                     else:
                         x[dof] = target[dof]  # removes the rounding error of the extrapolation
-            report[Report.STATUS], report[Report.STIFFNESS] = 0.0, 0.0
+            report[ReportIndex.STATUS], report[ReportIndex.STIFFNESS] = 0.0, 0.0
             iterations, tangent, halvings = 0, 1, NEWTON.max_halvings
             # Mode of the pass, and first block row that must be factorised again.
             part, settled, cycles, waits, begin = PassMode.FULL, 0, 0, 0, 0
             # Far from equilibrium the curvature of the contact surfaces would make the tangent indefinite.
             bending = 1.0 if max_iterations == 0 else 0.0
-            if counts[Count.START_MODE] == StartMode.RESUME:
-                bending = float(counts[Count.BENDING])
+            if counts[CountIndex.START_MODE] == StartMode.RESUME:
+                bending = float(counts[CountIndex.BENDING])
             first, first_ratio, last_ratio, axial = 1, 0.0, 0.0, 0.0
             gain, more = NEWTON.reuse_ratio, NEWTON.reuse_solves
-            if counts[Count.STIFFNESS_ASKED] == 1:
+            if counts[CountIndex.STIFFNESS_ASKED] == 1:
                 gain, more = NEWTON.reuse_ratio_realtime, NEWTON.reuse_solves_realtime
             # The status is stored in the report: Taichi 1.7.4 loses a local variable that a branch of such a loop sets.
             # Each linear solve may need more passes: for halvings, a tangent that was skipped, points that change, and
             # contact rounds.
             for _attempt in range((NEWTON.max_halvings + NEWTON.max_contact_rounds + 4) * max_iterations + 4):
-                if report[Report.STATUS] != 0.0:
+                if report[ReportIndex.STATUS] != 0.0:
                     break
                 for i in range(residual.shape[0]):
                     residual[i] = 0.0
@@ -137,35 +150,36 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         pull[i] = 0.0
                 interior, smallest, definite = 0.0, 1e30, 1
                 for b in range(batches if part == PassMode.FULL else 0):
-                    J = work.integrate(b, tangent, kappa, counts[Count.REMEMBERS], x, pressures, elements, dofs,
-                                       gradient_r, gradient_z, value_r, point_weights, mode_values, moduli,
-                                       coefficients, past, inherited, largest, stresses, energies, effect_settings,
-                                       effect_states, effect_states_found, volume_r, volume_z, gap)
+                    J = work.compute_nodal_forces(b, tangent, kappa, counts[CountIndex.REMEMBERS], x, pressures,
+                                                  elements, dofs, gradient_r, gradient_z, value_r, point_weights,
+                                                  mode_values, moduli, coefficients, past, inherited, largest, stresses,
+                                                  energies, effect_settings, effect_states, effect_states_found,
+                                                  volume_r, volume_z, gap)
                     smallest = ti.min(smallest, J)
                     if weight != 0.0:
-                        work.add_weight(b, weight, volumes)
+                        work.add_weight_forces(b, weight, volumes)
                     if inertia != 0.0:
-                        work.add_inertia(b, inertia, settings[Setting.DENSITY], volumes, dofs, rest)
+                        work.add_interior_node_inertia(b, inertia, settings[SettingIndex.DENSITY], volumes, dofs,
+                                                       rest)
                     if tangent == 1:
-                        own.keep_volume(b, volume_r, volume_z, known_volume_r, known_volume_z)
-                        definite = ti.min(definite, work.stiffen(
-                            b, kappa, pending, inertia * settings[Setting.DENSITY], moduli, gradient_r, gradient_z,
+                        own.store_volume_derivatives(b, volume_r, volume_z, known_volume_r, known_volume_z)
+                        definite = ti.min(definite, work.compute_condensed_stiffness(
+                            b, kappa, pending, inertia * settings[SettingIndex.DENSITY], moduli, gradient_r, gradient_z,
                             value_r, dofs, motion, volumes, k_rr, k_zr, k_rz, k_zz, rows_rr, rows_rz, rows_zr, rows_zz,
                             inverse_rr, inverse_rz, inverse_zz))
-                        work.scatter_stiffness(b, places, element_stiffness, scattered, pull_starts, pulls,
-                                               pull_factors, pull)
-                    interior += own.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
-                                             inverse_zz, force_r, force_z)
-                    own.scatter_force(b, equations_r, equations_z, residual)
+                        work.add_stiffness_to_band_matrix(b, places, element_stiffness, scattered, pull_starts, pulls,
+                                                          pull_factors, pull)
+                    interior += own.condense_interior_force(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
+                                                            inverse_rz, inverse_zz, force_r, force_z)
+                    own.add_forces_to_residual(b, equations_r, equations_z, residual)
                 if smallest <= 0.0 and halvings < NEWTON.max_halvings:
                     halvings += 1
                     for i in range(x.shape[0]):
                         x[i] = 0.5 * (x[i] + before[i])
                     continue
                 if part == PassMode.CONTACT:
-                    contact.take_off_forces(counts[Count.CONTACTS], multipliers, contact_nodes, contact_shapes,
-                                            equation, x,
-                                            residual)
+                    contact.subtract_contact_forces(counts[CountIndex.CONTACTS], multipliers, contact_nodes,
+                                                    contact_shapes, equation, x, residual)
                 elif inertia != 0.0 and part == PassMode.FULL:
                     for dof in range(pressures):
                         i = equation[dof]
@@ -174,16 +188,16 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                             if tangent == 1 and i < free:
                                 at = entries[i // B, width - 1, i % B, i % B]
                                 entries[i // B, width - 1, i % B, i % B] = at + inertia * masses[dof]
-                tool = settings[Setting.PREDICTED] if pending == 1 else depth
+                tool = settings[SettingIndex.PREDICTED] if pending == 1 else depth
                 # Initially points that just touch are active: the tool is about to move, or a law attracts.
                 slack = 1e-9 if pending == 1 or (strength > 0.0 and iterations == 0) else 0.0
-                axial, balanced, violation, slipping, switched, wanting = contact.add_contact(
-                    counts[Count.CONTACTS], counts[Count.CHANGEABLE], slack, pending, bending, depth - tool, tool,
-                    tool - settings[Setting.TOUCH], free, settings[Setting.CONTACT_TOLERANCE],
+                axial, balanced, violation, slipping, switched, wanting = contact.add_contact_forces(
+                    counts[CountIndex.CONTACTS], counts[CountIndex.CHANGEABLE], slack, pending, bending, depth - tool,
+                    tool, tool - settings[SettingIndex.TOUCH], free, settings[SettingIndex.CONTACT_TOLERANCE],
                     NEWTON.friction_floor * floor, reach, law_settings, multipliers, contact_nodes, contact_shapes,
                     spans, contact_places, areas, vertices, contact_rounding, friction, springs, held, pressed,
                     slip_signs, met, forces, contact_rates, x, target, equation, residual)
-                counts[Count.CHANGEABLE], counts[Count.BENDING] = 0, int(bending)
+                counts[CountIndex.CHANGEABLE], counts[CountIndex.BENDING] = 0, int(bending)
                 if part == PassMode.CONTACT and (switched == 0 or settled == NEWTON.max_contact_rounds):
                     # The elements are evaluated next; also their tangent if the active set still changes, and no more
                     # contact rounds follow.
@@ -193,29 +207,30 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                     continue
                 if part == PassMode.FULL:
                     wanting, waits = ti.max(wanting, waits), 0
-                report[Report.VIOLATION], report[Report.SLIPPING] = violation, slipping
+                report[ReportIndex.VIOLATION], report[ReportIndex.SLIPPING] = violation, slipping
                 if fresh == 1:
-                    rates.forget_rates(counts[Count.CONTACTS], known_rates)
-                    counts[Count.UNSYMMETRIC], counts[Count.SKEWED], begin = 0, rows, 0
+                    rates.clear_factorised_rates(counts[CountIndex.CONTACTS], known_rates)
+                    counts[CountIndex.UNSYMMETRIC], counts[CountIndex.SKEWED], begin = 0, rows, 0
                 if fresh == 1 or part != PassMode.FULL:
-                    changed, skewed = rates.first_rows(counts[Count.CONTACTS], fresh, free, rows, contact_nodes,
-                                                       contact_shapes, springs, slip_signs, contact_rates, known_rates,
-                                                       equation)
+                    changed, skewed = rates.find_first_changed_rows(counts[CountIndex.CONTACTS], fresh, free, rows,
+                                                                    contact_nodes, contact_shapes, springs, slip_signs,
+                                                                    contact_rates, known_rates, equation)
                     begin = ti.min(begin, changed)
                     if ti.static(slips):
                         if slipping > 0:
-                            if counts[Count.UNSYMMETRIC] == 0:
+                            if counts[CountIndex.UNSYMMETRIC] == 0:
                                 # A Cholesky factorisation cannot be updated to an unsymmetric one.
-                                counts[Count.UNSYMMETRIC], begin = 1, 0
-                                complete(blocks, rows, width)
-                            if skewed < counts[Count.SKEWED]:
-                                mirror(blocks, upper_blocks, skewed, counts[Count.SKEWED], width)
-                                counts[Count.SKEWED] = skewed
-                    rates.add_rates(counts[Count.CONTACTS], fresh, counts[Count.UNSYMMETRIC], free, width,
-                                    contact_nodes,
-                                      contact_shapes, springs, contact_rates, known_rates, equation, entries, upper)
+                                counts[CountIndex.UNSYMMETRIC], begin = 1, 0
+                                fill_diagonal_blocks(blocks, rows, width)
+                            if skewed < counts[CountIndex.SKEWED]:
+                                copy_lower_to_upper(blocks, upper_blocks, skewed, counts[CountIndex.SKEWED], width)
+                                counts[CountIndex.SKEWED] = skewed
+                    rates.add_contact_rates_to_matrix(counts[CountIndex.CONTACTS], fresh,
+                                                      counts[CountIndex.UNSYMMETRIC], free, width, contact_nodes,
+                                                      contact_shapes, springs, contact_rates, known_rates, equation,
+                                                      entries, upper)
                     if begin < rows:
-                        counts[Count.FACTORISED] = 0
+                        counts[CountIndex.FACTORISED] = 0
                 unbalanced, total = interior, axial
                 for i in range(free):
                     unbalanced += residual[i] * residual[i]
@@ -229,58 +244,60 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                 # The tolerance includes a bounded allowance for rounding errors.
                 goal = tolerance + ti.min(rounding / scale, 1e-5)
                 if part == PassMode.FULL:
-                    report[Report.RESIDUAL], report[Report.FORCE] = ratio, total
+                    report[ReportIndex.RESIDUAL], report[ReportIndex.FORCE] = ratio, total
                     if iterations == first:
                         first_ratio = ratio
                 solves = 0
                 if part == PassMode.CONTACT:
                     settled, solves = settled + 1, 1
                 elif part == PassMode.STIFFNESS:
-                    report[Report.STATUS] = converged
+                    report[ReportIndex.STATUS] = converged
                 elif smallest <= 0.0 or smallest >= 1e30 or ti.math.isnan(smallest):
-                    report[Report.STATUS] = inverted
+                    report[ReportIndex.STATUS] = inverted
                 elif ti.math.isnan(ratio) or ti.math.isinf(ratio):
-                    report[Report.STATUS] = diverged
+                    report[ReportIndex.STATUS] = diverged
                 elif pending == 0 and ratio <= goal:
                     released = 0
-                    if violation <= settings[Setting.CONTACT_TOLERANCE]:
-                        released = contact.release(counts[Count.CONTACTS], NEWTON.friction_floor * floor, strength,
-                                                   reach, contact_places, areas, spans, vertices, contact_rounding,
-                                                   held, forces)
+                    if violation <= settings[SettingIndex.CONTACT_TOLERANCE]:
+                        released = contact.release_points_under_tension(counts[CountIndex.CONTACTS],
+                                                                        NEWTON.friction_floor * floor, strength, reach,
+                                                                        contact_places, areas, spans, vertices,
+                                                                        contact_rounding, held, forces)
                     if released > 0:
                         # The problem has changed: the iteration starts again.
                         tangent, first = 1, iterations + 1
-                        counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
+                        counts[CountIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif wanting > 0 and iterations < max_iterations:
-                        counts[Count.CHANGEABLE], tangent = contact_kernels.ALL_POINTS, 1
-                    elif violation <= settings[Setting.CONTACT_TOLERANCE] and wanting == 0:
-                        bound = contact.hold(counts[Count.CONTACTS], held, met)
-                        if counts[Count.STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_changed(
-                                counts[Count.CONTACTS], springs, contact_rates, known_rates) == 1):
+                        counts[CountIndex.CHANGEABLE], tangent = contact_kernels.ALL_POINTS, 1
+                    elif violation <= settings[SettingIndex.CONTACT_TOLERANCE] and wanting == 0:
+                        bound = contact.commit_contact_bonds(counts[CountIndex.CONTACTS], held, met)
+                        if counts[CountIndex.STIFFNESS_ASKED] == 1 and (bound > 0 or rates.have_contact_rates_changed(
+                                counts[CountIndex.CONTACTS], springs, contact_rates, known_rates) == 1):
                             # The stiffness is computed with the new bonds.
                             part = PassMode.STIFFNESS
                         else:
-                            report[Report.STATUS] = converged
+                            report[ReportIndex.STATUS] = converged
                     elif iterations >= max_iterations:
-                        report[Report.STATUS] = slow
+                        report[ReportIndex.STATUS] = slow
                         if wanting > 0:
-                            counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
+                            counts[CountIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
                     elif tangent == 0:
                         tangent = 1
                     else:
                         solves = 1
                 elif iterations >= max_iterations:
-                    report[Report.STATUS] = slow
+                    report[ReportIndex.STATUS] = slow
                 elif iterations > first + 2 and ratio > 1e3 * ti.max(first_ratio, 1.0):
-                    report[Report.STATUS] = diverged
+                    report[ReportIndex.STATUS] = diverged
                 elif tangent == 0 and (switched > 0 or (
                         ratio > gain * last_ratio and ratio * (ratio / last_ratio)**more > goal)):
                     tangent = 1
                 else:
                     solves = 1
                 asked = 0
-                if counts[Count.STIFFNESS_ASKED] == 1 and (report[Report.STATUS] == converged
-                                                           or counts[Count.START_MODE] == StartMode.STIFFNESS_ONLY):
+                if counts[CountIndex.STIFFNESS_ASKED] == 1 and (
+                        report[ReportIndex.STATUS] == converged
+                        or counts[CountIndex.START_MODE] == StartMode.STIFFNESS_ONLY):
                     asked = 1
                 if solves + asked > 0:
                     stiff = 0.0
@@ -289,8 +306,8 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         # fixed tissue.
                         for i in range(free):
                             residual[i], reaction[i] = pull[i], pull[i]
-                        stiff = pull[free] + rates.add_tool_rates(
-                            counts[Count.CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates,
+                        stiff = pull[free] + rates.add_tool_depth_derivatives(
+                            counts[CountIndex.CONTACTS], free, contact_nodes, contact_shapes, spans, contact_rates,
                             direction, equation, residual, reaction)
                         if inertia != 0.0:
                             for dof in range(pressures):
@@ -298,13 +315,13 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                     stiff += inertia * masses[dof] * direction[dof] * direction[dof]
                     if solves == 1:
                         for b in range(batches if part == PassMode.FULL and fresh == 0 else 0):
-                            own.add_known_volume(b, kappa, real, moduli, volume_r, volume_z, known_volume_r,
-                                                 known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr,
-                                                 inverse_rz, inverse_zz, force_r, force_z, equations_r, equations_z,
-                                                 residual)
-                        contact.add_missing(counts[Count.CONTACTS], contact_nodes, contact_shapes, contact_rates,
-                                            known_rates,
-                                            equation, residual)
+                            own.correct_residual_by_pressure(b, kappa, real, moduli, volume_r, volume_z, known_volume_r,
+                                                             known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz,
+                                                             inverse_rr, inverse_rz, inverse_zz, force_r, force_z,
+                                                             equations_r, equations_z, residual)
+                        contact.add_constraint_residual_forces(counts[CountIndex.CONTACTS], contact_nodes,
+                                                               contact_shapes, contact_rates, known_rates, equation,
+                                                               residual)
                     for I in range(rows):
                         for k in ti.static(range(B)):
                             right[I][k] = residual[I * B + k] if I * B + k < free else 0.0
@@ -312,30 +329,30 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                         for i in range(free, rows * B):
                             entries[i // B, width - 1, i % B, i % B] = 1.0
                         if ti.static(slips):
-                            if counts[Count.UNSYMMETRIC] == 1:
-                                definite = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
-                                                   begin, counts[Count.SKEWED])
-                        if counts[Count.UNSYMMETRIC] == 0:
-                            definite = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width,
-                                                     begin, rows)
-                        counts[Count.FACTORISED] = definite
+                            if counts[CountIndex.UNSYMMETRIC] == 1:
+                                definite = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows,
+                                                             width, begin, counts[CountIndex.SKEWED])
+                        if counts[CountIndex.UNSYMMETRIC] == 0:
+                            definite = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse,
+                                                               rows, width, begin, rows)
+                        counts[CountIndex.FACTORISED] = definite
                         begin = rows if definite == 1 else 0
                     if definite == 1:
                         if ti.static(slips):
-                            if counts[Count.UNSYMMETRIC] == 1:
-                                lu.solve(factor, upper_factor, inverse, right, rows, width)
-                        if counts[Count.UNSYMMETRIC] == 0:
-                            cholesky.solve(factor, upper_factor, inverse, right, rows, width)
+                            if counts[CountIndex.UNSYMMETRIC] == 1:
+                                lu.solve_band(factor, upper_factor, inverse, right, rows, width)
+                        if counts[CountIndex.UNSYMMETRIC] == 0:
+                            cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
                     if asked == 1 and definite == 1:
                         for i in range(free):
                             stiff -= reaction[i] * right[i // B][i % B]
-                        report[Report.STIFFNESS] = stiff
+                        report[ReportIndex.STIFFNESS] = stiff
                     elif part == PassMode.CONTACT and definite == 0:
                         part, tangent = PassMode.FULL, 1
                     elif solves == 1 and definite == 0 and bending > 0.0:
                         bending, last_ratio = 0.0, 0.0
                     elif solves == 1 and definite == 0:
-                        report[Report.STATUS] = indefinite
+                        report[ReportIndex.STATUS] = indefinite
                     elif solves == 1:
                         if part == PassMode.FULL:
                             for i in range(x.shape[0]):
@@ -357,10 +374,12 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                                 motion[dof] = -right[i // B][i % B]
                                 x[dof] = x[dof] + motion[dof]
                         for b in range(batches):
-                            own.update(b, kappa, x, pressures, motion, elements, dofs, real, moduli, known_volume_r,
-                                       known_volume_z, gap, rows_rr, rows_rz, rows_zr, rows_zz, force_r, force_z)
-                        contact.update_forces(counts[Count.CONTACTS], depth - tool, multipliers, contact_nodes,
-                                              contact_shapes, spans, contact_rates, known_rates, motion, x)
+                            own.update_condensed_unknowns(b, kappa, x, pressures, motion, elements, dofs, real, moduli,
+                                                          known_volume_r, known_volume_z, gap, rows_rr, rows_rz,
+                                                          rows_zr, rows_zz, force_r, force_z)
+                        contact.update_contact_forces(counts[CountIndex.CONTACTS], depth - tool, multipliers,
+                                                      contact_nodes, contact_shapes, spans, contact_rates, known_rates,
+                                                      motion, x)
                         if part == PassMode.FULL:
                             # If the factorisation is likely to be reused, the next pass computes the residual only.
                             tangent = 1 if pending == 1 or ratio > NEWTON.new_tangent_residual else 0
@@ -369,13 +388,13 @@ def step_kernel(element_name: str, energy: KernelEnergy, slips: bool, effects: t
                             pending, settled = 0, 0
                             iterations += 1
                             if ti.static(has_contact_rounds):
-                                if counts[Count.CONTACTS] > 0 and cycles == 0:
+                                if counts[CountIndex.CONTACTS] > 0 and cycles == 0:
                                     part = PassMode.CONTACT
-                        counts[Count.CHANGEABLE] = contact_kernels.ALL_POINTS
-                        if iterations + counts[Count.ITERATED] > NEWTON.all_points_iterations:
-                            counts[Count.CHANGEABLE] = iterations + counts[Count.ITERATED] + settled
-            if report[Report.STATUS] == 0.0:
-                report[Report.STATUS] = slow
-            report[Report.ITERATIONS] = iterations
+                        counts[CountIndex.CHANGEABLE] = contact_kernels.ALL_POINTS
+                        if iterations + counts[CountIndex.ITERATED] > NEWTON.all_points_iterations:
+                            counts[CountIndex.CHANGEABLE] = iterations + counts[CountIndex.ITERATED] + settled
+            if report[ReportIndex.STATUS] == 0.0:
+                report[ReportIndex.STATUS] = slow
+            report[ReportIndex.ITERATIONS] = iterations
 
-    return step
+    return solve_step

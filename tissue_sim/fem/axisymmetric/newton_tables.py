@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 
-class Count(IntEnum):
-    """Indices of `Equations.counts`, the integers that a step reads and writes.
+class CountIndex(IntEnum):
+    """Indices of `EquilibriumEquations.counts`, the integers that a step reads and writes.
 
     Attributes:
         PASSES: number of times that the kernel solves the step; 1 except in benchmarks.
@@ -38,8 +38,8 @@ class Count(IntEnum):
     SKEWED = 12
 
 
-class Setting(IntEnum):
-    """Indices of `Equations.settings`, the numbers that a step reads.
+class SettingIndex(IntEnum):
+    """Indices of `EquilibriumEquations.settings`, the numbers that a step reads.
 
     Attributes:
         DEPTH: depth of the tool at the end of the step, m.
@@ -72,8 +72,8 @@ class Setting(IntEnum):
     DENSITY = 12
 
 
-class Report(IntEnum):
-    """Indices of `Equations.report`, the results of a step.
+class ReportIndex(IntEnum):
+    """Indices of `EquilibriumEquations.report`, the results of a step.
 
     Attributes:
         STATUS: a `tissue_sim.fem.solver.StepStatus`.
@@ -95,7 +95,7 @@ class Report(IntEnum):
 
 
 class PassMode(IntEnum):
-    """Part of the equations that a pass of Newton's iteration evaluates.
+    """Equations that a pass of the loop in Newton's iteration evaluates.
 
     Attributes:
         FULL: the elements and the contact.
@@ -109,7 +109,7 @@ class PassMode(IntEnum):
 
 
 class StartMode(IntEnum):
-    """State from which a step begins.
+    """State from which a call of the step kernel begins.
 
     Attributes:
         PREDICT: an extrapolation of earlier states.
@@ -131,7 +131,7 @@ class NewtonSettings:
     The kernel contains the values as constants.
 
     Attributes:
-        friction_floor: friction below this fraction of `Setting.FLOOR` is neglected.
+        friction_floor: friction below this fraction of `SettingIndex.FLOOR` is neglected.
         reuse_ratio: the factorisation is reused if a linear solve reduces the residual to this fraction or less.
         reuse_solves: the factorisation is also reused if this number of additional solves, each with the last
             reduction, reaches the tolerance.

@@ -9,8 +9,8 @@ import numpy as np
 from tissue_sim.mesh import Mesh
 
 
-class Numbering(NamedTuple):
-    """Equation numbers of the degrees of freedom, r and z of each node in turn.
+class EquationNumbering(NamedTuple):
+    """Equation number of each degree of freedom (r and z of each node in turn), and the bandwidth.
 
     Attributes:
         equation: equation of each degree of freedom, shape (freedoms,): the free ones first, then the prescribed ones;
@@ -26,8 +26,8 @@ class Numbering(NamedTuple):
     half_band: int
 
 
-def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str]) -> Numbering:
-    """Number the degrees of freedom of a mesh.
+def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str]) -> EquationNumbering:
+    """Number the equations of a mesh so that the half-bandwidth is small.
 
     Args:
         mesh: undeformed mesh.
@@ -48,12 +48,13 @@ def number_equations(mesh: Mesh, supports: dict[str, str], tool: dict[str, str])
     free, held = shared[:, None] & ~prescribed, shared[:, None] & prescribed
     # The order with the smaller bandwidth is used: by rows, or by columns.
     by_rows, by_columns = np.arange(len(mesh.nodes)), np.lexsort(mesh.nodes[:, ::-1].T)
-    numberings = [_number_equations(mesh, order, free, held) for order in (by_rows, by_columns)]
+    numberings = [_number_equations_in_order(mesh, order, free, held) for order in (by_rows, by_columns)]
     equation, half_band = min(numberings, key=lambda numbering: numbering[1])
-    return Numbering(equation.ravel(), direction.ravel(), int(free.sum()), half_band)
+    return EquationNumbering(equation.ravel(), direction.ravel(), int(free.sum()), half_band)
 
 
-def _number_equations(mesh: Mesh, order: np.ndarray, free: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, int]:
+def _number_equations_in_order(mesh: Mesh, order: np.ndarray, free: np.ndarray,
+                               held: np.ndarray) -> tuple[np.ndarray, int]:
     """Return the equation of every degree of freedom for an order of the nodes, and the half-bandwidth."""
     count = int(free.sum())
     equation = np.full(free.shape, -1, dtype=np.int32)

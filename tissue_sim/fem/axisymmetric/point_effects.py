@@ -8,44 +8,48 @@ from typing import Any
 
 from tissue_sim.fem.axisymmetric.energy import PACKED
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.trace import Formula, expressions, traced
+from tissue_sim.fem.taichi.trace import KernelFormula, extract_expressions, trace_values
 
 #: Indices of RR, RZ, ZZ and hoop among the six components of a symmetric tensor.
 _COMPONENTS = (0, 3, 1, 2)
 
 
 @cache
-def effects_function(formulas: tuple[Formula, ...]):
-    """Return the Taichi function ``add_effects(F, P, A, states, settings) -> (S, P, A, states)``.
+def make_effect_stress_function(formulas: tuple[KernelFormula, ...]):
+    """Return the Taichi function ``add_effect_stresses(F, P, A, states, settings) -> (S, P, A, states)``.
 
     The function adds the first Piola stress F S of the effects to P and its derivative to A. S is the second Piola
     stress of the effects. All arguments are vectors; see `tissue_sim.fem.point_effects.PointEffects`.
     """
     ti = initialise()
-    count = 1 + sum(len(formula.parameters) for formula in formulas)
+    count = 1 + sum(len(formula.parameter_names) for formula in formulas)
 
-    def added(F, P, A, states, settings):
-        return _add_effects(formulas, F, P, A, states, settings)
+    def build_effect_expressions(F, P, A, states, settings):
+        return _sum_effect_expressions(formulas, F, P, A, states, settings)
 
     @ti.func
-    def add_effects(F, P, A, states, settings: ti.template()):
-        return ti.static(added(F, P, A, states, [settings[i] for i in range(count)]))
+    def add_effect_stresses(F, P, A, states, settings: ti.template()):
+        return ti.static(build_effect_expressions(F, P, A, states, [settings[i] for i in range(count)]))
 
-    return add_effects
+    return add_effect_stresses
 
 
-def _add_effects(formulas: tuple[Formula, ...], F: list, P: list, A: list, states: list, settings: list) -> tuple:
-    """Evaluate the formulas of effects at a quadrature point on Taichi expressions."""
-    F, P, A = traced(F, lanes=True), traced(P, lanes=True), traced(A, lanes=True)
-    states, (dt, *numbers) = traced(states, lanes=True), traced(settings, lanes=False)
+def _sum_effect_expressions(formulas: tuple[KernelFormula, ...], F: list, P: list, A: list, states: list,
+                            settings: list) -> tuple:
+    """Return the expressions (S, P, A, states) of the summed effects at a quadrature point.
+
+    Arguments and results are lists of Taichi expressions, as in `make_effect_stress_function`.
+    """
+    F, P, A = trace_values(F, lanes=True), trace_values(P, lanes=True), trace_values(A, lanes=True)
+    states, (dt, *numbers) = trace_values(states, lanes=True), trace_values(settings, lanes=False)
     C = [F[0] * F[0] + F[2] * F[2], F[1] * F[1] + F[3] * F[3], F[4] * F[4], F[0] * F[1] + F[2] * F[3], 0.0, 0.0]
     S: list[Any] = [0.0] * 4
     D: list[list[Any]] = [[0.0] * 4 for _ in range(4)]
     found: list[Any] = []
     for formula in formulas:
-        parameters, numbers = numbers[: len(formula.parameters)], numbers[len(formula.parameters):]
+        parameters, numbers = numbers[: len(formula.parameter_names)], numbers[len(formula.parameter_names):]
         state, states = states[: len(formula.kind.rest)], states[len(formula.kind.rest):]
-        stress, tangent, new = formula.bind(parameters).response(list(C), state, dt)
+        stress, tangent, new = formula.with_parameters(parameters).response(list(C), state, dt)
         S = [S[i] + stress[place] for i, place in enumerate(_COMPONENTS)]
         D = [[D[i][k] + tangent[row][column] for k, column in enumerate(_COMPONENTS)]
              for i, row in enumerate(_COMPONENTS)]
@@ -59,4 +63,5 @@ def _add_effects(formulas: tuple[Formula, ...], F: list, P: list, A: list, state
     A = [A[n] + geometric.get((i, k), 0.0) + sum((B[m][i] * DB[m][k] for m in range(4)), 0.0)
          for n, (i, k) in enumerate(PACKED)]
     like = F[0]
-    return expressions(S, like), expressions(P, like), expressions(A, like), expressions(found, like)
+    return (extract_expressions(S, like), extract_expressions(P, like), extract_expressions(A, like),
+            extract_expressions(found, like))

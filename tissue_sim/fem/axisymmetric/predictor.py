@@ -9,8 +9,8 @@ from math import prod
 KEPT = 3
 
 
-def extrapolation_weights(known: Sequence[float], depth: float, order: int) -> list[float]:
-    """Return the weights of Lagrange extrapolation of the stored states, `KEPT` of them.
+def compute_extrapolation_weights(known: Sequence[float], depth: float, order: int) -> list[float]:
+    """Return the weights with which Lagrange extrapolation combines the `KEPT` stored states.
 
     w_i = prod over j != i of (d - d_j) / (d_i - d_j). States closer together than a tenth of the step are omitted,
     because extrapolation would amplify their rounding errors.

@@ -10,8 +10,8 @@ from tissue_sim.errors import InputError
 from tissue_sim.mesh import Mesh
 
 
-class Reference(NamedTuple):
-    """Quantities of the undeformed mesh for numerical integration.
+class ReferenceQuadrature(NamedTuple):
+    """Quadrature data of the undeformed mesh: points, volumes, shape function gradients, pressure modes.
 
     Attributes:
         points: (r, z) of the quadrature points, m, shape (elements, q, 2).
@@ -32,8 +32,8 @@ class Reference(NamedTuple):
     rounding: np.ndarray
 
 
-def integrate(mesh: Mesh) -> Reference:
-    """Compute the quantities of a mesh at its quadrature points.
+def compute_reference_quadrature(mesh: Mesh) -> ReferenceQuadrature:
+    """Compute the quadrature data of an undeformed mesh.
 
     Raises:
         InputError: an element has zero or negative area.
@@ -64,5 +64,5 @@ def integrate(mesh: Mesh) -> Reference:
     constraint = np.einsum("eq,eqm,eqai->emai", weights, modes, divergence)
     spacing = np.ptp(X, axis=1).min(axis=1) / element.order
     per_element = np.einsum("emai,emai->e", constraint, constraint) * weights.sum(axis=1) / spacing**2
-    return Reference(place, weights, node_gradients, modes, np.einsum("eq,qa->ea", weights, N),
-                     0.25 * np.finfo(float).eps * np.sqrt(per_element))
+    return ReferenceQuadrature(place, weights, node_gradients, modes, np.einsum("eq,qa->ea", weights, N),
+                               0.25 * np.finfo(float).eps * np.sqrt(per_element))

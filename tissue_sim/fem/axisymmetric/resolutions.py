@@ -9,7 +9,7 @@ from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.fem.solver import ErrorEstimate, ResolutionLevel
 
 
-class Grading(NamedTuple):
+class NeedleMeshGrading(NamedTuple):
     """Grading of a mesh under a needle, in radii of the needle, or of the contact at the largest depth.
 
     Attributes:
@@ -23,8 +23,8 @@ class Grading(NamedTuple):
     growth: float
 
 
-class Resolution(NamedTuple):
-    """Mesh sizes of one resolution.
+class MeshResolution(NamedTuple):
+    """Element sizes of one named resolution, for plates, flat tools and tips, and their force errors.
 
     Attributes:
         plates: number of elements along r and z, and grading along r and z, of a cylinder of `STUDY_SLENDERNESS`
@@ -45,11 +45,11 @@ class Resolution(NamedTuple):
     """
 
     plates: tuple[tuple[int, int], tuple[float, float]]
-    needle: Grading
-    tip: Grading
+    needle: NeedleMeshGrading
+    tip: NeedleMeshGrading
     force_errors: tuple[float, ...] = ()
     layer_elements: int = 2
-    rubbed_edge: Grading | None = None
+    rubbed_edge: NeedleMeshGrading | None = None
     error_estimate: ErrorEstimate | None = None
 
 
@@ -57,27 +57,29 @@ class Resolution(NamedTuple):
 STUDY_SLENDERNESS = 70.0 / 40.0
 #: Name -> mesh sizes. The names of real-time resolutions contain the number of elements under the needle of the study.
 RESOLUTIONS = {
-    "realtime_120": Resolution(((8, 10), (15.0, 6.0)), Grading(0.05, 1.8, 2.0), Grading(0.15, 2.5, 1.6),
-                               (0.006, 0.004, 0.005, 0.032)),
-    "realtime_63": Resolution(((6, 8), (10.0, 4.0)), Grading(0.1, 2.25, 2.5), Grading(0.25, 2.5, 1.6),
-                              (0.008, 0.011, 0.015, 0.046)),
-    "realtime_35": Resolution(((4, 6), (10.0, 4.0)), Grading(0.15, 3.0, 4.0), Grading(0.3, 3.0, 3.0),
-                              (0.008, 0.015, 0.016, 0.065)),
-    "realtime_20": Resolution(((4, 4), (8.0, 4.0)), Grading(0.2, 5.0, 6.0), Grading(0.35, 4.0, 4.0),
-                              (0.01, 0.027, 0.022, nan)),
-    "fast": Resolution(((6, 8), (10.0, 4.0)), Grading(0.1625, 1.875, 1.8), Grading(0.25, 2.5, 1.6),
-                       rubbed_edge=Grading(0.03, 1.875, 2.2), error_estimate=ErrorEstimate("realtime_120", 1.0)),
-    "accurate": Resolution(((16, 20), (50.0, 25.0)), Grading(0.00625, 1.5, 1.5), Grading(0.08, 1.5, 1.35),
-                           layer_elements=4, error_estimate=ErrorEstimate("realtime_120", 0.5)),
-    "finest": Resolution(((22, 28), (150.0, 25.0)), Grading(0.005, 1.0, 1.4), Grading(0.05, 1.0, 1.25),
-                         layer_elements=6),
+    "realtime_120": MeshResolution(((8, 10), (15.0, 6.0)), NeedleMeshGrading(0.05, 1.8, 2.0),
+                                   NeedleMeshGrading(0.15, 2.5, 1.6), (0.006, 0.004, 0.005, 0.032)),
+    "realtime_63": MeshResolution(((6, 8), (10.0, 4.0)), NeedleMeshGrading(0.1, 2.25, 2.5),
+                                  NeedleMeshGrading(0.25, 2.5, 1.6), (0.008, 0.011, 0.015, 0.046)),
+    "realtime_35": MeshResolution(((4, 6), (10.0, 4.0)), NeedleMeshGrading(0.15, 3.0, 4.0),
+                                  NeedleMeshGrading(0.3, 3.0, 3.0), (0.008, 0.015, 0.016, 0.065)),
+    "realtime_20": MeshResolution(((4, 4), (8.0, 4.0)), NeedleMeshGrading(0.2, 5.0, 6.0),
+                                  NeedleMeshGrading(0.35, 4.0, 4.0), (0.01, 0.027, 0.022, nan)),
+    "fast": MeshResolution(((6, 8), (10.0, 4.0)), NeedleMeshGrading(0.1625, 1.875, 1.8),
+                           NeedleMeshGrading(0.25, 2.5, 1.6), rubbed_edge=NeedleMeshGrading(0.03, 1.875, 2.2),
+                           error_estimate=ErrorEstimate("realtime_120", 1.0)),
+    "accurate": MeshResolution(((16, 20), (50.0, 25.0)), NeedleMeshGrading(0.00625, 1.5, 1.5),
+                               NeedleMeshGrading(0.08, 1.5, 1.35), layer_elements=4,
+                               error_estimate=ErrorEstimate("realtime_120", 0.5)),
+    "finest": MeshResolution(((22, 28), (150.0, 25.0)), NeedleMeshGrading(0.005, 1.0, 1.4),
+                             NeedleMeshGrading(0.05, 1.0, 1.25), layer_elements=6),
 }
 #: Name that requires a speed measurement -> resolution without the measurement.
 UNMEASURED = {"realtime": "realtime_63"}
 
 
-def realtime_levels(experiment: Experiment) -> tuple[ResolutionLevel, ...]:
-    """Return the real-time resolutions of an experiment, the finest first.
+def list_realtime_levels(experiment: Experiment) -> tuple[ResolutionLevel, ...]:
+    """Return the resolutions that are valid in real time for an experiment, the finest first.
 
     The coarsest mesh is not valid for tissue that slides without friction around an edge: it finds wrong equilibria
     (errors of 15 to 45 % of the force for nearly neo-Hookean tissue deeper than 8 mm).

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import newton
-from tissue_sim.fem.axisymmetric.contact import RateColumn
+from tissue_sim.fem.axisymmetric.contact import ContactRateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD
-from tissue_sim.fem.axisymmetric.equations import Equations
-from tissue_sim.fem.axisymmetric.sensitivity_kernel import respond_kernels
-from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, Switch
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.axisymmetric.equations import EquilibriumEquations
+from tissue_sim.fem.axisymmetric.sensitivity_kernel import make_sensitivity_kernels
+from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch, StoredRecordOffset
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.solver import Neighbours
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.scratch import LANES
@@ -20,7 +20,7 @@ from tissue_sim.fem.taichi.scratch import LANES
 
 @dataclass(frozen=True)
 class SensitivitySettings:
-    """Settings of the choice of a factorisation for the derivatives, and of the stored derivatives.
+    """Settings of the sensitivities: when the factorisation of the step is reused, and how much is stored.
 
     Attributes:
         max_refined: maximum number of parameters for which iterative refinement with the factorisation of the step is
@@ -39,7 +39,7 @@ class SensitivitySettings:
 SETTINGS = SensitivitySettings()
 
 
-class Sensitivity:
+class MaterialSensitivity:
     """Derivatives of a solver's state and force with respect to parameters of its material.
 
     In each step, R_y dy = -(R_theta + R_h dh) is solved with the exact tangent R_y; see `sensitivity_kernel`.
@@ -54,11 +54,12 @@ class Sensitivity:
         force: dF/dtheta at the last committed step, N per unit of the parameter, shape (parameters,).
     """
 
-    def __init__(self, equations: Equations, neighbours: Neighbours):
+    def __init__(self, equations: EquilibriumEquations, neighbours: Neighbours):
         self._equations = equations
         m, memory, surface = len(neighbours), equations.memory, equations.surface
         terms = len(memory.internal)
-        self._relaxations = [(equations.relaxation(up), equations.relaxation(down), width)
+        self._relaxations = [(equations.relaxation_at_contact_radius(up), equations.relaxation_at_contact_radius(down),
+                              width)
                              for up, down, width in neighbours]
         self._past_rates = np.zeros((m, 5))
         self._failures = self._pause = 0
@@ -69,11 +70,11 @@ class Sensitivity:
         self._multiplier_rates, self._anchor_rates, self._point_rates = np.zeros((3, *shape))
         self.force, self._changed = np.zeros(m), False
         self._contact = np.zeros((3, *surface.springs.shape))
-        self._which = np.zeros(len(Switch), np.int32)
-        kernels = respond_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
-                                memory.works, surface.slips)
+        self._which = np.zeros(len(KernelSwitch), np.int32)
+        kernels = make_sensitivity_kernels(equations.mesh.element.name, equations.material.energy_law.kernel_energy,
+                                memory.works, surface.can_slip)
         arrays = {
-            **equations.shared_arrays(), **self._differentiate_materials(neighbours),
+            **equations.shared_kernel_arrays(), **self._differentiate_material_inputs(neighbours),
             **self._allocate_point_rates(m, terms),
             "before": memory.before, "internal": memory.internal, "which": self._which,
             "past_rates": self._past_rates, "decay": self._decay, "gain": self._gain,
@@ -82,27 +83,29 @@ class Sensitivity:
             "point_rates": self._point_rates, "force_rates": self.force,
             "motion": np.zeros(equations.equation.size + equations.residual.size),
             "forces": np.zeros((m, equations.residual.size)), "dx": np.zeros((m, equations.equation.size))}
-        self._differentiate_forces, self._differentiate_state = (BoundKernel.of(kernel, arrays) for kernel in kernels)
+        self._differentiate_forces, self._differentiate_state = (
+            BoundKernel.bind_by_name(kernel, arrays) for kernel in kernels)
 
-    def _differentiate_materials(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
+    def _differentiate_material_inputs(self, neighbours: Neighbours) -> dict[str, np.ndarray]:
         """Return the derivatives of law, bulk modulus, layers and memory with the parameters, by kernel names."""
         equations, m = self._equations, len(neighbours)
-        inputs = equations.inputs(equations.material)
+        inputs = equations.compute_kernel_inputs(equations.material)
         rates = [np.zeros((m, *np.shape(array))) for array in inputs]
         for k, (up, down, width) in enumerate(neighbours):
-            above, below = equations.inputs(up), equations.inputs(down)
+            above, below = equations.compute_kernel_inputs(up), equations.compute_kernel_inputs(down)
             for rate, more, less in zip(rates, above, below, strict=True):
                 rate[k] = (np.asarray(more) - np.asarray(less)) / width
             softer = [np.array([0.0, 1.0, 0.0] if s is None else [s.loss, s.modulus, s.share])
                       for s in (up.softening, down.softening)]
-            self._past_rates[k, PastColumn.LOSS:] = (softer[0] - softer[1]) / width
-        coefficient_rates, kappa_rates, self._past_rates[:, PastColumn.FACTOR], moduli_rates = rates
-        self._which[Switch.LAYERED] = moduli_rates.any()
-        self._which[Switch.SOFTENS] = (equations.memory.past[PastColumn.LOSS] != 0
-                                or self._past_rates[:, PastColumn.LOSS:].any())
-        self._which[Switch.TERMS], self._which[[Switch.ONE, Switch.PASSES]] = self._decay.size, 1
+            self._past_rates[k, MemoryCoefficient.LOSS:] = (softer[0] - softer[1]) / width
+        coefficient_rates, kappa_rates, self._past_rates[:, MemoryCoefficient.FACTOR], moduli_rates = rates
+        self._which[KernelSwitch.LAYERED] = moduli_rates.any()
+        self._which[KernelSwitch.SOFTENS] = (equations.memory.past[MemoryCoefficient.LOSS] != 0
+                                or self._past_rates[:, MemoryCoefficient.LOSS:].any())
+        self._which[KernelSwitch.TERMS], self._which[[KernelSwitch.ONE,
+                                                      KernelSwitch.PASSES]] = self._decay.size, 1
         relaxes = [up is not None and down is not None and up != down for up, down, _ in self._relaxations]
-        self._which[Switch.RELAXES] = any(relaxes)
+        self._which[KernelSwitch.RELAXES] = any(relaxes)
         return {"directions": np.concatenate([np.tile(inputs[0], (m, 1)), coefficient_rates], axis=1),
                 "acts": np.array(coefficient_rates.any(axis=1), np.int32), "relaxes": np.array(relaxes, np.int32),
                 "kappa_rates": kappa_rates,
@@ -115,7 +118,7 @@ class Sensitivity:
         """
         batches, q = self._equations.batches.batches, self._equations.reference.weights.shape[1]
         modes = self._equations.mesh.element.pressure_modes
-        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": KeptRecord.SIZE * q,
+        rows = {"centre_r": m, "centre_z": m, "way_r": 1, "way_z": 1, "law": StoredRecordOffset.SIZE * q,
                 "pressure_rates": modes,
                 "swelling": modes}
         of_memory = {"largest_rates": m * q, "energy_rates": m * q, "stress_rates": 4 * m * q,
@@ -124,49 +127,50 @@ class Sensitivity:
         return {"recent": np.zeros((4 * terms * q, LANES)),
                 **{name: np.zeros((count * batches, LANES)) for name, count in rows.items()}}
 
-    def pop_changed(self) -> bool:
-        """Whether a contact point touched, separated, stuck or slipped since the last call; resets the flag.
+    def pop_contact_change(self) -> bool:
+        """Return whether a contact point touched, separated, stuck or slipped since the last call; reset the flag.
 
         The force then has a kink as a function of the parameters nearby.
         """
         changed, self._changed = self._changed, False
         return changed
 
-    def advance(self) -> None:
-        """Differentiate a step that has converged and is not yet committed."""
+    def update_at_equilibrium(self) -> None:
+        """Compute the derivatives of a step that has converged and is not yet committed; updates `force`."""
         memory = self._equations.memory
         if self._decay.size:
             self._decay[:], self._gain[:] = memory.step
-            (self._past_rates[:, PastColumn.INSTANT], self._decay_rates[:],
-             self._gain_rates[:]) = self._differentiate_relaxation(memory.dt)
-        if self._pause or not self._may_refine():
+            (self._past_rates[:, MemoryCoefficient.INSTANT], self._decay_rates[:],
+             self._gain_rates[:]) = self._differentiate_relaxation_increment(memory.dt)
+        if self._pause or not self._can_refine_iteratively():
             self._pause = max(self._pause - 1, 0)
-            self._equations.respond(self._launch)
+            self._equations.run_with_exact_tangent(self._differentiate_with_factorisation)
         elif not self._refine_iteratively():
             # The contact has changed, or the factorisation is too far; the next steps are likely to fail, too.
             self._failures += 1
             self._pause = 4**self._failures
-            self._equations.respond(self._launch)
-        self._update_contact()
+            self._equations.run_with_exact_tangent(self._differentiate_with_factorisation)
+        self._update_contact_derivatives()
 
-    def _may_refine(self) -> bool:
+    def _can_refine_iteratively(self) -> bool:
         """Whether iterative refinement with the step's factorisation is possible and cheaper than a new one."""
         counts, settings = self._equations.counts, self._equations.settings
-        few = SETTINGS.max_refined_slip if counts[newton.Count.UNSYMMETRIC] else SETTINGS.max_refined
-        return (not self._equations.memory.works and self.force.size <= few and settings[newton.Setting.INERTIA] == 0
-                and counts[newton.Count.FACTORISED] == 1 and counts[newton.Count.BENDING] == 1)
+        few = SETTINGS.max_refined_slip if counts[newton.CountIndex.UNSYMMETRIC] else SETTINGS.max_refined
+        return (not self._equations.memory.works and self.force.size <= few
+                and settings[newton.SettingIndex.INERTIA] == 0 and counts[newton.CountIndex.FACTORISED] == 1
+                and counts[newton.CountIndex.BENDING] == 1)
 
     def _refine_iteratively(self) -> bool:
         """Differentiate by iterative refinement with the step's factorisation; return whether it converged."""
         before = self._multiplier_rates.copy()
-        self._which[[Switch.FACTORISES, Switch.REFINES]] = 1
-        self._equations.respond(self._run, assembles=False)
-        self._which[Switch.REFINES] = 0
-        if self._which[Switch.FACTORISES]:
+        self._which[[KernelSwitch.FACTORISES, KernelSwitch.REFINES]] = 1
+        self._equations.run_with_exact_tangent(self._run_kernels, assembles=False)
+        self._which[KernelSwitch.REFINES] = 0
+        if self._which[KernelSwitch.FACTORISES]:
             self._multiplier_rates[:] = before
-        return not self._which[Switch.FACTORISES]
+        return not self._which[KernelSwitch.FACTORISES]
 
-    def _differentiate_relaxation(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def _differentiate_relaxation_increment(self, dt: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the derivatives of instantaneous factor, decay and gain of each term in a step of duration dt, s."""
         if dt not in self._stored:
             if len(self._stored) >= SETTINGS.stored_step_lengths:
@@ -179,19 +183,19 @@ class Sensitivity:
             self._stored[dt] = rates
         return self._stored[dt]
 
-    def _run(self) -> None:
-        """Start both kernels."""
+    def _run_kernels(self) -> None:
+        """Run both kernels: force derivatives at fixed displacements, then derivatives of the state."""
         self._differentiate_forces()
         self._differentiate_state()
 
-    def _launch(self) -> None:
+    def _differentiate_with_factorisation(self) -> None:
         """Differentiate with a factorisation of the assembled exact tangent; the force is NaN if it is singular."""
-        self._which[Switch.FACTORISES] = 1
-        self._run()
-        if self._which[Switch.FACTORISES]:
+        self._which[KernelSwitch.FACTORISES] = 1
+        self._run_kernels()
+        if self._which[KernelSwitch.FACTORISES]:
             self.force[:] = np.nan
 
-    def _update_contact(self) -> None:
+    def _update_contact_derivatives(self) -> None:
         """Update the derivatives of anchors and contact forces after a step.
 
         A new anchor moves with its point along the surface; a separated point has no force.
@@ -202,7 +206,7 @@ class Sensitivity:
             return
         rebound = (held > 0) & (surface.held != surface.anchors).any(axis=-1)
         if rebound.any():
-            normals = surface.rates[rebound][:, [RateColumn.NORMAL_R, RateColumn.NORMAL_Z]]
+            normals = surface.rates[rebound][:, [ContactRateColumn.NORMAL_R, ContactRateColumn.NORMAL_Z]]
             along = np.stack([-normals[:, 1], normals[:, 0]], axis=-1)
             slip = np.einsum("kni,ni->kn", self._point_rates[:, rebound], along)
             self._anchor_rates[:, rebound] = slip[..., None] * along

@@ -13,15 +13,15 @@ Eng. 37 (1994) 2471.
 from dataclasses import dataclass
 from functools import cache
 
-from tissue_sim.fem.axisymmetric.contact import PENALTY, KnownRateColumn, RateColumn, SpanColumn
+from tissue_sim.fem.axisymmetric.contact import PENALTY, ContactRateColumn, ContactSpanColumn, FactorisedRateColumn
 from tissue_sim.fem.axisymmetric.contact_kernels import HELD, TOUCHED
-from tissue_sim.fem.axisymmetric.newton_tables import Count, Setting
-from tissue_sim.fem.axisymmetric.sensitivity_points import response_functions
-from tissue_sim.fem.axisymmetric.sensitivity_product import product_functions
-from tissue_sim.fem.axisymmetric.sensitivity_tables import Switch
+from tissue_sim.fem.axisymmetric.newton_tables import CountIndex, SettingIndex
+from tissue_sim.fem.axisymmetric.sensitivity_points import make_sensitivity_functions
+from tissue_sim.fem.axisymmetric.sensitivity_product import make_tangent_product_functions
+from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch
 from tissue_sim.fem.linear import band as band_matrix
-from tissue_sim.fem.linear.cholesky import cholesky_functions
-from tissue_sim.fem.linear.lu import lu_functions
+from tissue_sim.fem.linear.cholesky import make_cholesky_functions
+from tissue_sim.fem.linear.lu import make_lu_functions
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
@@ -53,8 +53,8 @@ DIFFERENTIATION = DifferentiationSettings()
 
 
 @cache
-def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, slips: bool):
-    """Return the two kernels that differentiate a step; see `tissue_sim.fem.axisymmetric.sensitivity.Sensitivity`.
+def make_sensitivity_kernels(element_name: str, energy: KernelEnergy, remembers: bool, slips: bool):
+    """Return the two kernels that differentiate a step; see `MaterialSensitivity` in `sensitivity`.
 
     Args:
         element_name: key of `tissue_sim.mesh.elements.ELEMENTS`.
@@ -66,7 +66,8 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
         Kernel of the force derivatives at fixed displacements, and kernel of all other derivatives.
     """
     ti = initialise()
-    work, tangent = response_functions(element_name, energy, remembers), product_functions(element_name)
+    work, tangent = make_sensitivity_functions(element_name, energy,
+                                               remembers), make_tangent_product_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
     block = ti.types.vector(band_matrix.BLOCK, ti.f64)
     B = band_matrix.BLOCK
@@ -74,18 +75,18 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
     int1, int2 = (ti.types.ndarray(dtype=ti.i32, ndim=n) for n in (1, 2))
     vector1 = ti.types.ndarray(dtype=vec, ndim=1)
     block1, block3 = (ti.types.ndarray(dtype=block, ndim=n) for n in (1, 3))
-    cholesky, lu = cholesky_functions(), lu_functions()
+    cholesky, lu = make_cholesky_functions(), make_lu_functions()
 
     @ti.func
-    def contact_rate(i, k, dr, dz, held: ti.template(), slip_signs: ti.template(), springs: ti.template(),
-                     contact_rates: ti.template(), known: ti.template(), multiplier_rates: ti.template(),
-                     anchor_rates: ti.template()):
+    def compute_contact_force_rate(i, k, dr, dz, held: ti.template(), slip_signs: ti.template(), springs: ti.template(),
+                                   contact_rates: ti.template(), known: ti.template(), multiplier_rates: ti.template(),
+                                   anchor_rates: ti.template()):
         """Return the derivative of the force of point i with respect to parameter k for given (dr, dz)/dtheta_k.
 
         The residual of the constraint is multiplied by the derivatives that the matrix contains.
         """
-        fr = contact_rates[i, RateColumn.RR] * dr + contact_rates[i, RateColumn.RZ] * dz
-        fz = contact_rates[i, RateColumn.ZR] * dr + contact_rates[i, RateColumn.ZZ] * dz
+        fr = contact_rates[i, ContactRateColumn.RR] * dr + contact_rates[i, ContactRateColumn.RZ] * dz
+        fz = contact_rates[i, ContactRateColumn.ZR] * dr + contact_rates[i, ContactRateColumn.ZZ] * dz
         lr, lz = multiplier_rates[k, i, 0], multiplier_rates[k, i, 1]
         hr, hz = anchor_rates[k, i, 0], anchor_rates[k, i, 1]
         stiff, missed_r, missed_z = PENALTY.stick_factor * springs[i], 0.0, 0.0
@@ -93,9 +94,9 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
             missed_r, missed_z = dr - hr, dz - hz
             fr += lr - stiff * hr
             fz += lz - stiff * hz
-        elif contact_rates[i, RateColumn.RR] != 0.0 or contact_rates[i, RateColumn.ZZ] != 0.0:
-            nr, nz = contact_rates[i, RateColumn.NORMAL_R], contact_rates[i, RateColumn.NORMAL_Z]
-            mu = contact_rates[i, RateColumn.FRICTION]
+        elif contact_rates[i, ContactRateColumn.RR] != 0.0 or contact_rates[i, ContactRateColumn.ZZ] != 0.0:
+            nr, nz = contact_rates[i, ContactRateColumn.NORMAL_R], contact_rates[i, ContactRateColumn.NORMAL_Z]
+            mu = contact_rates[i, ContactRateColumn.FRICTION]
             tr, tz = -nz, nr
             pressed, along = lr * nr + lz * nz, 0.0
             apart, slip = dr * nr + dz * nz, 0.0
@@ -106,57 +107,61 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
             missed_r, missed_z = apart * nr + slip * tr, apart * nz + slip * tz
             fr += pressed * nr + along * tr
             fz += pressed * nz + along * tz
-        fr += ((known[i, KnownRateColumn.RR] - contact_rates[i, RateColumn.RR]) * missed_r
-               + (known[i, KnownRateColumn.RZ] - contact_rates[i, RateColumn.RZ]) * missed_z)
-        fz += ((known[i, KnownRateColumn.ZR] - contact_rates[i, RateColumn.ZR]) * missed_r
-               + (known[i, KnownRateColumn.ZZ] - contact_rates[i, RateColumn.ZZ]) * missed_z)
+        fr += ((known[i, FactorisedRateColumn.RR] - contact_rates[i, ContactRateColumn.RR]) * missed_r
+               + (known[i, FactorisedRateColumn.RZ] - contact_rates[i, ContactRateColumn.RZ]) * missed_z)
+        fz += ((known[i, FactorisedRateColumn.ZR] - contact_rates[i, ContactRateColumn.ZR]) * missed_r
+               + (known[i, FactorisedRateColumn.ZZ] - contact_rates[i, ContactRateColumn.ZZ]) * missed_z)
         return fr, fz
 
     @ti.func
-    def factorise(counts: ti.template(), entries: ti.template(), blocks: ti.template(), upper_blocks: ti.template(),
-                  factor: ti.template(), upper_factor: ti.template(), inverse: ti.template(), rows, width):
-        for i in range(counts[Count.FREE], rows * B):
+    def factorise_tangent(counts: ti.template(), entries: ti.template(), blocks: ti.template(),
+                          upper_blocks: ti.template(), factor: ti.template(), upper_factor: ti.template(),
+                          inverse: ti.template(), rows, width):
+        """Factorise the assembled exact tangent; return 1, or 0 if the tangent is singular or not positive definite."""
+        for i in range(counts[CountIndex.FREE], rows * B):
             entries[i // B, width - 1, i % B, i % B] = 1.0
         good = 1
         if ti.static(slips):
-            if counts[Count.UNSYMMETRIC] == 1:
-                good = lu.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0,
-                               counts[Count.SKEWED])
-        if counts[Count.UNSYMMETRIC] == 0:
-            good = cholesky.init(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
+            if counts[CountIndex.UNSYMMETRIC] == 1:
+                good = lu.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0,
+                                         counts[CountIndex.SKEWED])
+        if counts[CountIndex.UNSYMMETRIC] == 0:
+            good = cholesky.factorise_band(blocks, upper_blocks, factor, upper_factor, inverse, rows, width, 0, rows)
         return good
 
     @ti.func
-    def solve_parameter(k, kappa, batches, which: ti.template(), counts: ti.template(), equation: ti.template(),
-                        contact_nodes: ti.template(), contact_shapes: ti.template(), springs: ti.template(),
-                        held: ti.template(), slip_signs: ti.template(), contact_rates: ti.template(),
-                        known_rates: ti.template(), factor: ti.template(), upper_factor: ti.template(),
-                        inverse: ti.template(), right: ti.template(), residual: ti.template(), forces: ti.template(),
-                        multiplier_rates: ti.template(), anchor_rates: ti.template(), point_rates: ti.template(),
-                        law: ti.template(), dx: ti.template(), motion: ti.template(), dofs: ti.template(),
-                        real: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
-                        value_r: ti.template(), moduli: ti.template(), equations_r: ti.template(),
-                        equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
-                        known_volume_r: ti.template(), known_volume_z: ti.template(), pressure_rates: ti.template(),
-                        swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
-                        rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
-                        inverse_zz: ti.template(), centre_r: ti.template(), centre_z: ti.template(),
-                        way_r: ti.template(), way_z: ti.template()):
+    def solve_parameter_derivatives(k, kappa, batches, which: ti.template(), counts: ti.template(),
+                                    equation: ti.template(), contact_nodes: ti.template(),
+                                    contact_shapes: ti.template(), springs: ti.template(), held: ti.template(),
+                                    slip_signs: ti.template(), contact_rates: ti.template(), known_rates: ti.template(),
+                                    factor: ti.template(), upper_factor: ti.template(), inverse: ti.template(),
+                                    right: ti.template(), residual: ti.template(), forces: ti.template(),
+                                    multiplier_rates: ti.template(), anchor_rates: ti.template(),
+                                    point_rates: ti.template(), law: ti.template(), dx: ti.template(),
+                                    motion: ti.template(), dofs: ti.template(), real: ti.template(),
+                                    gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
+                                    moduli: ti.template(), equations_r: ti.template(), equations_z: ti.template(),
+                                    volume_r: ti.template(), volume_z: ti.template(), known_volume_r: ti.template(),
+                                    known_volume_z: ti.template(), pressure_rates: ti.template(),
+                                    swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+                                    rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(),
+                                    inverse_rz: ti.template(), inverse_zz: ti.template(), centre_r: ti.template(),
+                                    centre_z: ti.template(), way_r: ti.template(), way_z: ti.template()):
         """Solve for the derivatives of displacements and contact forces with respect to parameter k.
 
         Each round solves with the factorisation and updates the derivatives of the contact forces. With the
-        factorisation of a nearby tangent (`Switch.REFINES`) the rounds are iterative refinement of the exact equations,
-        and `Switch.SETTLED` tells whether they converged. `motion` contains the last displacement increment, then the
-        residual before it.
+        factorisation of a nearby tangent (`KernelSwitch.REFINES`) the rounds are iterative refinement of the exact
+        equations, and `KernelSwitch.SETTLED` is 1 if they converged. `motion` contains the last displacement increment,
+        followed by the residual before that increment.
         """
-        free, width, rows = counts[Count.FREE], factor.shape[1], factor.shape[0]
+        free, width, rows = counts[CountIndex.FREE], factor.shape[1], factor.shape[0]
         last, before_last = 0.0, 0.0
-        refines = which[Switch.REFINES]
+        refines = which[KernelSwitch.REFINES]
         goes_on = float(refines)
-        which[Switch.SETTLED] = 0
+        which[KernelSwitch.SETTLED] = 0
         for i in range(dx.shape[1]):
             dx[k, i] = 0.0
-        for c in range(counts[Count.CONTACTS]):
+        for c in range(counts[CountIndex.CONTACTS]):
             point_rates[k, c, 0], point_rates[k, c, 1] = 0.0, 0.0
         for b in range(way_r.shape[0]):
             at = k * batches + b
@@ -171,8 +176,8 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
             if ti.static(not remembers):
                 if refines == 1 and round > 0:
                     for b in range(batches):
-                        missed = tangent.add_product(
-                            b, k, kappa, batches, which[Switch.ONE], law, dx, dofs, real, gradient_r, gradient_z,
+                        missed = tangent.add_tangent_product(
+                            b, k, kappa, batches, which[KernelSwitch.ONE], law, dx, dofs, real, gradient_r, gradient_z,
                                                      value_r,
                             moduli, equations_r, equations_z, volume_r, volume_z, known_volume_r, known_volume_z,
                             pressure_rates, swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
@@ -180,9 +185,10 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                         missing += missed
             for i in range(free, residual.shape[0]):
                 motion[equation.shape[0] + i] = residual[i]
-            for c in range(counts[Count.CONTACTS]):
-                fr, fz = contact_rate(c, k, goes_on * point_rates[k, c, 0], goes_on * point_rates[k, c, 1], held,
-                                      slip_signs, springs, contact_rates, known_rates, multiplier_rates, anchor_rates)
+            for c in range(counts[CountIndex.CONTACTS]):
+                fr, fz = compute_contact_force_rate(c, k, goes_on * point_rates[k, c, 0],
+                                                    goes_on * point_rates[k, c, 1], held, slip_signs, springs,
+                                                    contact_rates, known_rates, multiplier_rates, anchor_rates)
                 for a in range(contact_shapes.shape[1]):
                     ir, iz = equation[2 * contact_nodes[c, a]], equation[2 * contact_nodes[c, a] + 1]
                     residual[ir] = residual[ir] + contact_shapes[c, a] * fr
@@ -194,7 +200,7 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                                  or (slow and missing <= DIFFERENTIATION.contact_tolerance * pushing)):
                 for dof in range(equation.shape[0]):
                     motion[dof] = 0.0
-                which[Switch.SETTLED] = 1
+                which[KernelSwitch.SETTLED] = 1
                 break
             if slow:
                 break
@@ -205,10 +211,10 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 for i in ti.static(range(B)):
                     right[I][i] = residual[I * B + i] if I * B + i < free else 0.0
             if ti.static(slips):
-                if counts[Count.UNSYMMETRIC] == 1:
-                    lu.solve(factor, upper_factor, inverse, right, rows, width)
-            if counts[Count.UNSYMMETRIC] == 0:
-                cholesky.solve(factor, upper_factor, inverse, right, rows, width)
+                if counts[CountIndex.UNSYMMETRIC] == 1:
+                    lu.solve_band(factor, upper_factor, inverse, right, rows, width)
+            if counts[CountIndex.UNSYMMETRIC] == 0:
+                cholesky.solve_band(factor, upper_factor, inverse, right, rows, width)
             for dof in range(equation.shape[0]):
                 i = equation[dof]
                 motion[dof] = 0.0
@@ -218,15 +224,16 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
             if ti.static(not remembers):
                 if refines == 1:
                     for b in range(batches):
-                        tangent.update(b, k, kappa, motion, dofs, real, moduli, known_volume_r, known_volume_z,
-                                       rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z, pressure_rates, swelling, dx)
-            for c in range(counts[Count.CONTACTS]):
+                        tangent.update_condensed_derivatives(b, k, kappa, motion, dofs, real, moduli, known_volume_r,
+                                                             known_volume_z, rows_rr, rows_rz, rows_zr, rows_zz, way_r,
+                                                             way_z, pressure_rates, swelling, dx)
+            for c in range(counts[CountIndex.CONTACTS]):
                 dr, dz = 0.0, 0.0
                 for a in range(contact_shapes.shape[1]):
                     dr += contact_shapes[c, a] * dx[k, 2 * contact_nodes[c, a]]
                     dz += contact_shapes[c, a] * dx[k, 2 * contact_nodes[c, a] + 1]
-                fr, fz = contact_rate(c, k, dr, dz, held, slip_signs, springs, contact_rates, known_rates,
-                                      multiplier_rates, anchor_rates)
+                fr, fz = compute_contact_force_rate(c, k, dr, dz, held, slip_signs, springs, contact_rates, known_rates,
+                                                    multiplier_rates, anchor_rates)
                 changed += ti.abs(fr - multiplier_rates[k, c, 0]) + ti.abs(fz - multiplier_rates[k, c, 1])
                 largest_rate += ti.abs(fr) + ti.abs(fz)
                 multiplier_rates[k, c, 0], multiplier_rates[k, c, 1] = fr, fz
@@ -253,31 +260,32 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                              before_rates: vector1, internal_rates: vector1, centre_r: vector1, centre_z: vector1,
                              law: vector1, forces: real2):
         ti.loop_config(serialize=True)
-        for _ in range(which[Switch.PASSES]):
+        for _ in range(which[KernelSwitch.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], forces.shape[0]
-            kappa = settings[Setting.KAPPA]
-            if which[Switch.REFINES] == 1:
-                which[Switch.FACTORISES] = 0
+            kappa = settings[SettingIndex.KAPPA]
+            if which[KernelSwitch.REFINES] == 1:
+                which[KernelSwitch.FACTORISES] = 0
             else:
-                which[Switch.FACTORISES] = 1 - factorise(counts, entries, blocks, upper_blocks, factor, upper_factor,
-                                                         inverse,
-                                             blocks.shape[0], blocks.shape[1])
+                which[KernelSwitch.FACTORISES] = 1 - factorise_tangent(counts, entries, blocks, upper_blocks,
+                                                                       factor, upper_factor, inverse,
+                                                                       blocks.shape[0], blocks.shape[1])
             for k in range(parameters):
                 for i in range(residual.shape[0]):
                     forces[k, i] = 0.0
             for b in range(batches):
-                work.note(b, which, x, dofs, elements, gradient_r, gradient_z, value_r, coefficients, past,
-                          inherited, largest, pressures, mode_values, point_weights, moduli, law)
+                work.store_point_data(b, which, x, dofs, elements, gradient_r, gradient_z, value_r, coefficients, past,
+                                      inherited, largest, pressures, mode_values, point_weights, moduli, law)
                 if ti.static(remembers):
-                    if which[Switch.RELAXES] == 1:
-                        work.recall(b, which, elements, stresses, before, internal, recent)
+                    if which[KernelSwitch.RELAXES] == 1:
+                        work.load_stress_history(b, which, elements, stresses, before, internal, recent)
                 for k in range(parameters):
-                    work.push(b, k, kappa, parameters, batches, pressures, which, acts, directions, x, elements,
-                              gradient_r, gradient_z, value_r, point_weights, moduli, equations_r, equations_z,
-                              volume_r, volume_z, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
-                              inverse_zz, kappa_rates, moduli_rates, past, past_rates, largest, largest_rates,
-                              energy_rates, stress_rates, before_rates, recent, internal_rates, decay, gain,
-                              decay_rates, gain_rates, relaxes, centre_r, centre_z, forces)
+                    work.add_force_derivatives(b, k, kappa, parameters, batches, pressures, which, acts, directions, x,
+                                               elements, gradient_r, gradient_z, value_r, point_weights, moduli,
+                                               equations_r, equations_z, volume_r, volume_z, rows_rr, rows_rz, rows_zr,
+                                               rows_zz, inverse_rr, inverse_rz, inverse_zz, kappa_rates, moduli_rates,
+                                               past, past_rates, largest, largest_rates, energy_rates, stress_rates,
+                                               before_rates, recent, internal_rates, decay, gain, decay_rates,
+                                               gain_rates, relaxes, centre_r, centre_z, forces)
 
     @ti.kernel
     def differentiate_state(which: int1, counts: int1, settings: real1, equation: int1, direction: real1,
@@ -297,24 +305,25 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                             centre_z: vector1, way_r: vector1, way_z: vector1, motion: real1, law: vector1,
                             forces: real2, dx: real2, force_rates: real1):
         ti.loop_config(serialize=True)
-        for _ in range(which[Switch.PASSES]):
+        for _ in range(which[KernelSwitch.PASSES]):
             batches, pressures, parameters = elements.shape[0], equation.shape[0], force_rates.shape[0]
-            free, kappa = counts[Count.FREE], settings[Setting.KAPPA]
+            free, kappa = counts[CountIndex.FREE], settings[SettingIndex.KAPPA]
             for k in range(parameters):
-                if which[Switch.FACTORISES] == 0 or which[Switch.REFINES] == 0:
-                    solve_parameter(k, kappa, batches, which, counts, equation, contact_nodes, contact_shapes, springs,
-                                    held, slip_signs, contact_rates, known_rates, factor, upper_factor, inverse, right,
-                                    residual, forces, multiplier_rates, anchor_rates, point_rates, law, dx, motion,
-                                    dofs, real, gradient_r, gradient_z, value_r, moduli, equations_r, equations_z,
-                                    volume_r, volume_z, known_volume_r, known_volume_z, pressure_rates, swelling,
-                                    rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, centre_r,
-                                    centre_z, way_r, way_z)
-                    if which[Switch.REFINES] == 1 and which[Switch.SETTLED] == 0:
-                        which[Switch.FACTORISES] = 1
+                if which[KernelSwitch.FACTORISES] == 0 or which[KernelSwitch.REFINES] == 0:
+                    solve_parameter_derivatives(k, kappa, batches, which, counts, equation, contact_nodes,
+                                                contact_shapes, springs, held, slip_signs, contact_rates, known_rates,
+                                                factor, upper_factor, inverse, right, residual, forces,
+                                                multiplier_rates, anchor_rates, point_rates, law, dx, motion, dofs,
+                                                real, gradient_r, gradient_z, value_r, moduli, equations_r, equations_z,
+                                                volume_r, volume_z, known_volume_r, known_volume_z, pressure_rates,
+                                                swelling, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz,
+                                                inverse_zz, centre_r, centre_z, way_r, way_z)
+                    if which[KernelSwitch.REFINES] == 1 and which[KernelSwitch.SETTLED] == 0:
+                        which[KernelSwitch.FACTORISES] = 1
                 # Force on the tool: of contact points, and of tissue that is bonded to the tool.
                 total = 0.0
-                for c in range(counts[Count.CONTACTS]):
-                    total += float(spans[c, SpanColumn.MOVES]) * multiplier_rates[k, c, 1]
+                for c in range(counts[CountIndex.CONTACTS]):
+                    total += float(spans[c, ContactSpanColumn.MOVES]) * multiplier_rates[k, c, 1]
                 for dof in range(pressures):
                     i = equation[dof]
                     if i >= free:
@@ -324,12 +333,13 @@ def respond_kernels(element_name: str, energy: KernelEnergy, remembers: bool, sl
                 force_rates[k] = total
             if ti.static(remembers):
                 for b in range(batches):
-                    if which[Switch.RELAXES] == 1:
-                        work.recall(b, which, elements, stresses, before, internal, recent)
+                    if which[KernelSwitch.RELAXES] == 1:
+                        work.load_stress_history(b, which, elements, stresses, before, internal, recent)
                     for k in range(parameters):
-                        work.remember(b, k, parameters, batches, which, dx, dofs, elements, gradient_r, gradient_z,
-                                      value_r, rows_rr, rows_rz, rows_zr, rows_zz, law, largest, energies,
-                                      largest_rates, energy_rates, stress_rates, before_rates, recent, internal_rates,
-                                      decay, gain, decay_rates, gain_rates, relaxes, centre_r, centre_z)
+                        work.update_memory_derivatives(b, k, parameters, batches, which, dx, dofs, elements, gradient_r,
+                                                       gradient_z, value_r, rows_rr, rows_rz, rows_zr, rows_zz, law,
+                                                       largest, energies, largest_rates, energy_rates, stress_rates,
+                                                       before_rates, recent, internal_rates, decay, gain, decay_rates,
+                                                       gain_rates, relaxes, centre_r, centre_z)
 
     return differentiate_forces, differentiate_state

@@ -10,26 +10,26 @@ from typing import NamedTuple
 import sympy as sp
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.scratch import AT, scratch
-from tissue_sim.fem.axisymmetric.sensitivity_tables import KeptRecord, PointRecord, Switch
-from tissue_sim.fem.energy import inverse_root_function, soften_function
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
+from tissue_sim.fem.axisymmetric.sensitivity_tables import KernelSwitch, PointRecordOffset, StoredRecordOffset
+from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.elements import ELEMENTS
 
 
-class ResponseFunctions(NamedTuple):
-    """Taichi functions of one element and one family of laws."""
+class SensitivityFunctions(NamedTuple):
+    """Taichi functions that differentiate forces and memory of one element type and one family of laws."""
 
-    note: object
-    recall: object
-    push: object
-    remember: object
+    store_point_data: object
+    load_stress_history: object
+    add_force_derivatives: object
+    update_memory_derivatives: object
 
 
-def directional(energy: KernelEnergy) -> KernelEnergy:
+def make_directional_derivative(energy: KernelEnergy) -> KernelEnergy:
     """Return the directional derivative of an energy with respect to its coefficients, as an energy.
 
     The coefficients of the result are those of the energy, followed by the components of the direction.
@@ -41,8 +41,10 @@ def directional(energy: KernelEnergy) -> KernelEnergy:
 
 
 @cache
-def response_functions(element_name: str, energy: KernelEnergy, remembers: bool) -> ResponseFunctions:
-    """Return the functions of an element type and a law; tissue without memory uses `note` and `push` only.
+def make_sensitivity_functions(element_name: str, energy: KernelEnergy, remembers: bool) -> SensitivityFunctions:
+    """Return the Taichi functions of an element type and a law.
+
+    Tissue without memory uses `store_point_data` and `add_force_derivatives` only.
 
     Rows of arrays of vectors are numbered by batch, point, parameter, term and component, the last fastest. The
     component in a row index is multiplied by `one`, a 1 that is unknown to the compiler: with constant indices the
@@ -55,12 +57,12 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     has_centre, centre = nodes > nb, nodes - 1
     coefficients_of_both = 2 * len(energy.coefficients)
     vec = ti.types.vector(LANES, ti.f64)
-    s = scratch()
-    law_of = point.function(energy)
-    add_volume = point.volume_function()
-    stress_rate = point.function(directional(energy), tangents=False)
-    inverse_root = inverse_root_function()
-    soften = soften_function(5)
+    s = get_scratch_field()
+    law_of = point.make_stress_function(energy)
+    add_pressure_terms = point.make_pressure_term_function()
+    stress_rate = point.make_stress_function(make_directional_derivative(energy), tangents=False)
+    inverse_cube_root = make_inverse_cube_root_function()
+    apply_softening = make_softening_function(5)
     UR, UZ, FR, FZ, RATE = AT["UR"], AT["UZ"], AT["FR"], AT["FZ"], AT["STRESS"]
     LAW, ENERGY_RATE, PAST, BEFORE, CHANGE = (AT[name] for name in ("LAW", "ENERGY_RATE", "PAST", "BEFORE", "CHANGE"))
     row = point.PLACE
@@ -69,29 +71,32 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
     # stored in the scratch field.
 
     @ti.func
-    def at_lanes(values: ti.template(), elements: ti.template(), b, q):
+    def gather_point_values(values: ti.template(), elements: ti.template(), b, q):
+        """Return `values` at quadrature point q of the elements of batch b, one in each SIMD lane."""
         return ti.Vector([values[elements[b, l], q] for l in ti.static(range(LANES))])
 
     @ti.func
-    def component(values: ti.template(), elements: ti.template(), b, q, i: ti.template()):
+    def gather_point_component(values: ti.template(), elements: ti.template(), b, q, i: ti.template()):
+        """Return component i of `values` at quadrature point q of the elements of batch b, one in each SIMD lane."""
         return ti.Vector([values[elements[b, l], q, i] for l in ti.static(range(LANES))])
 
     @ti.func
-    def pulled_back(F, P):
-        """Return the pull-back F^-1 P of a first Piola stress: RR, RZ, ZZ, hoop."""
+    def pull_back_stress(F, P):
+        """Return the second Piola stress F^-1 P (RR, RZ, ZZ, hoop) of a first Piola stress P."""
         over_j = 1.0 / (F[0] * F[3] - F[1] * F[2])
         return [(F[3] * P[0] - F[1] * P[2]) * over_j, (F[3] * P[1] - F[1] * P[3]) * over_j,
                 (F[0] * P[3] - F[2] * P[1]) * over_j, P[4] / F[4]]
 
     @ti.func
-    def pushed(F, S):
-        """Return F S for a second Piola stress S (RR, RZ, ZZ, hoop)."""
+    def push_forward_stress(F, S):
+        """Return the first Piola stress F S (5 components) of a second Piola stress S (RR, RZ, ZZ, hoop)."""
         return [F[0] * S[0] + F[1] * S[1], F[0] * S[1] + F[1] * S[2], F[2] * S[0] + F[3] * S[1],
                 F[2] * S[1] + F[3] * S[2], F[4] * S[3]]
 
     @ti.func
-    def gradient(b, q, gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template()):
-        """Return the displacement gradient of the stored nodal displacements."""
+    def compute_displacement_gradient(b, q, gradient_r: ti.template(), gradient_z: ti.template(),
+                                      value_r: ti.template()):
+        """Return the gradient (rR, rZ, zR, zZ, hoop) of the stored nodal displacements at quadrature point q."""
         h0, h1, h2, h3, h4 = vec(0.0), vec(0.0), vec(0.0), vec(0.0), vec(0.0)
         for a in range(nodes):
             g = (b * points + q) * nodes + a
@@ -104,117 +109,123 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
         return h0, h1, h2, h3, h4
 
     @ti.func
-    def note(b, which: ti.template(), x: ti.template(), dofs: ti.template(), elements: ti.template(),
-             gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), coefficients: ti.template(),
-             past: ti.template(), inherited: ti.template(), largest: ti.template(), pressures, modes_at: ti.template(),
-             weights: ti.template(), moduli: ti.template(), law: ti.template()):
-        """Store the quantities of a batch that do not depend on the parameter."""
-        one = which[Switch.ONE]
+    def store_point_data(b, which: ti.template(), x: ti.template(), dofs: ti.template(), elements: ti.template(),
+                         gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
+                         coefficients: ti.template(), past: ti.template(), inherited: ti.template(),
+                         largest: ti.template(), pressures, modes_at: ti.template(), weights: ti.template(),
+                         moduli: ti.template(), law: ti.template()):
+        """Store the quantities at the points of batch b that are independent of the parameter, as strain and stress."""
+        one = which[KernelSwitch.ONE]
         for a in range(nodes):
             i = b * nodes + a
             s[UR + a] = ti.Vector([x[dofs[i, l]] for l in ti.static(range(LANES))])
             s[UZ + a] = ti.Vector([x[dofs[i, l] + 1] for l in ti.static(range(LANES))])
         for q in range(points):
-            h0, h1, h2, h3, h4 = gradient(b, q, gradient_r, gradient_z, value_r)
+            h0, h1, h2, h3, h4 = compute_displacement_gradient(b, q, gradient_r, gradient_z, value_r)
             area = h0 + h3 + h0 * h3 - h1 * h2
             F = [1.0 + h0, h1, h2, 1.0 + h3, 1.0 + h4]
-            root = inverse_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
-            at = LAW + PointRecord.SIZE * q
+            root = inverse_cube_root(ti.max(1.0 + area + h4 + area * h4, 1e-6))
+            at = LAW + PointRecordOffset.SIZE * q
             for i in ti.static(range(5)):
-                s[at + PointRecord.GRADIENT + i] = F[i]
-            s[at + PointRecord.ROOT] = root
+                s[at + PointRecordOffset.GRADIENT + i] = F[i]
+            s[at + PointRecordOffset.ROOT] = root
             if ti.static(remembers):
-                kept, f = (b * points + q) * KeptRecord.SIZE, past[PastColumn.FACTOR]
+                kept, f = (b * points + q) * StoredRecordOffset.SIZE, past[MemoryCoefficient.FACTOR]
                 W, P, A = law_of(F, root, coefficients)
-                s[at + PointRecord.ENERGY] = f * W
+                s[at + PointRecordOffset.ENERGY] = f * W
                 for i in ti.static(range(5)):
-                    s[at + PointRecord.STRESS + i] = f * P[i]
-                    s[at + PointRecord.SOFT_STRESS + i] = f * P[i]
+                    s[at + PointRecordOffset.STRESS + i] = f * P[i]
+                    s[at + PointRecordOffset.SOFT_STRESS + i] = f * P[i]
                 for n in ti.static(range(15)):
-                    to = kept + (KeptRecord.SOFT_TANGENT + n) * one
+                    to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
                     law[to] = f * A[n]
-                if past[PastColumn.LOSS] != 0.0:
-                    P1, A1 = soften(f * W, at_lanes(largest, elements, b, q), past[PastColumn.LOSS],
-                                    past[PastColumn.LOSS_MODULUS], past[PastColumn.LOSS_SHARE],
-                                    [f * P[i] for i in ti.static(range(5))],
-                                    [f * A[n] for n in ti.static(range(15))])
+                if past[MemoryCoefficient.LOSS] != 0.0:
+                    P1, A1 = apply_softening(f * W, gather_point_values(largest, elements, b, q),
+                                             past[MemoryCoefficient.LOSS], past[MemoryCoefficient.LOSS_MODULUS],
+                                             past[MemoryCoefficient.LOSS_SHARE],
+                                             [f * P[i] for i in ti.static(range(5))],
+                                             [f * A[n] for n in ti.static(range(15))])
                     for i in ti.static(range(5)):
-                        s[at + PointRecord.SOFT_STRESS + i] = P1[i]
+                        s[at + PointRecordOffset.SOFT_STRESS + i] = P1[i]
                     for n in ti.static(range(15)):
-                        to = kept + (KeptRecord.SOFT_TANGENT + n) * one
+                        to = kept + (StoredRecordOffset.SOFT_TANGENT + n) * one
                         law[to] = A1[n]
-                left = pushed(F, [component(inherited, elements, b, q, i) for i in ti.static(range(4))])
+                left = push_forward_stress(F, [gather_point_component(inherited, elements, b, q,
+                                                                      i) for i in ti.static(range(4))])
                 for i in ti.static(range(5)):
-                    s[at + PointRecord.RELAXED_STRESS + i] = (
-                        past[PastColumn.INSTANT] * s[at + PointRecord.SOFT_STRESS + i] + left[i])
-                    to = kept + (KeptRecord.GRADIENT + i) * one
+                    s[at + PointRecordOffset.RELAXED_STRESS + i] = (
+                        past[MemoryCoefficient.INSTANT] * s[at + PointRecordOffset.SOFT_STRESS + i] + left[i])
+                    to = kept + (StoredRecordOffset.GRADIENT + i) * one
                     law[to] = F[i]
-                    to1 = kept + (KeptRecord.STRESS + i) * one
-                    law[to1] = s[at + PointRecord.STRESS + i]
-                S = pulled_back(F, [s[at + PointRecord.SOFT_STRESS + i] for i in ti.static(range(5))])
+                    to1 = kept + (StoredRecordOffset.STRESS + i) * one
+                    law[to1] = s[at + PointRecordOffset.STRESS + i]
+                S = pull_back_stress(F, [s[at + PointRecordOffset.SOFT_STRESS + i] for i in ti.static(range(5))])
                 for i in ti.static(range(4)):
-                    to2 = kept + (KeptRecord.SECOND + i) * one
+                    to2 = kept + (StoredRecordOffset.SECOND + i) * one
                     law[to2] = S[i]
-            elif which[Switch.LAYERED] + which[Switch.REFINES] > 0:
+            elif which[KernelSwitch.LAYERED] + which[KernelSwitch.REFINES] > 0:
                 W, P, A = law_of(F, root, coefficients)
                 for i in ti.static(range(5)):
-                    s[at + PointRecord.RELAXED_STRESS + i] = P[i]
+                    s[at + PointRecordOffset.RELAXED_STRESS + i] = P[i]
                 p = vec(0.0)
                 for m in range(modes):
                     amplitude = ti.Vector([x[pressures + modes * elements[b, l] + m] for l in ti.static(range(LANES))])
                     p = p + modes_at[(b * points + q) * modes + m] * amplitude
                 w, modulus = weights[b * points + q], moduli[b]
-                P1, A1 = add_volume(F, p, [modulus * P[i] for i in ti.static(range(5))],
-                                    [modulus * A[n] for n in ti.static(range(15))])
+                P1, A1 = add_pressure_terms(F, p, [modulus * P[i] for i in ti.static(range(5))],
+                                            [modulus * A[n] for n in ti.static(range(15))])
                 for n in ti.static(range(15)):
                     to = (b * points + q) * 15 + n * one
                     law[to] = w * A1[n]
 
     @ti.func
-    def recall(b, which: ti.template(), elements: ti.template(), stresses: ti.template(), before: ti.template(),
-               internal: ti.template(), recent: ti.template()):
-        """Store the internal stresses of a batch, the stress of the last step, and its change."""
-        one, terms = which[Switch.ONE], which[Switch.TERMS]
+    def load_stress_history(b, which: ti.template(), elements: ti.template(), stresses: ti.template(),
+                            before: ti.template(), internal: ti.template(), recent: ti.template()):
+        """Copy internal stresses to `recent`, and the last stress and its change to the scratch field, for batch b."""
+        one, terms = which[KernelSwitch.ONE], which[KernelSwitch.TERMS]
         for q in range(points):
             for i in ti.static(range(4)):
-                s[BEFORE + 4 * q + i] = component(before, elements, b, q, i)
-                s[CHANGE + 4 * q + i] = component(stresses, elements, b, q, i) - s[BEFORE + 4 * q + i]
+                s[BEFORE + 4 * q + i] = gather_point_component(before, elements, b, q, i)
+                s[CHANGE + 4 * q + i] = gather_point_component(stresses, elements, b, q, i) - s[BEFORE + 4 * q + i]
                 for t in range(terms):
                     at_term = (q * terms + t) * 4 + i * one
                     recent[at_term] = ti.Vector([internal[t, elements[b, l], q, i] for l in ti.static(range(LANES))])
 
     @ti.func
-    def add_memory_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(), past: ti.template(),
-                        past_rates: ti.template(), largest: ti.template(), largest_rates: ti.template(),
-                        energy_rates: ti.template(), stress_rates: ti.template(), before_rates: ti.template(),
-                        recent: ti.template(), internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
-                        decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
+    def apply_memory_to_stress_rate(b, q, k, parameters, which: ti.template(), elements: ti.template(),
+                                    past: ti.template(), past_rates: ti.template(), largest: ti.template(),
+                                    largest_rates: ti.template(), energy_rates: ti.template(),
+                                    stress_rates: ti.template(), before_rates: ti.template(), recent: ti.template(),
+                                    internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
+                                    decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template()):
         """Convert the stored derivative of the law's stress to that of the stress with softening and relaxation.
 
         The derivatives of energy and softened stress are stored for the memory. The modulus is 1.
         """
-        at, noted, terms, one = RATE + 5 * q, LAW + PointRecord.SIZE * q, which[Switch.TERMS], which[Switch.ONE]
-        f, df = past[PastColumn.FACTOR], past_rates[k, PastColumn.FACTOR] / past[PastColumn.FACTOR]
-        F = [s[noted + PointRecord.GRADIENT + i] for i in ti.static(range(5))]
-        W = s[noted + PointRecord.ENERGY]
+        at, noted, terms, one = (RATE + 5 * q, LAW + PointRecordOffset.SIZE * q, which[KernelSwitch.TERMS],
+                                 which[KernelSwitch.ONE])
+        f, df = past[MemoryCoefficient.FACTOR], past_rates[k, MemoryCoefficient.FACTOR] / past[MemoryCoefficient.FACTOR]
+        F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
+        W = s[noted + PointRecordOffset.ENERGY]
         dW = f * s[ENERGY_RATE + q] + df * W
         for i in ti.static(range(5)):
-            s[at + i] = f * s[at + i] + df * s[noted + PointRecord.STRESS + i]
+            s[at + i] = f * s[at + i] + df * s[noted + PointRecordOffset.STRESS + i]
         own = (b * points + q) * parameters + k
-        if which[Switch.SOFTENS] == 1:
-            L, dL = at_lanes(largest, elements, b, q), largest_rates[own]
-            width = ti.max(past[PastColumn.LOSS_MODULUS] + past[PastColumn.LOSS_SHARE] * L, 1e-300)
-            width_rate = (past_rates[k, PastColumn.LOSS_MODULUS] + past_rates[k, PastColumn.LOSS_SHARE] * L
-                          + past[PastColumn.LOSS_SHARE] * dL)
+        if which[KernelSwitch.SOFTENS] == 1:
+            L, dL = gather_point_values(largest, elements, b, q), largest_rates[own]
+            width = ti.max(past[MemoryCoefficient.LOSS_MODULUS] + past[MemoryCoefficient.LOSS_SHARE] * L, 1e-300)
+            width_rate = (past_rates[k,
+                                     MemoryCoefficient.LOSS_MODULUS] + past_rates[k, MemoryCoefficient.LOSS_SHARE] * L
+                          + past[MemoryCoefficient.LOSS_SHARE] * dL)
             bend = ti.tanh(ti.max(L - W, 0.0) / width)
             argument_rate = (dL - dW - (L - W) * width_rate / width) / width
-            eta_rate = ti.select(W < L, -past_rates[k, PastColumn.LOSS] * bend
-                                 - past[PastColumn.LOSS] * (1.0 - bend * bend) * argument_rate, 0.0 * W)
+            eta_rate = ti.select(W < L, -past_rates[k, MemoryCoefficient.LOSS] * bend
+                                 - past[MemoryCoefficient.LOSS] * (1.0 - bend * bend) * argument_rate, 0.0 * W)
             for i in ti.static(range(5)):
-                s[at + i] = ((1.0 - past[PastColumn.LOSS] * bend) * s[at + i]
-                             + eta_rate * s[noted + PointRecord.STRESS + i])
+                s[at + i] = ((1.0 - past[MemoryCoefficient.LOSS] * bend) * s[at + i]
+                             + eta_rate * s[noted + PointRecordOffset.STRESS + i])
         energy_rates[own] = dW
-        S = pulled_back(F, [s[at + i] for i in ti.static(range(5))])
+        S = pull_back_stress(F, [s[at + i] for i in ti.static(range(5))])
         for i in ti.static(range(4)):
             to = 4 * own + i * one
             stress_rates[to] = S[i]
@@ -226,32 +237,36 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                     at_term = (q * terms + t) * 4 + i * one
                     s[PAST + i] = (s[PAST + i] + decay_rates[k, t] * recent[at_term]
                                    - gain_rates[k, t] * s[BEFORE + 4 * q + i])
-        left = pushed(F, [s[PAST + i] for i in ti.static(range(4))])
+        left = push_forward_stress(F, [s[PAST + i] for i in ti.static(range(4))])
         for i in ti.static(range(5)):
-            s[at + i] = (past[PastColumn.INSTANT] * s[at + i]
-                         + past_rates[k, PastColumn.INSTANT] * s[noted + PointRecord.SOFT_STRESS + i] + left[i])
+            s[at + i] = (past[MemoryCoefficient.INSTANT] * s[at + i]
+                         + past_rates[k, MemoryCoefficient.INSTANT] * s[noted + PointRecordOffset.SOFT_STRESS + i]
+                         + left[i])
 
     @ti.func
-    def push(b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(), directions:
-             ti.template(), x: ti.template(), elements: ti.template(), gradient_r: ti.template(), gradient_z:
-             ti.template(), value_r: ti.template(), weights: ti.template(), moduli: ti.template(), equations_r:
-             ti.template(), equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(), rows_rr:
-             ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr:
-             ti.template(), inverse_rz: ti.template(), inverse_zz: ti.template(), kappa_rates: ti.template(),
-             moduli_rates: ti.template(), past: ti.template(), past_rates: ti.template(), largest: ti.template(),
-             largest_rates: ti.template(), energy_rates: ti.template(), stress_rates: ti.template(),
-             before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(),
-             decay: ti.template(), gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(), relaxes:
-             ti.template(), centre_r: ti.template(), centre_z: ti.template(), forces: ti.template()):
-        """Add the derivatives of a batch's nodal forces at fixed displacements to row k of `forces`."""
+    def add_force_derivatives(b, k, kappa, parameters, batches, pressures, which: ti.template(), acts: ti.template(),
+                              directions: ti.template(), x: ti.template(), elements: ti.template(),
+                              gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(),
+                              weights: ti.template(), moduli: ti.template(), equations_r: ti.template(),
+                              equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                              rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                              rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
+                              inverse_zz: ti.template(), kappa_rates: ti.template(), moduli_rates: ti.template(),
+                              past: ti.template(), past_rates: ti.template(), largest: ti.template(),
+                              largest_rates: ti.template(), energy_rates: ti.template(), stress_rates: ti.template(),
+                              before_rates: ti.template(), recent: ti.template(), internal_rates: ti.template(),
+                              decay: ti.template(), gain: ti.template(), decay_rates: ti.template(),
+                              gain_rates: ti.template(), relaxes: ti.template(), centre_r: ti.template(),
+                              centre_z: ti.template(), forces: ti.template()):
+        """Add the derivatives of the nodal forces of batch b with parameter k at fixed displacements to `forces`."""
         direction = ti.Vector([directions[k, i] for i in ti.static(range(coefficients_of_both))])
         own = k * batches + b
         modulus, modulus_rate = moduli[b], moduli_rates[own]
         for q in range(points):
-            at, noted = RATE + 5 * q, LAW + PointRecord.SIZE * q
+            at, noted = RATE + 5 * q, LAW + PointRecordOffset.SIZE * q
             if acts[k] == 1:
-                F = [s[noted + PointRecord.GRADIENT + i] for i in ti.static(range(5))]
-                W, P, _A = stress_rate(F, s[noted + PointRecord.ROOT], direction)
+                F = [s[noted + PointRecordOffset.GRADIENT + i] for i in ti.static(range(5))]
+                W, P, _A = stress_rate(F, s[noted + PointRecordOffset.ROOT], direction)
                 s[ENERGY_RATE + q] = W
                 for i in ti.static(range(5)):
                     s[at + i] = P[i]
@@ -260,15 +275,15 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 for i in ti.static(range(5)):
                     s[at + i] = vec(0.0)
             if ti.static(remembers):
-                add_memory_rate(b, q, k, parameters, which, elements, past, past_rates, largest, largest_rates,
-                                energy_rates, stress_rates, before_rates, recent, internal_rates, decay, gain,
-                                decay_rates, gain_rates, relaxes)
+                apply_memory_to_stress_rate(b, q, k, parameters, which, elements, past, past_rates, largest,
+                                            largest_rates, energy_rates, stress_rates, before_rates, recent,
+                                            internal_rates, decay, gain, decay_rates, gain_rates, relaxes)
             w = weights[b * points + q]
             for i in ti.static(range(5)):
                 s[at + i] = (w * modulus) * s[at + i]
-            if which[Switch.LAYERED] == 1:
+            if which[KernelSwitch.LAYERED] == 1:
                 for i in ti.static(range(5)):
-                    s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + PointRecord.RELAXED_STRESS + i]
+                    s[at + i] = s[at + i] + (w * modulus_rate) * s[noted + PointRecordOffset.RELAXED_STRESS + i]
         # Relative derivative of the pressure p = K (v - V) at fixed volume.
         share = (kappa_rates[k] * modulus + kappa * modulus_rate) / (kappa * modulus)
         for a in range(nodes):
@@ -300,16 +315,18 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 forces[k, equations_z[at, l]] = forces[k, equations_z[at, l]] + fz[l]
 
     @ti.func
-    def remember(b, k, parameters, batches, which: ti.template(), dx: ti.template(), dofs: ti.template(), elements:
-                 ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), rows_rr:
-                 ti.template(), rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(), law:
-                 ti.template(), largest: ti.template(), energies: ti.template(), largest_rates: ti.template(),
-                 energy_rates: ti.template(), stress_rates: ti.template(), before_rates:
-                 ti.template(), recent: ti.template(), internal_rates: ti.template(),
-                 decay: ti.template(), gain: ti.template(), decay_rates: ti.template(), gain_rates: ti.template(),
-                 relaxes: ti.template(), centre_r: ti.template(), centre_z: ti.template()):
-        """Update the derivatives of a batch's memory with the displacement derivatives `dx` of parameter k."""
-        in_batch, terms, one = k * batches + b, which[Switch.TERMS], which[Switch.ONE]
+    def update_memory_derivatives(b, k, parameters, batches, which: ti.template(), dx: ti.template(),
+                                  dofs: ti.template(), elements: ti.template(), gradient_r: ti.template(),
+                                  gradient_z: ti.template(), value_r: ti.template(), rows_rr: ti.template(),
+                                  rows_rz: ti.template(), rows_zr: ti.template(), rows_zz: ti.template(),
+                                  law: ti.template(), largest: ti.template(), energies: ti.template(),
+                                  largest_rates: ti.template(), energy_rates: ti.template(),
+                                  stress_rates: ti.template(), before_rates: ti.template(), recent: ti.template(),
+                                  internal_rates: ti.template(), decay: ti.template(), gain: ti.template(),
+                                  decay_rates: ti.template(), gain_rates: ti.template(), relaxes: ti.template(),
+                                  centre_r: ti.template(), centre_z: ti.template()):
+        """Update the derivatives of the material history of batch b with parameter k, from the derivatives `dx`."""
+        in_batch, terms, one = k * batches + b, which[KernelSwitch.TERMS], which[KernelSwitch.ONE]
         for a in range(nb):
             i = b * nodes + a
             s[UR + a] = ti.Vector([dx[k, dofs[i, l]] for l in ti.static(range(LANES))])
@@ -322,30 +339,30 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                 cz = cz - (rows_zr[at] * s[UR + a] + rows_zz[at] * s[UZ + a])
             s[UR + centre], s[UZ + centre] = cr, cz
         for q in range(points):
-            own, kept = (b * points + q) * parameters + k, (b * points + q) * KeptRecord.SIZE
-            h0, h1, h2, h3, h4 = gradient(b, q, gradient_r, gradient_z, value_r)
+            own, kept = (b * points + q) * parameters + k, (b * points + q) * StoredRecordOffset.SIZE
+            h0, h1, h2, h3, h4 = compute_displacement_gradient(b, q, gradient_r, gradient_z, value_r)
             H = [h0, h1, h2, h3, h4]
             F = [1.0 * h0 for _i in ti.static(range(5))]
             second = [1.0 * h0 for _i in ti.static(range(4))]
             dW = energy_rates[own]
             for i in ti.static(range(5)):
-                of = kept + (KeptRecord.GRADIENT + i) * one
+                of = kept + (StoredRecordOffset.GRADIENT + i) * one
                 F[i] = law[of]
-                of1 = kept + (KeptRecord.STRESS + i) * one
+                of1 = kept + (StoredRecordOffset.STRESS + i) * one
                 dW = dW + law[of1] * H[i]
             for i in ti.static(range(4)):
-                of2 = kept + (KeptRecord.SECOND + i) * one
+                of2 = kept + (StoredRecordOffset.SECOND + i) * one
                 second[i] = law[of2]
             # d(F S) = F dS + dF S.
-            lost = pushed(H, second)
+            lost = push_forward_stress(H, second)
             rate = [-1.0 * lost[i] for i in ti.static(range(5))]
             for i in ti.static(range(5)):
                 for n in ti.static(range(5)):
-                    of = kept + ti.static(KeptRecord.SOFT_TANGENT + row[i][n]) * one
+                    of = kept + ti.static(StoredRecordOffset.SOFT_TANGENT + row[i][n]) * one
                     rate[i] = rate[i] + law[of] * H[n]
-            S_rate = pulled_back(F, rate)
-            most = at_lanes(largest, elements, b, q)
-            largest_rates[own] = ti.select(at_lanes(energies, elements, b, q) > most, dW, largest_rates[own])
+            S_rate = pull_back_stress(F, rate)
+            most = gather_point_values(largest, elements, b, q)
+            largest_rates[own] = ti.select(gather_point_values(energies, elements, b, q) > most, dW, largest_rates[own])
             for i in ti.static(range(4)):
                 to = 4 * own + i * one
                 S = stress_rates[to] + S_rate[i]
@@ -359,4 +376,4 @@ def response_functions(element_name: str, energy: KernelEnergy, remembers: bool)
                         internal_rates[of] = (internal_rates[of] + decay_rates[k, t] * recent[at_term]
                                               + gain_rates[k, t] * s[CHANGE + 4 * q + i])
 
-    return ResponseFunctions(note, recall, push, remember)
+    return SensitivityFunctions(store_point_data, load_stress_history, add_force_derivatives, update_memory_derivatives)

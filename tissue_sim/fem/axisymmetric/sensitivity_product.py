@@ -9,43 +9,45 @@ from functools import cache
 from typing import NamedTuple
 
 from tissue_sim.fem.axisymmetric import energy as point
-from tissue_sim.fem.axisymmetric.condensation import condensation_functions
-from tissue_sim.fem.axisymmetric.scratch import AT, scratch
+from tissue_sim.fem.axisymmetric.condensation import make_condensation_functions
+from tissue_sim.fem.axisymmetric.scratch import AT, get_scratch_field
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.scratch import LANES
 from tissue_sim.mesh.elements import ELEMENTS
 
 
-class ProductFunctions(NamedTuple):
+class TangentProductFunctions(NamedTuple):
     """Taichi functions of the tangent product for one element type."""
 
-    add_product: object
-    update: object
+    add_tangent_product: object
+    update_condensed_derivatives: object
 
 
 @cache
-def product_functions(element_name: str) -> ProductFunctions:
-    """Return the product functions of an element type."""
+def make_tangent_product_functions(element_name: str) -> TangentProductFunctions:
+    """Return the Taichi functions of the tangent product for an element type."""
     ti = initialise()
     element = ELEMENTS[element_name]
     nodes, modes = element.node_count, element.pressure_modes
     points = element.quadrature[1].size
     has_centre, centre = nodes > element.boundary_nodes, nodes - 1
-    own = condensation_functions(element_name)
+    own = make_condensation_functions(element_name)
     vec = ti.types.vector(LANES, ti.f64)
-    s = scratch()
+    s = get_scratch_field()
     UR, UZ, FR, FZ, SR, SZ, RATE = (AT[name] for name in ("UR", "UZ", "FR", "FZ", "SR", "SZ", "STRESS"))
     row = point.PLACE
 
     @ti.func
-    def add_product(b, k, kappa, batches, one, tangents: ti.template(), dx: ti.template(), dofs: ti.template(), real:
-                    ti.template(), gradient_r: ti.template(), gradient_z: ti.template(), value_r: ti.template(), moduli:
-                    ti.template(), equations_r: ti.template(), equations_z: ti.template(), volume_r: ti.template(),
-                    volume_z: ti.template(), known_r: ti.template(), known_z: ti.template(), pressure_rates:
-                    ti.template(), swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(), rows_zr:
-                    ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(), inverse_rz: ti.template(),
-                    inverse_zz: ti.template(), centre_r: ti.template(), centre_z: ti.template(), way_r: ti.template(),
-                    way_z: ti.template(), residual: ti.template()):
+    def add_tangent_product(b, k, kappa, batches, one, tangents: ti.template(), dx: ti.template(), dofs: ti.template(),
+                            real: ti.template(), gradient_r: ti.template(), gradient_z: ti.template(),
+                            value_r: ti.template(), moduli: ti.template(), equations_r: ti.template(),
+                            equations_z: ti.template(), volume_r: ti.template(), volume_z: ti.template(),
+                            known_r: ti.template(), known_z: ti.template(), pressure_rates: ti.template(),
+                            swelling: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
+                            rows_zr: ti.template(), rows_zz: ti.template(), inverse_rr: ti.template(),
+                            inverse_rz: ti.template(), inverse_zz: ti.template(), centre_r: ti.template(),
+                            centre_z: ti.template(), way_r: ti.template(), way_z: ti.template(),
+                            residual: ti.template()):
         """Add the forces of the displacement derivatives (row k of `dx`) and pressure derivatives to the residual.
 
         `way_r` and `way_z` get the displacement derivatives of the interior nodes, including those at fixed shared
@@ -101,20 +103,22 @@ def product_functions(element_name: str) -> ProductFunctions:
                 s[FZ + a] = s[FZ + a] + p * volume_z[v] + missed * known_z[v]
                 aside = aside + ti.abs(missed * (known_r[v] - volume_r[v])) + ti.abs(
                     missed * (known_z[v] - volume_z[v]))
-        own.interior(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz, way_r, way_z)
+        own.condense_interior_force(b, real, rows_rr, rows_rz, rows_zr, rows_zz, inverse_rr, inverse_rz, inverse_zz,
+                                    way_r, way_z)
         if ti.static(has_centre):
             at = k * batches + b
             way_r[b], way_z[b] = way_r[b] + centre_r[at], way_z[b] + centre_z[at]
-        own.scatter_force(b, equations_r, equations_z, residual)
+        own.add_forces_to_residual(b, equations_r, equations_z, residual)
         return (real[b] * aside).sum()
 
     @ti.func
-    def update(b, k, kappa, motion: ti.template(), dofs: ti.template(), real: ti.template(), moduli: ti.template(),
-               known_r: ti.template(), known_z: ti.template(), rows_rr: ti.template(), rows_rz: ti.template(),
-               rows_zr: ti.template(), rows_zz: ti.template(), way_r: ti.template(), way_z: ti.template(),
-               pressure_rates: ti.template(), swelling: ti.template(), dx: ti.template()):
+    def update_condensed_derivatives(b, k, kappa, motion: ti.template(), dofs: ti.template(), real: ti.template(),
+                                     moduli: ti.template(), known_r: ti.template(), known_z: ti.template(),
+                                     rows_rr: ti.template(), rows_rz: ti.template(), rows_zr: ti.template(),
+                                     rows_zz: ti.template(), way_r: ti.template(), way_z: ti.template(),
+                                     pressure_rates: ti.template(), swelling: ti.template(), dx: ti.template()):
         """Update the derivatives of interior nodes (row k of `dx`) and pressures after the `motion` of shared nodes."""
-        own.move_nodes(b, motion, dofs, rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z)
+        own.compute_node_increments(b, motion, dofs, rows_rr, rows_rz, rows_zr, rows_zz, way_r, way_z)
         if ti.static(has_centre):
             i, cr, cz = b * nodes + centre, s[SR + centre], s[SZ + centre]
             for l in ti.static(range(LANES)):
@@ -124,6 +128,6 @@ def product_functions(element_name: str) -> ProductFunctions:
         for m in range(modes):
             mode = b * modes + m
             pressure_rates[mode] = pressure_rates[mode] + kappa * moduli[b] * (
-                swelling[mode] + own.volume_increment(mode, known_r, known_z))
+                swelling[mode] + own.compute_volume_increment(mode, known_r, known_z))
 
-    return ProductFunctions(add_product, update)
+    return TangentProductFunctions(add_tangent_product, update_condensed_derivatives)

@@ -3,8 +3,8 @@
 from enum import IntEnum
 
 
-class PointRecord(IntEnum):
-    """Offsets of the record of one quadrature point in the scratch field, for the batch that is evaluated.
+class PointRecordOffset(IntEnum):
+    """Offsets in the scratch record of one quadrature point, for the batch that is evaluated.
 
     Attributes:
         GRADIENT: deformation gradient, 5 numbers.
@@ -25,8 +25,8 @@ class PointRecord(IntEnum):
     SIZE = 22
 
 
-class KeptRecord(IntEnum):
-    """Offsets of the record of one quadrature point that is kept until the displacement derivatives are known.
+class StoredRecordOffset(IntEnum):
+    """Offsets in the stored record of one quadrature point, which both sensitivity kernels use.
 
     Attributes:
         GRADIENT: deformation gradient, 5 numbers.
@@ -43,7 +43,7 @@ class KeptRecord(IntEnum):
     SIZE = 29
 
 
-class Switch(IntEnum):
+class KernelSwitch(IntEnum):
     """Indices of `which`, the integers that control the kernels of the sensitivities.
 
     Attributes:
@@ -52,7 +52,7 @@ class Switch(IntEnum):
         SOFTENS: 1 if the material or a derivative of the material softens.
         TERMS: number of relaxation terms.
         RELAXES: 1 if a parameter changes the relaxation.
-        ONE: 1, unknown to the compiler, see `response_functions`.
+        ONE: 1, unknown to the compiler, see `make_sensitivity_functions`.
         REFINES: 1 if the iteration uses the factorisation of the step instead of one of the exact tangent.
         SETTLED: output, 1 if that iteration converged.
         PASSES: number of passes of the loop in a kernel, 1.

@@ -8,18 +8,18 @@ import numpy as np
 
 from tissue_sim.fem.axisymmetric.contact import ContactPoints
 from tissue_sim.fem.axisymmetric.predictor import KEPT
-from tissue_sim.fem.history import Memory
-from tissue_sim.fem.inertia import Motion
+from tissue_sim.fem.history import MaterialMemory
+from tissue_sim.fem.inertia import InertialMotion
 from tissue_sim.fem.point_effects import PointEffects
 
 
 @dataclass(frozen=True, eq=False)
 class SavedState:
-    """Copy of a `State`, for `State.restore`.
+    """Copy of a `SolverState`, for `SolverState.restore`.
 
     Attributes:
         arrays: arrays of the state, contact, effects, memory and motion.
-        depths, times, largest_force, unchanged: see `State`.
+        depths, times, largest_force, unchanged: see `SolverState`.
         touching: contact state at the last equilibrium.
     """
 
@@ -27,12 +27,12 @@ class SavedState:
     depths: tuple[float, ...]
     times: tuple[float, ...]
     largest_force: float
-    unchanged: int
+    equilibria_since_contact_change: int
     touching: tuple[bytes, bytes]
 
 
-class State:
-    """State that a step changes, and the last committed states.
+class SolverState:
+    """Solution vector that a step changes, and the last committed solution vectors with bonds and history.
 
     Args:
         x: initial state, shape (unknowns,): nodal displacements (m), pressure amplitudes, contact forces (N).
@@ -52,34 +52,34 @@ class State:
         motion: velocities and accelerations; None without inertia.
     """
 
-    def __init__(self, x: np.ndarray, surface: ContactPoints, memory: Memory, effects: PointEffects):
+    def __init__(self, x: np.ndarray, surface: ContactPoints, memory: MaterialMemory, effects: PointEffects):
         self.x, self.surface, self.memory, self.effects = x, surface, memory, effects
         self.history = np.zeros((KEPT, x.size))
         self.history[0] = x
         self.slots = np.arange(KEPT, dtype=np.int32)
         self.depths, self.times = [0.0], [0.0]
         self.largest_force = 0.0
-        self.unchanged, self._touching = 0, (b"", b"")
-        self.motion: Motion | None = None
+        self.equilibria_since_contact_change, self._touching = 0, (b"", b"")
+        self.motion: InertialMotion | None = None
         self._untouched = x.copy()
         self.store_initial_bonds()
 
     def store_initial_bonds(self) -> None:
-        """Store the present bonds of the contact points as those before the first step."""
+        """Store the present contact bonds as the bonds before the first step, for `restore_untouched_state`."""
         self._first_bonds = self.surface.anchors.copy(), self.surface.slipped.copy()
 
     @property
-    def latest(self) -> np.ndarray:
-        """Last committed state, a view, shape (unknowns,)."""
+    def latest_state(self) -> np.ndarray:
+        """Solution vector of the last committed step, a view, shape (unknowns,)."""
         return self.history[self.slots[0]]
 
     def commit_step(self, depth: float, duration: float, watched: bool) -> None:
-        """Commit x as the state at a depth, with the memory and the contact bonds that the step found.
+        """Commit x as the solution at a depth, with the material history and the contact bonds of the step.
 
         Args:
             depth: depth of the tool, m.
             duration: duration of an inertial step, s; 0 for a quasi-static step.
-            watched: whether changes of the contact state are counted in `unchanged`.
+            watched: whether changes of the contact state are counted in `equilibria_since_contact_change`.
         """
         self.times = [0.0, *(time - duration for time in self.times)][:KEPT] if duration else [0.0]
         if depth in self.depths and not duration:
@@ -99,11 +99,12 @@ class State:
         surface.anchors[:], surface.slipped[:] = surface.held, surface.slip_signs
         if watched:
             touching = surface.forces.any(axis=-1).tobytes(), surface.slip_signs.tobytes()
-            self.unchanged = self.unchanged + 1 if touching == self._touching else 0
+            is_same = touching == self._touching
+            self.equilibria_since_contact_change = self.equilibria_since_contact_change + 1 if is_same else 0
             self._touching = touching
 
-    def move_tool(self, depth: float) -> None:
-        """Assign another depth of a tool without contact to the latest state, and forget the earlier states.
+    def set_tool_depth(self, depth: float) -> None:
+        """Set the depth of a tool in the air for the latest state; earlier states are no longer used to extrapolate.
 
         Args:
             depth: depth of the tool, m.
@@ -111,34 +112,34 @@ class State:
         self.depths, self.times = [depth], [0.0]
 
     def is_at_rest(self, nodal: int, tolerance: float) -> bool:
-        """Whether the displacements differ from those before the first touch by at most a tolerance.
+        """Return whether the displacements differ from those before the first touch by at most a tolerance.
 
         Args:
             nodal: number of displacement components, the first entries of the state.
             tolerance: largest difference, m.
         """
-        return float(np.abs(self.latest[:nodal] - self._untouched[:nodal]).max()) <= tolerance
+        return float(np.abs(self.latest_state[:nodal] - self._untouched[:nodal]).max()) <= tolerance
 
-    def lift_off(self) -> None:
-        """Restore the displacements and bonds before the first touch; the memory of the tissue stays."""
-        self.slots[:], self.depths, self.times, self.unchanged = np.arange(KEPT), [0.0], [0.0], 0
+    def restore_untouched_state(self) -> None:
+        """Restore the displacements and bonds before the first touch; the material history stays."""
+        self.slots[:], self.depths, self.times, self.equilibria_since_contact_change = np.arange(KEPT), [0.0], [0.0], 0
         self.history[0] = self._untouched
         self.surface.anchors[:], self.surface.slipped[:] = self._first_bonds
         if self.motion is not None:
-            self.motion.stop()
+            self.motion.reset_velocity()
 
     def save(self) -> SavedState:
-        """Return a copy of the committed state."""
+        """Return a copy of the committed state, for `restore`."""
         return SavedState(tuple(array.copy() for array in self._state_arrays), tuple(self.depths), tuple(self.times),
-                          self.largest_force, self.unchanged, self._touching)
+                          self.largest_force, self.equilibria_since_contact_change, self._touching)
 
     def restore(self, saved: SavedState) -> None:
-        """Return to a saved state."""
+        """Restore a state that `save` returned."""
         # The arrays of the motion come last; either of the two may lack them.
         for array, before in zip(self._state_arrays, saved.arrays, strict=False):
             array[:] = before
         self.depths, self.times, self.largest_force = list(saved.depths), list(saved.times), saved.largest_force
-        self.unchanged, self._touching = saved.unchanged, saved.touching
+        self.equilibria_since_contact_change, self._touching = saved.equilibria_since_contact_change, saved.touching
 
     @property
     def _state_arrays(self) -> tuple[np.ndarray, ...]:

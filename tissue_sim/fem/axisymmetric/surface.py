@@ -45,8 +45,14 @@ class DeformedSurface:
         return np.concatenate([centre, rings]), np.concatenate([fan, quads + 1])
 
 
-def deformed_surface(mesh: Mesh, state: np.ndarray, datum: float) -> DeformedSurface:
-    """Return the surface of a mesh in a solver state, with z relative to the height of the first touch, m (datum)."""
+def extract_deformed_surface(mesh: Mesh, state: np.ndarray, datum: float) -> DeformedSurface:
+    """Return the deformed outline of a mesh.
+
+    Args:
+        mesh: undeformed mesh.
+        state: solution vector, nodal displacements first, m.
+        datum: height of the first touch, which becomes z = 0, m.
+    """
     top, side = mesh.sets["top"], mesh.sets["side"]
     order = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
     positions = (mesh.nodes + state[: 2 * len(mesh.nodes)].reshape(-1, 2))[order]

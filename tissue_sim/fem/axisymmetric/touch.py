@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tissue_sim.fem.axisymmetric import contact_kernels
-from tissue_sim.fem.axisymmetric.contact import Contact, ContactPoints
+from tissue_sim.fem.axisymmetric.contact import ContactPairs, ContactPoints
 from tissue_sim.mesh import Mesh
 
 #: Number of linearisations of the gap along the path of a point until it touches; one is exact at a plane face.
@@ -14,7 +14,7 @@ TOUCH_ITERATIONS = 3
 LEAST_CLOSING = 1e-3
 
 
-def place_at_first_touch(mesh: Mesh, contact: Contact, surface: ContactPoints, displacement: np.ndarray) -> float:
+def place_at_first_touch(mesh: Mesh, contact: ContactPairs, surface: ContactPoints, displacement: np.ndarray) -> float:
     """Place the tool at its first touch of the surface, and bind the points that touch a body.
 
     Args:
@@ -26,23 +26,23 @@ def place_at_first_touch(mesh: Mesh, contact: Contact, surface: ContactPoints, d
     Returns:
         z of the tool's deepest point at the first touch, m.
     """
-    positions, datum = surface.positions(displacement), 0.0
+    positions, datum = surface.deformed_positions(displacement), 0.0
     if surface.moves.any():
         datum = _find_first_touch_height(mesh, contact, displacement, positions[surface.moves])
     positions[surface.moves, 1] -= datum
     if contact.level:
         _shift_to_level_top(mesh, surface, displacement, positions, datum)
-    touches = surface.gaps(positions) <= 1e-9 * np.ptp(mesh.nodes[:, 1])
+    touches = surface.signed_gaps(positions) <= 1e-9 * np.ptp(mesh.nodes[:, 1])
     untouched = touches & (surface.anchors[:, 0] == contact_kernels.FREE)
     surface.anchors[untouched, 0] = np.where(surface.tied[untouched], contact_kernels.HELD, contact_kernels.TOUCHED)
     surface.anchors[untouched, 1:] = (positions - surface.places)[untouched]
     return datum
 
 
-def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, descent: float) -> None:
-    """Bind the points with friction that the tool reaches in the first half of an increment.
+def bind_points_reached_early(surface: ContactPoints, displacement: np.ndarray, lift: float, descent: float) -> None:
+    """Bind the contact points with friction that the tool reaches in the first half of an increment.
 
-    Points under a face without slip are left to `bind_reached`.
+    Points under a face without slip are left to `bind_face_points_reached`.
 
     A point is bound to the position on the tool that would reach the point if the tissue did not move. Points that the
     tool reaches later slide freely until the end of the increment, so that the errors of both halves have opposite
@@ -59,7 +59,7 @@ def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, de
     points = np.flatnonzero(free)
     if descent <= 0.0 or not points.size:
         return
-    positions = surface.positions(displacement, points)
+    positions = surface.deformed_positions(displacement, points)
     positions[:, 1] += lift
     way = _compute_distance_to_touch(surface, points, positions, np.array([0.0, 1.0]))
     meets = way <= 0.5 * descent
@@ -69,8 +69,8 @@ def bind_ahead(surface: ContactPoints, displacement: np.ndarray, lift: float, de
     surface.anchors[points, 1:] = positions - surface.places[points]
 
 
-def bind_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, predicted: np.ndarray, lift: float,
-                 descent: float) -> None:
+def bind_face_points_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, predicted: np.ndarray,
+                             lift: float, descent: float) -> None:
     """Bind the points under a face without slip that the tool reaches in an increment to the positions of their touch.
 
     A point that touches within an increment and is not bound slides without friction until the end of the increment,
@@ -85,13 +85,13 @@ def bind_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, pr
         lift: difference between z in the frame of the tool and z at the beginning, m.
         descent: downward motion of the tool in the increment, m.
     """
-    start, end = surface.positions(now, points), surface.positions(predicted, points)
+    start, end = surface.deformed_positions(now, points), surface.deformed_positions(predicted, points)
     start[:, 1] += lift
     end[:, 1] += lift + descent
     resting = start.copy()
     resting[:, 1] += descent
-    end = np.where((surface.gaps(end, points) < 0.0)[:, None], end, resting)
-    reached = surface.gaps(end, points) < 0.0
+    end = np.where((surface.signed_gaps(end, points) < 0.0)[:, None], end, resting)
+    reached = surface.signed_gaps(end, points) < 0.0
     points, start, end = points[reached], start[reached], end[reached]
     length = np.maximum(np.linalg.norm(end - start, axis=1), np.finfo(float).tiny)
     direction, way = (end - start) / length[:, None], np.zeros(points.size)
@@ -104,7 +104,7 @@ def bind_reached(surface: ContactPoints, points: np.ndarray, now: np.ndarray, pr
 
 def _compute_distance_to_touch(surface: ContactPoints, points: np.ndarray, positions: np.ndarray,
                                direction: np.ndarray) -> np.ndarray:
-    """Return how far points move in straight lines until they touch their bodies, from a linearised gap, m.
+    """Return the distances that points move in straight lines until they touch, from a linearised gap, m.
 
     The gap is linearised over half of its size, where the point stays at the same face of the body, so that edges have
     no influence.
@@ -115,8 +115,8 @@ def _compute_distance_to_touch(surface: ContactPoints, points: np.ndarray, posit
         positions: (r, z) of these points in the frames of their bodies, m, shape (points, 2).
         direction: unit vectors of the motions, shape (points, 2) or (2,).
     """
-    gap = np.maximum(surface.gaps(positions, points), 0.0)
-    closes = gap - surface.gaps(positions + 0.5 * gap[:, None] * direction, points)
+    gap = np.maximum(surface.signed_gaps(positions, points), 0.0)
+    closes = gap - surface.signed_gaps(positions + 0.5 * gap[:, None] * direction, points)
     least = LEAST_CLOSING * gap + np.finfo(float).tiny
     return np.where(gap > 0.0, 0.5 * gap**2 / np.maximum(closes, least), 0.0)
 
@@ -134,21 +134,21 @@ def _shift_to_level_top(mesh: Mesh, surface: ContactPoints, displacement: np.nda
     positions[..., 1] -= lift
 
 
-def _find_first_touch_height(mesh: Mesh, contact: Contact, displacement: np.ndarray, points: np.ndarray) -> float:
+def _find_first_touch_height(mesh: Mesh, contact: ContactPairs, displacement: np.ndarray, points: np.ndarray) -> float:
     """Return z of the tool's deepest point at the first touch of the top nodes or of further points (n, 2), m."""
     profiles = [pair.profile for pair in contact.pairs if pair.moves]
     positions = np.concatenate([(mesh.nodes + displacement)[mesh.sets["top"]], points])
 
-    def clearance(datum):
+    def find_smallest_gap(datum):
         return min(profile.gap(positions - [0.0, datum]).min() for profile in profiles)
 
     high = positions[:, 1].max()
-    if clearance(high) <= 0.0:
+    if find_smallest_gap(high) <= 0.0:
         return high
     from scipy.optimize import brentq
 
     # The bracket grows from a small step: far below the surface a ball is inside the tissue and touches nothing.
     step = 1e-6 * np.ptp(mesh.nodes[:, 1])
-    while clearance(high - step) > 0.0:
+    while find_smallest_gap(high - step) > 0.0:
         step *= 2.0
-    return brentq(clearance, high - step, high, xtol=1e-15)
+    return brentq(find_smallest_gap, high - step, high, xtol=1e-15)

@@ -1,1 +1,1 @@
-"""A solid's bulk, frozen and condensed onto the nodes near a tool, and the contact that is solved on it."""
+"""Frictional contact on a linearised bulk that is condensed to the nodes near the tool (multirate simulation)."""

@@ -13,13 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.condensed.flat_kernel import FLAT_COLUMNS, Limit, flat_kernel
+from tissue_sim.fem.condensed.flat_kernel import FLAT_COLUMNS, FlatKernelInput, make_flat_contact_kernel
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 
 
 @dataclass(frozen=True)
-class FlatContactSettings:
+class TangentPlaneContactSettings:
     """Settings of the semismooth Newton method.
 
     Attributes:
@@ -33,15 +33,16 @@ class FlatContactSettings:
     sufficient_decrease: float = 0.1
 
 
-#: Settings of every `FlatContact`.
-_SETTINGS = FlatContactSettings()
+#: Settings of every `TangentPlaneContact`.
+_SETTINGS = TangentPlaneContactSettings()
 
 
-class FlatContact:
-    """Solver of the contact of the nodes near the tool with its tangent planes.
+class TangentPlaneContact:
+    """Solver of the frictional contact of nodes near the tool with the tangent planes of the tool surface.
 
     Args:
-        arrays: arrays of the stepper, by the names in `flat_kernel`; forces and contact states are changed.
+        arrays: arrays of the stepper, by the names of `make_flat_contact_kernel`; the forces and contact
+            states in them are changed.
         near: largest gap of a node that takes part without carrying a force, m.
         floor: smallest force by which the residual is divided, N.
     """
@@ -54,10 +55,10 @@ class FlatContact:
         own = {"found": self._found, "limits": self._limits, "flat": np.zeros((n, FLAT_COLUMNS)),
                "matrix": self._matrix, "right": self._right}
         with LOCK:
-            self._kernel = BoundKernel.of(flat_kernel(), arrays | own)
+            self._kernel = BoundKernel.bind_by_name(make_flat_contact_kernel(), arrays | own)
 
-    def solve(self, tolerance: float) -> bool:
-        """Solve for the forces of the nodes.
+    def solve_contact_forces(self, tolerance: float) -> bool:
+        """Solve for forces and contact states of the nodes; both are written to the arrays of the stepper.
 
         Args:
             tolerance: largest residual over the norm of the forces.
@@ -67,8 +68,8 @@ class FlatContact:
         """
         from scipy.linalg import lapack
 
-        self._limits[Limit.TOLERANCE] = tolerance
-        residual, k = self._evaluate(0.0)
+        self._limits[FlatKernelInput.TOLERANCE] = tolerance
+        residual, k = self._evaluate_residual(0.0)
         for _ in range(_SETTINGS.max_iterations):
             if residual <= tolerance:
                 return True
@@ -81,7 +82,7 @@ class FlatContact:
                     return False
             step_length = 1.0
             for halving in range(_SETTINGS.max_halvings + 1):
-                now, k = self._evaluate(step_length)
+                now, k = self._evaluate_residual(step_length)
                 if now <= (1.0 - _SETTINGS.sufficient_decrease * step_length) * residual:
                     break
                 step_length *= 0.5
@@ -90,8 +91,8 @@ class FlatContact:
             residual = now
         return residual <= tolerance
 
-    def _evaluate(self, step_length: float) -> tuple[float, int]:
-        """Evaluate the equation at a step length towards the linear solution.
+    def _evaluate_residual(self, step_length: float) -> tuple[float, int]:
+        """Evaluate the residual at a step length towards the linear solution, and assemble the next linear equations.
 
         Args:
             step_length: step length of the line search; 0 evaluates at the present forces.
@@ -99,7 +100,7 @@ class FlatContact:
         Returns:
             Residual over the norm of the forces, and the number of unknowns of the next linear equations.
         """
-        self._limits[Limit.STEP_LENGTH] = step_length
+        self._limits[FlatKernelInput.STEP_LENGTH] = step_length
         with LOCK:
             self._kernel()
         residual, forces, _, unknowns = self._found.tolist()

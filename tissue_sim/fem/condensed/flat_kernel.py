@@ -1,16 +1,22 @@
-"""Residual and linearisation of the equation of a `FlatContact`, as a Taichi kernel; see `flat_contact`."""
+"""Residual and linearisation of the equation of a `TangentPlaneContact`, as a Taichi kernel; see `flat_contact`."""
 
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.kernel import own_compliance_function
-from tissue_sim.fem.condensed.tables import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.condensed.kernel import make_node_compliance_function
+from tissue_sim.fem.condensed.tables import (
+    ContactStateColumn,
+    KernelSetting,
+    LocalContactColumn,
+    NodeColumn,
+    NodeListColumn,
+)
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 
 
-class Found(IntEnum):
-    """Indices of `found`, the outputs of the kernel.
+class FlatKernelOutput(IntEnum):
+    """Indices of `found`, the outputs of the kernel of `make_flat_contact_kernel`.
 
     Attributes:
         RESIDUAL: square of the norm of the residual, N2.
@@ -25,8 +31,8 @@ class Found(IntEnum):
     EQUATIONS = 3
 
 
-class Limit(IntEnum):
-    """Indices of `limits`, the inputs of the kernel.
+class FlatKernelInput(IntEnum):
+    """Indices of `limits`, the inputs of the kernel of `make_flat_contact_kernel`.
 
     Attributes:
         NEAR_GAP: nodes with a smaller gap take part, m.
@@ -42,7 +48,7 @@ class Limit(IntEnum):
     STEP_LENGTH = 3
 
 
-class FlatColumn(IntEnum):
+class FlatContactColumn(IntEnum):
     """Columns of `flat`: rows of the nodes of the model, then of the nodes in the linear equations.
 
     Attributes:
@@ -65,12 +71,12 @@ class FlatColumn(IntEnum):
 
 
 #: Number of columns of `flat`.
-FLAT_COLUMNS = FlatColumn.KNOWN + 3
+FLAT_COLUMNS = FlatContactColumn.KNOWN + 3
 
 
 @cache
-def flat_kernel():
-    """Return the kernel that takes a step towards the linear solution and evaluates and linearises the equation there.
+def make_flat_contact_kernel():
+    """Return the kernel of `TangentPlaneContact`: line-search step, then residual and next linear equations.
 
     A sticking node has three unknowns. A slipping node has two: the normal force, to which the friction is
     proportional, and the tangential force perpendicular to the slip; the change of the friction along the slip is then
@@ -79,186 +85,196 @@ def flat_kernel():
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
-    own_compliance = own_compliance_function()
+    node_compliance = make_node_compliance_function()
 
     @ti.func
-    def take_step(settings: ti.template(), found: ti.template(), step_length, lists: ti.template(),
-                  carried: ti.template(), flat: ti.template(), right: ti.template()):
+    def apply_line_search_step(settings: ti.template(), found: ti.template(), step_length, lists: ti.template(),
+                               carried: ti.template(), flat: ti.template(), right: ti.template()):
         """Move the forces by a step length towards the linear solution; nodes without unknowns move to zero force."""
-        many = ti.cast(settings[Setting.COUNT], ti.i32)
+        many = ti.cast(settings[KernelSetting.COUNT], ti.i32)
         if step_length == 1.0:
             for i in range(many):
                 for a in ti.static(range(3)):
-                    flat[i, FlatColumn.START + a] = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
-                    flat[i, FlatColumn.GOAL + a] = 0.0
-            for p in range(ti.cast(found[Found.NODES], ti.i32)):
-                i = lists[p, ListColumn.UNKNOWN]
+                    flat[i, FlatContactColumn.START + a] = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
+                    flat[i, FlatContactColumn.GOAL + a] = 0.0
+            for p in range(ti.cast(found[FlatKernelOutput.NODES], ti.i32)):
+                i = lists[p, NodeListColumn.UNKNOWN]
                 for a in ti.static(range(3)):
-                    value = flat[i, FlatColumn.START + a] + flat[p, FlatColumn.KNOWN + a]
-                    for row in range(lists[p, ListColumn.ROWS]):
-                        amplitude = right[lists[p, ListColumn.FIRST_ROW] + row]
-                        value = value + flat[p, FlatColumn.DIRECTIONS + 3 * row + a] * amplitude
-                    flat[i, FlatColumn.GOAL + a] = value
+                    value = flat[i, FlatContactColumn.START + a] + flat[p, FlatContactColumn.KNOWN + a]
+                    for row in range(lists[p, NodeListColumn.ROWS]):
+                        amplitude = right[lists[p, NodeListColumn.FIRST_ROW] + row]
+                        value = value + flat[p, FlatContactColumn.DIRECTIONS + 3 * row + a] * amplitude
+                    flat[i, FlatContactColumn.GOAL + a] = value
         for i in range(many):
             for a in ti.static(range(3)):
-                begun = flat[i, FlatColumn.START + a]
-                force = begun + step_length * (flat[i, FlatColumn.GOAL + a] - begun)
-                carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a] = force
+                begun = flat[i, FlatContactColumn.START + a]
+                force = begun + step_length * (flat[i, FlatContactColumn.GOAL + a] - begun)
+                carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a] = force
 
     @ti.func
-    def displace(many, carried: ti.template(), lists: ti.template(), local: ti.template(), compliance: ti.template(),
-                 flat: ti.template()):
-        """Compute the displacements caused by the changes of the forces since the linearisation of the tool."""
+    def compute_displacements(many, carried: ti.template(), lists: ti.template(), local: ti.template(),
+                              compliance: ti.template(), flat: ti.template()):
+        """Compute the node displacements caused by force changes since the tool surface was linearised."""
         for p in range(many):
             for a in ti.static(range(3)):
-                flat[lists[p, ListColumn.NEAR], FlatColumn.DISPLACEMENT + a] = 0.0
+                flat[lists[p, NodeListColumn.NEAR], FlatContactColumn.DISPLACEMENT + a] = 0.0
         for q in range(many):
-            j = lists[q, ListColumn.NEAR]
-            s = lists[j, ListColumn.NODE]
-            change = ti.Vector([carried[s, NodeColumn.FORCE + b] - local[j, LocalColumn.FORCE + b]
+            j = lists[q, NodeListColumn.NEAR]
+            s = lists[j, NodeListColumn.NODE]
+            change = ti.Vector([carried[s, NodeColumn.FORCE + b] - local[j, LocalContactColumn.FORCE + b]
                                 for b in ti.static(range(3))])
             if change.norm() > 0.0:
                 for p in range(many):
-                    i = lists[p, ListColumn.NEAR]
+                    i = lists[p, NodeListColumn.NEAR]
                     for a in ti.static(range(3)):
-                        before = flat[i, FlatColumn.DISPLACEMENT + a]
-                        flat[i, FlatColumn.DISPLACEMENT + a] = before - (
+                        before = flat[i, FlatContactColumn.DISPLACEMENT + a]
+                        flat[i, FlatContactColumn.DISPLACEMENT + a] = before - (
                             compliance[3 * j, 3 * i + a] * change[0] + compliance[3 * j + 1, 3 * i + a] * change[1]
                             + compliance[3 * j + 2, 3 * i + a] * change[2])
 
     @ti.func
-    def write_unknown(p, row, rate, way, own, rest, lists: ti.template(), flat: ti.template(), right: ti.template()):
-        """Write one unknown of a node: derivative and direction, diagonal part, and residual."""
+    def store_node_unknown(p, row, rate, way, own, rest, lists: ti.template(), flat: ti.template(),
+                           right: ti.template()):
+        """Store one unknown of node p: force derivative and direction, diagonal entry, minus the residual."""
         for a in ti.static(range(3)):
-            flat[p, FlatColumn.RATES + 3 * row + a], flat[p, FlatColumn.DIRECTIONS + 3 * row + a] = rate[a], way[a]
-        flat[p, FlatColumn.DIAGONAL + row], right[lists[p, ListColumn.FIRST_ROW] + row] = own, -rest
-        lists[p, ListColumn.ROWS] = row + 1
+            flat[p, FlatContactColumn.RATES + 3 * row + a], flat[p, FlatContactColumn.DIRECTIONS + 3 * row + a] = (
+                rate[a], way[a])
+        flat[p, FlatContactColumn.DIAGONAL + row], right[lists[p, NodeListColumn.FIRST_ROW] + row] = own, -rest
+        lists[p, NodeListColumn.ROWS] = row + 1
 
     @ti.func
-    def evaluate_node(p, i, first, states: ti.template(), carried: ti.template(), lists: ti.template(),
-                      local: ti.template(), compliance: ti.template(), flat: ti.template(), right: ti.template()):
-        """Return the residual of a node's equation, N, and write its unknowns.
+    def evaluate_node_residual(p, i, first, states: ti.template(), carried: ti.template(), lists: ti.template(),
+                               local: ti.template(), compliance: ti.template(), flat: ti.template(),
+                               right: ti.template()):
+        """Return the residual of the equation of node i, N, and store its unknowns (`store_node_unknown`).
 
         The unknowns are those of the p-th node with unknowns, from equation `first` on.
         """
-        s = lists[i, ListColumn.NODE]
-        n = ti.Vector([local[i, LocalColumn.NORMAL + a] for a in ti.static(range(3))])
+        s = lists[i, NodeListColumn.NODE]
+        n = ti.Vector([local[i, LocalContactColumn.NORMAL + a] for a in ti.static(range(3))])
         F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
-        move = ti.Vector([flat[i, FlatColumn.DISPLACEMENT + a] for a in ti.static(range(3))])
-        slip = ti.Vector([local[i, LocalColumn.SLIP + a] for a in ti.static(range(3))]) + move
-        gap, mu = local[i, LocalColumn.GAP] + n.dot(move), local[i, LocalColumn.FRICTION]
-        give = own_compliance(i, n, compliance)
+        move = ti.Vector([flat[i, FlatContactColumn.DISPLACEMENT + a] for a in ti.static(range(3))])
+        slip = ti.Vector([local[i, LocalContactColumn.SLIP + a] for a in ti.static(range(3))]) + move
+        gap, mu = local[i, LocalContactColumn.GAP] + n.dot(move), local[i, LocalContactColumn.FRICTION]
+        give = node_compliance(i, n, compliance)
         along, aside = give[0], give[1]
         nn, eye = n.outer_product(n), ti.Matrix.identity(ti.f64, 3)
-        held, N = states[s, StateColumn.BOND] == Bond.HELD, F.dot(n) + gap / along
+        held, N = states[s, ContactStateColumn.BOND] == ContactBond.HELD, F.dot(n) + gap / along
         rest, rates, sticks = -F, eye, held
-        lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW], lists[p, ListColumn.ROWS] = i, first, 0
+        lists[p,
+              NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW], lists[p, NodeListColumn.ROWS] = i, first, 0
         for a in ti.static(range(3)):
-            flat[p, FlatColumn.KNOWN + a] = 0.0
+            flat[p, FlatContactColumn.KNOWN + a] = 0.0
         if held:
             rates = eye / ti.max(along, aside)
             rest = rates @ slip
         else:
-            states[s, StateColumn.PRESSED], states[s, StateColumn.SLIPS] = 0, 0
+            states[s, ContactStateColumn.PRESSED], states[s, ContactStateColumn.SLIPS] = 0, 0
             if N < 0.0:
                 tried = F + slip / aside
                 q = tried - tried.dot(n) * n
                 length, most = q.norm(), -mu * N
-                states[s, StateColumn.PRESSED] = 1
+                states[s, ContactStateColumn.PRESSED] = 1
                 sticks = mu > 0.0 and length <= most
                 if sticks:
                     rest, rates = N * n + q - F, nn / along + (eye - nn) / aside
                 else:
-                    states[s, StateColumn.SLIPS] = 1
+                    states[s, ContactStateColumn.SLIPS] = 1
                     way = q / ti.max(length, 1e-300)
                     rest = N * n + most * way - F
-                    write_unknown(p, 0, n / along, n - mu * way, 0.0, rest.dot(n), lists, flat, right)
+                    store_node_unknown(p, 0, n / along, n - mu * way, 0.0, rest.dot(n), lists, flat, right)
                     known = rest - rest.dot(n) * n
                     if mu > 0.0:
                         part, other = most / length, n.cross(way)
-                        write_unknown(p, 1, part / aside * other, other, part - 1.0, rest.dot(other), lists, flat,
-                                      right)
+                        store_node_unknown(p, 1, part / aside * other, other, part - 1.0, rest.dot(other), lists, flat,
+                                           right)
                         known = (rest.dot(way) + mu * rest.dot(n)) * way
                     for a in ti.static(range(3)):
-                        flat[p, FlatColumn.KNOWN + a] = known[a]
+                        flat[p, FlatContactColumn.KNOWN + a] = known[a]
         if sticks:
             for a in ti.static(range(3)):
                 row = ti.Vector([rates[a, b] for b in ti.static(range(3))])
                 unit = ti.Vector([1.0 if a == b else 0.0 for b in ti.static(range(3))])
-                write_unknown(p, a, row, unit, 0.0, rest[a], lists, flat, right)
+                store_node_unknown(p, a, row, unit, 0.0, rest[a], lists, flat, right)
         return rest
 
     @ti.func
-    def couple(q, count, k, lists: ti.template(), compliance: ti.template(), flat: ti.template(),
-               matrix: ti.template(), right: ti.template()):
+    def add_node_coupling(q, count, k, lists: ti.template(), compliance: ti.template(), flat: ti.template(),
+                          matrix: ti.template(), right: ti.template()):
         """Add the coupling of the q-th node's unknowns to all equations, and its known force to the right-hand side."""
-        at, first, rows = 3 * lists[q, ListColumn.UNKNOWN], lists[q, ListColumn.FIRST_ROW], lists[q, ListColumn.ROWS]
-        known = ti.Vector([flat[q, FlatColumn.KNOWN + b] for b in ti.static(range(3))])
-        ways = ti.Matrix([[flat[q, FlatColumn.DIRECTIONS + 3 * row + b] for b in ti.static(range(3))]
+        at, first, rows = (3 * lists[q, NodeListColumn.UNKNOWN], lists[q, NodeListColumn.FIRST_ROW],
+                           lists[q, NodeListColumn.ROWS])
+        known = ti.Vector([flat[q, FlatContactColumn.KNOWN + b] for b in ti.static(range(3))])
+        ways = ti.Matrix([[flat[q, FlatContactColumn.DIRECTIONS + 3 * row + b] for b in ti.static(range(3))]
                           for row in ti.static(range(3))])
         for p in range(count):
-            i, begin = lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW]
+            i, begin = lists[p, NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW]
             C = ti.Matrix([[compliance[at + b, 3 * i + a] for a in ti.static(range(3))] for b in ti.static(range(3))])
-            for other in range(lists[p, ListColumn.ROWS]):
-                pushed = C @ ti.Vector([flat[p, FlatColumn.RATES + 3 * other + a] for a in ti.static(range(3))])
+            for other in range(lists[p, NodeListColumn.ROWS]):
+                pushed = C @ ti.Vector([flat[p, FlatContactColumn.RATES + 3 * other + a] for a in ti.static(range(3))])
                 right[begin + other] = right[begin + other] + pushed.dot(known)
                 for row in ti.static(range(3)):
                     if row < rows:
                         way = ti.Vector([ways[row, b] for b in ti.static(range(3))])
                         matrix[(first + row) * k + begin + other] = -pushed.dot(way)
         for row in range(rows):
-            matrix[(first + row) * (k + 1)] = matrix[(first + row) * (k + 1)] + flat[q, FlatColumn.DIAGONAL + row]
+            matrix[(first + row) * (k + 1)] = matrix[(first + row) * (k + 1)] + (
+                flat[q, FlatContactColumn.DIAGONAL + row])
 
     @ti.func
-    def release(j, count, carried: ti.template(), lists: ti.template(), compliance: ti.template(),
-                flat: ti.template(), right: ti.template()):
-        """Remove the displacement caused by the force of a node that separates from the right-hand side."""
-        force = ti.Vector([carried[lists[j, ListColumn.NODE], NodeColumn.FORCE + b] for b in ti.static(range(3))])
+    def subtract_separated_node_force(j, count, carried: ti.template(), lists: ti.template(), compliance: ti.template(),
+                                      flat: ti.template(), right: ti.template()):
+        """Subtract the displacement caused by the force of a separating node from the right-hand side."""
+        force = ti.Vector([carried[lists[j, NodeListColumn.NODE], NodeColumn.FORCE + b] for b in ti.static(range(3))])
         for p in range(count if force.norm() > 0.0 else 0):
-            i, begin = lists[p, ListColumn.UNKNOWN], lists[p, ListColumn.FIRST_ROW]
+            i, begin = lists[p, NodeListColumn.UNKNOWN], lists[p, NodeListColumn.FIRST_ROW]
             C = ti.Matrix([[compliance[3 * j + b, 3 * i + a] for a in ti.static(range(3))]
                            for b in ti.static(range(3))])
-            for other in range(lists[p, ListColumn.ROWS]):
-                pushed = C @ ti.Vector([flat[p, FlatColumn.RATES + 3 * other + a] for a in ti.static(range(3))])
+            for other in range(lists[p, NodeListColumn.ROWS]):
+                pushed = C @ ti.Vector([flat[p, FlatContactColumn.RATES + 3 * other + a] for a in ti.static(range(3))])
                 right[begin + other] = right[begin + other] - pushed.dot(force)
 
     @ti.kernel
-    def evaluate(settings: real1, found: real1, limits: real1, states: int2, carried: real2, lists: int2, local: real2,
-             compliance: real2, flat: real2, matrix: real1, right: real1):
+    def evaluate_contact_equations(settings: real1, found: real1, limits: real1, states: int2, carried: real2,
+                                   lists: int2, local: real2, compliance: real2, flat: real2, matrix: real1,
+                                   right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            if limits[Limit.STEP_LENGTH] > 0.0:
-                take_step(settings, found, limits[Limit.STEP_LENGTH], lists, carried, flat, right)
+            if limits[FlatKernelInput.STEP_LENGTH] > 0.0:
+                apply_line_search_step(settings, found, limits[FlatKernelInput.STEP_LENGTH], lists, carried, flat,
+                                       right)
             many, count, k, left, size = 0, 0, 0, 0.0, 0.0
-            for i in range(ti.cast(settings[Setting.COUNT], ti.i32)):
-                s = lists[i, ListColumn.NODE]
+            for i in range(ti.cast(settings[KernelSetting.COUNT], ti.i32)):
+                s = lists[i, NodeListColumn.NODE]
                 loaded = 0.0
                 for a in ti.static(range(3)):
-                    loaded = loaded + ti.abs(carried[s, NodeColumn.FORCE + a]) + ti.abs(local[i, LocalColumn.FORCE + a])
-                if (states[s, StateColumn.BOND] == Bond.HELD or loaded > 0.0
-                        or local[i, LocalColumn.GAP] < limits[Limit.NEAR_GAP]):
-                    lists[many, ListColumn.NEAR] = i
+                    loaded = loaded + ti.abs(carried[s, NodeColumn.FORCE + a]) + ti.abs(
+                        local[i, LocalContactColumn.FORCE + a])
+                if (states[s, ContactStateColumn.BOND] == ContactBond.HELD or loaded > 0.0
+                        or local[i, LocalContactColumn.GAP] < limits[FlatKernelInput.NEAR_GAP]):
+                    lists[many, NodeListColumn.NEAR] = i
                     many = many + 1
-            displace(many, carried, lists, local, compliance, flat)
+            compute_displacements(many, carried, lists, local, compliance, flat)
             for p in range(many):
-                i = lists[p, ListColumn.NEAR]
-                rest = evaluate_node(count, i, k, states, carried, lists, local, compliance, flat, right)
+                i = lists[p, NodeListColumn.NEAR]
+                rest = evaluate_node_residual(count, i, k, states, carried, lists, local, compliance, flat, right)
                 left = left + rest.dot(rest)
                 for a in ti.static(range(3)):
-                    force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                    force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                     size = size + force * force
-                k = k + lists[count, ListColumn.ROWS]
-                if lists[count, ListColumn.ROWS] > 0:
+                k = k + lists[count, NodeListColumn.ROWS]
+                if lists[count, NodeListColumn.ROWS] > 0:
                     count = count + 1
-            found[Found.RESIDUAL], found[Found.FORCES] = left, size
-            found[Found.NODES], found[Found.EQUATIONS] = count, k
-            if ti.sqrt(left) > limits[Limit.TOLERANCE] * ti.max(ti.sqrt(size), limits[Limit.FLOOR]):
+            found[FlatKernelOutput.RESIDUAL], found[FlatKernelOutput.FORCES] = left, size
+            found[FlatKernelOutput.NODES], found[FlatKernelOutput.EQUATIONS] = count, k
+            if ti.sqrt(left) > limits[FlatKernelInput.TOLERANCE] * ti.max(ti.sqrt(size), limits[FlatKernelInput.FLOOR]):
                 for q in range(many):
-                    j = lists[q, ListColumn.NEAR]
-                    s = lists[j, ListColumn.NODE]
-                    if states[s, StateColumn.BOND] != Bond.HELD and states[s, StateColumn.PRESSED] == 0:
-                        release(j, count, carried, lists, compliance, flat, right)
+                    j = lists[q, NodeListColumn.NEAR]
+                    s = lists[j, NodeListColumn.NODE]
+                    if (states[s, ContactStateColumn.BOND] != ContactBond.HELD
+                            and states[s, ContactStateColumn.PRESSED] == 0):
+                        subtract_separated_node_force(j, count, carried, lists, compliance, flat, right)
                 for q in range(count):
-                    couple(q, count, k, lists, compliance, flat, matrix, right)
+                    add_node_coupling(q, count, k, lists, compliance, flat, matrix, right)
 
-    return evaluate
+    return evaluate_contact_equations

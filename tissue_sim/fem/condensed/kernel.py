@@ -17,26 +17,26 @@ from functools import cache
 from tissue_sim.fem.condensed.tables import (
     MAX_FREEDOMS,
     RESULT_COUNT,
+    ContactStateColumn,
     ContactStatus,
-    ListColumn,
-    LocalColumn,
+    KernelResult,
+    KernelSetting,
+    LocalContactColumn,
     NodeColumn,
-    Result,
-    Setting,
-    StateColumn,
-    SurfaceColumn,
+    NodeListColumn,
+    SurfaceNodeColumn,
 )
-from tissue_sim.fem.contact_settings import SOLID_PENALTY, Bond
+from tissue_sim.fem.contact_settings import SOLID_PENALTY, ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import LANES, scratch
+from tissue_sim.fem.taichi.scratch import LANES, get_scratch_field
 
 #: The extrapolation of the forces is discarded if a force changes by more than this fraction of the largest force.
 _MAX_PREDICTED_CHANGE = 0.5
 
 
 @cache
-def own_compliance_function():
-    """Return the Taichi function ``own_compliance(i, n, compliance)``.
+def make_node_compliance_function():
+    """Return the Taichi function ``node_compliance(i, n, compliance)``.
 
     The function returns the displacement of node i per own force along the normal n, and the mean displacement per own
     tangential force, m/N, both bounded below.
@@ -44,52 +44,53 @@ def own_compliance_function():
     ti = initialise()
 
     @ti.func
-    def own_compliance(i, n, compliance: ti.template()):
+    def node_compliance(i, n, compliance: ti.template()):
         C = ti.Matrix([[compliance[3 * i + a, 3 * i + b] for b in ti.static(range(3))] for a in ti.static(range(3))])
         # Tissue that would buckle without the tool may have negative compliances.
         least, along = 1e-2 * ti.abs(C.trace()), n.dot(C @ n)
         return ti.Vector([ti.max(along, least), ti.max(0.5 * (C.trace() - along), least)])
 
-    return own_compliance
+    return node_compliance
 
 
 @cache
-def contact_kernel():
-    """Return the kernel of one contact iteration; see the enumerations of this module for its arrays."""
+def make_contact_kernel():
+    """Return the kernel of one contact iteration; for its arrays see the enumerations in `tables`."""
     ti = initialise()
     real1, real2, real3 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2, 3))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
     vector1 = ti.types.ndarray(ti.types.vector(LANES, ti.f64), ndim=1)
-    own_compliance = own_compliance_function()
-    move = scratch(LANES, MAX_FREEDOMS // LANES)
+    node_compliance = make_node_compliance_function()
+    move = get_scratch_field(LANES, MAX_FREEDOMS // LANES)
 
     @ti.func
-    def predict_forces(settings: ti.template(), lists: ti.template(), carried: ti.template(), columns: ti.template(),
-               local: ti.template()):
+    def extrapolate_forces(settings: ti.template(), lists: ti.template(), carried: ti.template(),
+                           columns: ti.template(), local: ti.template()):
         """Predict the forces of the nodes in contact by linear extrapolation with the motion of the tool."""
-        most, largest, many = 0.0, 0.0, ti.cast(settings[Setting.PREDICTED], ti.i32)
+        most, largest, many = 0.0, 0.0, ti.cast(settings[KernelSetting.PREDICTED], ti.i32)
         for p in range(many):
-            i = lists[p, ListColumn.ACTIVE]
+            i = lists[p, NodeListColumn.ACTIVE]
             for a in ti.static(range(3)):
                 more = 0.0
                 for c in ti.static(range(6)):
-                    more = more + columns[3 * p + a, c] * settings[Setting.STEP + c]
-                local[i, LocalColumn.FORCE + a] = more
-                force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                    more = more + columns[3 * p + a, c] * settings[KernelSetting.STEP + c]
+                local[i, LocalContactColumn.FORCE + a] = more
+                force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                 most, largest = ti.max(most, ti.abs(more)), ti.max(largest, ti.abs(force))
         if most < _MAX_PREDICTED_CHANGE * largest:
             for p in range(many):
-                i = lists[p, ListColumn.ACTIVE]
+                i = lists[p, NodeListColumn.ACTIVE]
                 for a in ti.static(range(3)):
-                    force = carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
-                    carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a] = force + local[i, LocalColumn.FORCE + a]
-        settings[Setting.PREDICTED] = 0.0
+                    force = carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
+                    carried[lists[i, NodeListColumn.NODE],
+                            NodeColumn.FORCE + a] = force + local[i, LocalContactColumn.FORCE + a]
+        settings[KernelSetting.PREDICTED] = 0.0
 
     @ti.func
-    def displace(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(),
-                 free_displacement: ti.template(),
-                 tool_coupling: ti.template(), rows: ti.template(), u: ti.template()):
-        """Compute the displacements of all nodes under the forces of the loaded nodes.
+    def compute_displacements(n, many, settings: ti.template(), lists: ti.template(), carried: ti.template(),
+                              free_displacement: ti.template(),
+                              tool_coupling: ti.template(), rows: ti.template(), u: ti.template()):
+        """Compute the displacements u of all nodes under the contact forces and the motion of the tool.
 
         The sum uses rows of the symmetric compliance, so that the compiler vectorises the loops.
         """
@@ -98,8 +99,8 @@ def contact_kernel():
         for q in range(used):
             move[q] = ti.Vector.zero(ti.f64, LANES)
         for l in range(many):
-            j = lists[l, ListColumn.LOADED]
-            s = lists[j, ListColumn.NODE]
+            j = lists[l, NodeListColumn.LOADED]
+            s = lists[j, NodeListColumn.NODE]
             for m in range(3):
                 force = carried[s, NodeColumn.FORCE + m]
                 for q in range(used):
@@ -112,23 +113,24 @@ def contact_kernel():
             for k in range(3):
                 value = free_displacement[i, k]
                 for a in ti.static(range(6)):
-                    value = value + tool_coupling[3 * i + k, a] * settings[Setting.MOTION + a]
+                    value = value + tool_coupling[3 * i + k, a] * settings[KernelSetting.MOTION + a]
                 u[3 * i + k] = u[3 * i + k] + value
 
     @ti.func
-    def evaluate_node(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(),
-                      shapes: ti.template(), surface: ti.template(), states: ti.template(), carried: ti.template(),
-                      lists: ti.template(), u: ti.template(), local: ti.template(), compliance: ti.template()):
-        """Evaluate a node: closest point on the tool, contact state, force and derivatives of the force."""
-        R = ti.Matrix([[settings[Setting.ROTATION + 3 * a + b] for b in ti.static(range(3))]
+    def evaluate_node_contact(i, s, settings: ti.template(), results: ti.template(), chains: ti.template(),
+                              shapes: ti.template(), surface: ti.template(), states: ti.template(),
+                              carried: ti.template(), lists: ti.template(), u: ti.template(), local: ti.template(),
+                              compliance: ti.template()):
+        """Evaluate the contact of node i: gap, contact state, force and force derivatives; update `results`."""
+        R = ti.Matrix([[settings[KernelSetting.ROTATION + 3 * a + b] for b in ti.static(range(3))]
                        for a in ti.static(range(3))])
-        arm = ti.Vector([surface[s, SurfaceColumn.POSITION + a] + u[3 * i + a] - settings[Setting.ORIGIN + a]
+        arm = ti.Vector([surface[s, SurfaceNodeColumn.POSITION + a] + u[3 * i + a] - settings[KernelSetting.ORIGIN + a]
                          for a in ti.static(range(3))])
         at = R.transpose() @ arm
         # Closest-point projection on the outline.
-        body = states[s, StateColumn.OUTLINE]
+        body = states[s, ContactStateColumn.OUTLINE]
         rounding, shaft, lines = shapes[body, 0], shapes[body, 1], ti.cast(shapes[body, 3], ti.i32)
-        closed = shapes[body, 2] * settings[Setting.PRESSED_IN]
+        closed = shapes[body, 2] * settings[KernelSetting.PRESSED_IN]
         r = ti.sqrt(at[0] * at[0] + at[1] * at[1])
         best, distance, front, along, share, arrow_r, arrow_z = 0, 1e30, 0.0, 0.0, 0.0, 0.0, 0.0
         for line in range(lines):
@@ -160,28 +162,29 @@ def contact_kernel():
         n_tool = n_r * out + n_z * up
         n = R @ n_tool
         gap = sign * distance - rounding
-        mu = surface[s, SurfaceColumn.FRICTION]
+        mu = surface[s, SurfaceNodeColumn.FRICTION]
         if best >= shaft and not (beyond and rounding > 0.0):
-            mu = surface[s, SurfaceColumn.FRICTION + 1]
+            mu = surface[s, SurfaceNodeColumn.FRICTION + 1]
         # Displacement relative to the tool since all nodes were evaluated: other nodes may have come near.
         for a in ti.static(range(3)):
-            if settings[Setting.NEAR_COUNT] == 0.0:
-                local[i, LocalColumn.REFERENCE + a] = at[a]
-            results[Result.TRAVEL] = ti.max(results[Result.TRAVEL], ti.abs(at[a] - local[i, LocalColumn.REFERENCE + a]))
+            if settings[KernelSetting.NEAR_COUNT] == 0.0:
+                local[i, LocalContactColumn.REFERENCE + a] = at[a]
+            results[KernelResult.TRAVEL] = ti.max(results[KernelResult.TRAVEL],
+                                                  ti.abs(at[a] - local[i, LocalContactColumn.REFERENCE + a]))
         # Contact state (active set) and force.
-        k = surface[s, SurfaceColumn.PENALTY] * settings[Setting.MODULUS]
+        k = surface[s, SurfaceNodeColumn.PENALTY] * settings[KernelSetting.MODULUS]
         F = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
         normal = ti.min(F.dot(n), 0.0)
         tangential = F - F.dot(n) * n
-        give = own_compliance(i, n, compliance)
-        held = states[s, StateColumn.BOND] == Bond.HELD
-        changeable = settings[Setting.CHANGEABLE] > 0.0
-        if held and settings[Setting.RELEASE] > 0.0 and F.dot(n) > 0.0:
-            states[s, StateColumn.BOND] = Bond.FREE
+        give = node_compliance(i, n, compliance)
+        held = states[s, ContactStateColumn.BOND] == ContactBond.HELD
+        changeable = settings[KernelSetting.CHANGEABLE] > 0.0
+        if held and settings[KernelSetting.RELEASE] > 0.0 and F.dot(n) > 0.0:
+            states[s, ContactStateColumn.BOND] = ContactBond.FREE
             held = False
         if changeable and not held:
-            states[s, StateColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
-        is_pressed = states[s, StateColumn.PRESSED] == 1 and not held
+            states[s, ContactStateColumn.PRESSED] = 1 if normal + gap / give[0] < 0.0 else 0
+        is_pressed = states[s, ContactStateColumn.PRESSED] == 1 and not held
         anchor = ti.Vector([carried[s, NodeColumn.ANCHOR + a] for a in ti.static(range(3))])
         slip = R @ (at - anchor)
         aside = slip - slip.dot(n) * n
@@ -195,25 +198,26 @@ def contact_kernel():
             A, missing = SOLID_PENALTY.stick_factor * k * eye, SOLID_PENALTY.stick_factor * k * slip
             found, state = F, ContactStatus.HELD
             if F.dot(n) > 0.0:
-                results[Result.PULLING] = results[Result.PULLING] + 1.0
+                results[KernelResult.PULLING] = results[KernelResult.PULLING] + 1.0
         elif is_pressed:
             violation, state = ti.abs(gap), ContactStatus.FRICTIONLESS
             A = k * nn + normal * (bent * meridian.outer_product(meridian) + hoop * around.outer_product(around))
             missing, found = k * gap * n, normal * n
             rough = mu * ti.max(-normal - gap / give[0], 0.0)
-            if mu > 0.0 and states[s, StateColumn.BOND] == Bond.TOUCHED and rough > settings[Setting.NEGLIGIBLE]:
+            if mu > 0.0 and states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED and (
+                    rough > settings[KernelSetting.NEGLIGIBLE]):
                 limit = mu * ti.max(-normal, 0.0)
                 tried = tangential + aside / give[1]
                 size = tried.norm()
                 if changeable:
-                    states[s, StateColumn.SLIPS] = 1 if size > rough else 0
-                if states[s, StateColumn.SLIPS] == 1:
+                    states[s, ContactStateColumn.SLIPS] = 1 if size > rough else 0
+                if states[s, ContactStateColumn.SLIPS] == 1:
                     state = ContactStatus.SLIPPING
                     way = tried / ti.max(size, 1e-300)
                     T = limit / ti.max(size, 1e-300) * (eye - nn - way.outer_product(way))
                     A = A - mu * k * way.outer_product(n) + T / give[1]
                     missing, found = missing - mu * k * gap * way, found + limit * way
-                    results[Result.SLIPPING] = results[Result.SLIPPING] + 1.0
+                    results[KernelResult.SLIPPING] = results[KernelResult.SLIPPING] + 1.0
                 else:
                     sticks, state = True, ContactStatus.STICKING
                     violation = ti.max(violation, length)
@@ -221,99 +225,102 @@ def contact_kernel():
                     missing, found = missing + SOLID_PENALTY.stick_factor * k * aside, found + tangential
         else:
             violation = ti.max(-gap, 0.0)
-        results[Result.VIOLATION] = ti.max(results[Result.VIOLATION], violation)
-        touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[Setting.TOLERANCE])
-        states[s, StateColumn.NEW_BOND] = Bond.FREE
+        results[KernelResult.VIOLATION] = ti.max(results[KernelResult.VIOLATION], violation)
+        touches = is_pressed or (mu > 0.0 and gap <= 1e-3 * settings[KernelSetting.TOLERANCE])
+        states[s, ContactStateColumn.NEW_BOND] = ContactBond.FREE
         if mu < 0.0 and is_pressed:
-            states[s, StateColumn.NEW_BOND] = Bond.HELD
+            states[s, ContactStateColumn.NEW_BOND] = ContactBond.HELD
         elif touches and mu > 0.0:
-            states[s, StateColumn.NEW_BOND] = Bond.TOUCHED
-        keeps = sticks or (touches and not is_pressed and states[s, StateColumn.BOND] == Bond.TOUCHED)
+            states[s, ContactStateColumn.NEW_BOND] = ContactBond.TOUCHED
+        keeps = sticks or (touches and not is_pressed and states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED)
         for a in ti.static(range(3)):
             carried[s, NodeColumn.NEW_ANCHOR + a] = anchor[a] if keeps else at[a] - gap * n_tool[a]
-            local[i, LocalColumn.ARM + a] = arm[a]
-            local[i, LocalColumn.NORMAL + a], local[i, LocalColumn.SLIP + a] = n[a], slip[a]
-            local[i, LocalColumn.INTERCEPT + a] = found[a] + missing[a]
-            change = found[a] - local[i, LocalColumn.FORCE + a]
-            results[Result.UNBALANCED] = results[Result.UNBALANCED] + change * change
-            results[Result.SIZE] = results[Result.SIZE] + found[a] * found[a]
+            local[i, LocalContactColumn.ARM + a] = arm[a]
+            local[i, LocalContactColumn.NORMAL + a], local[i, LocalContactColumn.SLIP + a] = n[a], slip[a]
+            local[i, LocalContactColumn.INTERCEPT + a] = found[a] + missing[a]
+            change = found[a] - local[i, LocalContactColumn.FORCE + a]
+            results[KernelResult.UNBALANCED] = results[KernelResult.UNBALANCED] + change * change
+            results[KernelResult.SIZE] = results[KernelResult.SIZE] + found[a] * found[a]
             carried[s, NodeColumn.FORCE + a] = found[a]
             for b in ti.static(range(3)):
-                local[i, LocalColumn.STIFFNESS + 3 * a + b] = A[a, b]
-                local[i, LocalColumn.ROTATION + 3 * a + b] = T[a, b]
-        local[i, LocalColumn.GAP] = gap
-        local[i, LocalColumn.FRICTION] = ti.max(mu, 0.0) if states[s, StateColumn.BOND] == Bond.TOUCHED else 0.0
+                local[i, LocalContactColumn.STIFFNESS + 3 * a + b] = A[a, b]
+                local[i, LocalContactColumn.ROTATION + 3 * a + b] = T[a, b]
+        local[i, LocalContactColumn.GAP] = gap
+        local[i, LocalContactColumn.FRICTION] = (
+            ti.max(mu, 0.0) if states[s, ContactStateColumn.BOND] == ContactBond.TOUCHED else 0.0)
         # The matrix is reused while the set of nodes in contact does not change.
-        if (lists[i, ListColumn.STATUS] > 0) != (state > 0) or lists[i, ListColumn.STATUS] < 0:
-            settings[Setting.REBUILDS] = 1.0
-        lists[i, ListColumn.STATUS] = state
+        if (lists[i, NodeListColumn.STATUS] > 0) != (state > 0) or lists[i, NodeListColumn.STATUS] < 0:
+            settings[KernelSetting.REBUILDS] = 1.0
+        lists[i, NodeListColumn.STATUS] = state
 
     @ti.kernel
-    def iterate(settings: real1, results: real1, chains: real3, shapes: real2, surface: real2, states: int2,
-                carried: real2, lists: int2, free_displacement: real2, tool_coupling: real2, compliance: real2,
-                rows: vector1, u: real1,
-                local: real2, columns: real2, matrix: real1, right: real1):
+    def run_contact_iteration(settings: real1, results: real1, chains: real3, shapes: real2, surface: real2,
+                              states: int2, carried: real2, lists: int2, free_displacement: real2, tool_coupling: real2,
+                              compliance: real2, rows: vector1, u: real1, local: real2, columns: real2, matrix: real1,
+                              right: real1):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            if settings[Setting.PREDICTED] > 0.0:
-                predict_forces(settings, lists, carried, columns, local)
-            n, many = ti.cast(settings[Setting.COUNT], ti.i32), 0
+            if settings[KernelSetting.PREDICTED] > 0.0:
+                extrapolate_forces(settings, lists, carried, columns, local)
+            n, many = ti.cast(settings[KernelSetting.COUNT], ti.i32), 0
             for i in range(n):
-                s = lists[i, ListColumn.NODE]
+                s = lists[i, NodeListColumn.NODE]
                 size = 0.0
                 for a in ti.static(range(3)):
-                    local[i, LocalColumn.FORCE + a] = carried[s, NodeColumn.FORCE + a]
+                    local[i, LocalContactColumn.FORCE + a] = carried[s, NodeColumn.FORCE + a]
                     size = size + ti.abs(carried[s, NodeColumn.FORCE + a])
                 if size > 0.0:
-                    lists[many, ListColumn.LOADED] = i
+                    lists[many, NodeListColumn.LOADED] = i
                     many = many + 1
             for k in range(RESULT_COUNT):
                 results[k] = 0.0
             # Nodes far from the tool carry no force; their displacements are not computed.
-            all_nodes = settings[Setting.NEAR_COUNT] == 0.0
+            all_nodes = settings[KernelSetting.NEAR_COUNT] == 0.0
             if not all_nodes:
-                n = ti.cast(settings[Setting.NEAR_COUNT], ti.i32)
-            displace(n, many, settings, lists, carried, free_displacement, tool_coupling, rows, u)
+                n = ti.cast(settings[KernelSetting.NEAR_COUNT], ti.i32)
+            compute_displacements(n, many, settings, lists, carried, free_displacement, tool_coupling, rows, u)
             for i in range(n):
-                evaluate_node(i, lists[i, ListColumn.NODE], settings, results, chains, shapes, surface, states, carried,
-                              lists, u, local, compliance)
+                evaluate_node_contact(i, lists[i, NodeListColumn.NODE], settings, results, chains, shapes, surface,
+                                      states, carried, lists, u, local, compliance)
             count, near = 0, 1
             for i in range(n):
-                if lists[i, ListColumn.STATUS] > 0:
-                    lists[count, ListColumn.ACTIVE] = i
+                if lists[i, NodeListColumn.STATUS] > 0:
+                    lists[count, NodeListColumn.ACTIVE] = i
                     count = count + 1
-                if lists[i, ListColumn.STATUS] > 0 or local[i, LocalColumn.GAP] < settings[Setting.NEAR_GAP]:
+                if lists[i, NodeListColumn.STATUS] > 0 or (
+                        local[i, LocalContactColumn.GAP] < settings[KernelSetting.NEAR_GAP]):
                     near = i + 1
             if all_nodes:
                 # Loaded nodes may come into contact again when other nodes separate.
                 if many > 0:
-                    near = ti.max(near, lists[many - 1, ListColumn.LOADED] + 1)
-                settings[Setting.NEAR_COUNT] = ti.min(near, n)
+                    near = ti.max(near, lists[many - 1, NodeListColumn.LOADED] + 1)
+                settings[KernelSetting.NEAR_COUNT] = ti.min(near, n)
             k = 3 * count
-            results[Result.ACTIVE] = count
-            rebuilt = settings[Setting.REBUILDS] > 0.0
-            results[Result.REBUILT] = settings[Setting.REBUILDS]
-            settings[Setting.REBUILDS] = 0.0
+            results[KernelResult.ACTIVE] = count
+            rebuilt = settings[KernelSetting.REBUILDS] > 0.0
+            results[KernelResult.REBUILT] = settings[KernelSetting.REBUILDS]
+            settings[KernelSetting.REBUILDS] = 0.0
             for p in range(count):
-                i = lists[p, ListColumn.ACTIVE]
+                i = lists[p, NodeListColumn.ACTIVE]
                 # Displacement caused by the last forces of nodes that have separated.
                 e = ti.Vector.zero(ti.f64, 3)
                 for l in range(many):
-                    j = lists[l, ListColumn.LOADED]
-                    if lists[j, ListColumn.STATUS] == 0:
+                    j = lists[l, NodeListColumn.LOADED]
+                    if lists[j, NodeListColumn.STATUS] == 0:
                         for a in ti.static(range(3)):
                             for b in ti.static(range(3)):
-                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, LocalColumn.FORCE + b]
-                x, y, z = local[i, LocalColumn.ARM], local[i, LocalColumn.ARM + 1], local[i, LocalColumn.ARM + 2]
-                f = ti.Vector([local[i, LocalColumn.INTERCEPT], local[i, LocalColumn.INTERCEPT + 1],
-                               local[i, LocalColumn.INTERCEPT + 2]])
+                                e[a] = e[a] + compliance[3 * i + a, 3 * j + b] * local[j, LocalContactColumn.FORCE + b]
+                x, y, z = (local[i, LocalContactColumn.ARM], local[i, LocalContactColumn.ARM + 1],
+                           local[i, LocalContactColumn.ARM + 2])
+                f = ti.Vector([local[i, LocalContactColumn.INTERCEPT], local[i, LocalContactColumn.INTERCEPT + 1],
+                               local[i, LocalContactColumn.INTERCEPT + 2]])
                 turning = ti.Matrix([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
                 turned = ti.Matrix([[0.0, f[2], -f[1]], [-f[2], 0.0, f[0]], [f[1], -f[0], 0.0]])
                 for a in ti.static(range(3)):
                     row = 3 * p + a
-                    value = local[i, LocalColumn.INTERCEPT + a] - local[i, LocalColumn.FORCE + a]
+                    value = local[i, LocalContactColumn.INTERCEPT + a] - local[i, LocalContactColumn.FORCE + a]
                     for b in ti.static(range(3)):
-                        value = value + local[i, LocalColumn.STIFFNESS + 3 * a + b] * e[b]
+                        value = value + local[i, LocalContactColumn.STIFFNESS + 3 * a + b] * e[b]
                     right[row] = value
                     for c in ti.static(range(6)):
                         value = 0.0
@@ -325,17 +332,17 @@ def contact_kernel():
                                 way = way - turning[b, ti.static(c - 3)]
                             elif ti.static(c == b):
                                 way = way - 1.0
-                            value = value + local[i, LocalColumn.STIFFNESS + 3 * a + b] * way
+                            value = value + local[i, LocalContactColumn.STIFFNESS + 3 * a + b] * way
                         right[(c + 1) * k + row] = value
             # Column by column, the order of LAPACK; the compliance is symmetric.
             for q in range(count if rebuilt else 0):
-                j = lists[q, ListColumn.ACTIVE]
+                j = lists[q, NodeListColumn.ACTIVE]
                 start = 3 * q * k
                 for p in range(count):
-                    i = lists[p, ListColumn.ACTIVE]
+                    i = lists[p, NodeListColumn.ACTIVE]
                     C = ti.Matrix([[compliance[3 * j + b, 3 * i + c] for b in ti.static(range(3))]
                                    for c in ti.static(range(3))])
-                    A = ti.Matrix([[local[i, LocalColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
+                    A = ti.Matrix([[local[i, LocalContactColumn.STIFFNESS + 3 * a + c] for c in ti.static(range(3))]
                                    for a in ti.static(range(3))])
                     value = A @ C
                     for b in ti.static(range(3)):
@@ -344,6 +351,7 @@ def contact_kernel():
                 for b in ti.static(range(3)):
                     for a in ti.static(range(3)):
                         at = start + b * k + 3 * q + a
-                        matrix[at] = matrix[at] - local[j, LocalColumn.ROTATION + 3 * a + b] + (1.0 if a == b else 0.0)
+                        matrix[at] = matrix[at] - local[j, LocalContactColumn.ROTATION + 3 * a + b] + (
+                            1.0 if a == b else 0.0)
 
-    return iterate
+    return run_contact_iteration

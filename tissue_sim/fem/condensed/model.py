@@ -1,6 +1,6 @@
 """Messages between a slow solver of the bulk and a fast solver of the contact (multirate simulation).
 
-The bulk publishes its linearisation, condensed to the contact nodes (`CondensedContact`); the contact publishes its
+The bulk publishes its linearisation, condensed to the contact nodes (`CondensedBulk`); the contact publishes its
 state (`ContactState`). Both can be packed in one array of numbers.
 """
 
@@ -18,7 +18,7 @@ from tissue_sim.model import Model
 from tissue_sim.pose import Pose
 from tissue_sim.registry import Registry
 
-#: Number of scalars before the arrays of a packed `CondensedContact`.
+#: Number of scalars before the arrays of a packed `CondensedBulk`.
 _MODEL_HEAD = 17
 #: Number of scalars before the arrays of a packed tangent.
 _TANGENT_HEAD = 8
@@ -28,7 +28,7 @@ _STATE_HEAD = 19
 
 @dataclass(frozen=True, eq=False)
 class ContactSurface:
-    """Constants of the contact: nodes of the tissue surface that the tool may touch, and the shape of the tool.
+    """Constant data of the contact: surface nodes that the tool may touch, and outline of the tool.
 
     Attributes:
         places: undeformed positions of the nodes in the frame of the mesh, m, shape (s, 3).
@@ -39,14 +39,14 @@ class ContactSurface:
         shapes: constants of the outlines, shape (outlines, 5): edge radius, m; index of the first segment of the
             shaft; 1 if a sharp shaft is extended downwards; number of segments; radius below which a point counts as
             on the axis, m.
-        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.Bond`, shape (s,).
+        bound: bonds of the nodes at the first touch, each a `tissue_sim.fem.contact_settings.ContactBond`, shape (s,).
         anchors: positions in the frame of the tool where these nodes are bound, m, shape (s, 3).
         start: pose of the tool at the first touch.
         datum: height of the scene's origin in the frame of the mesh, m.
         tolerance: largest violation of a contact condition, m.
         radius: radius of the contact, m; a rotation is measured by the path of a point at this radius.
         floor: negligible force, N.
-        candidates: largest number of nodes of a `CondensedContact`.
+        candidates: largest number of nodes of a `CondensedBulk`.
     """
 
     places: np.ndarray
@@ -66,8 +66,8 @@ class ContactSurface:
 
 
 @dataclass(frozen=True, eq=False)
-class CondensedContact:
-    """Linearised bulk, condensed to the contact nodes near the tool (Schur complement).
+class CondensedBulk:
+    """Linearised bulk of the tissue, condensed to the contact nodes near the tool (Schur complement).
 
     With the linearised equations K du = -R - B^T f of the bulk, the displacements of the contact nodes are
 
@@ -123,16 +123,16 @@ class CondensedContact:
 
     @property
     def has_own_tangent(self) -> bool:
-        """Whether the linearisation has a new tangent; otherwise it shares the tangent of `base`."""
+        """Whether the linearisation has its own tangent; otherwise its tangent is that of linearisation `base`."""
         return self.base == self.number
 
     @property
     def holds_tissue(self) -> bool:
-        """Whether tissue is bonded to the tool."""
+        """Whether tissue is bonded to the tool, so that `stiffness` is nonzero."""
         return bool(self.stiffness.any())
 
-    def pack(self) -> np.ndarray:
-        """Pack the linearisation in one array of numbers."""
+    def pack_to_array(self) -> np.ndarray:
+        """Return the linearisation as one array of numbers, for `unpack_from_array`."""
         n = len(self.nodes)
         head = (self.number, self.base, self.epoch, self.time, n, self.reach, self.modulus, self.residual,
                 self.material, self.has_contact, *self.pose.position, *self.pose.orientation)
@@ -144,11 +144,11 @@ class CondensedContact:
         return np.concatenate(own)
 
     @classmethod
-    def unpack(cls, numbers: np.ndarray, base: CondensedContact | None = None) -> CondensedContact | None:
-        """Return the linearisation from an array of `pack`.
+    def unpack_from_array(cls, numbers: np.ndarray, base: CondensedBulk | None = None) -> CondensedBulk | None:
+        """Return the linearisation that `pack_to_array` packed.
 
         Args:
-            numbers: array of `pack`; the arrays of the result are views of this array.
+            numbers: array of `pack_to_array`; the arrays of the result are views of this array.
             base: a linearisation with the same tangent, needed if the packed one has no own tangent.
 
         Returns:
@@ -158,7 +158,7 @@ class CondensedContact:
         number, base_number, epoch, time, count, reach, modulus, residual, material, has_contact, *pose = head
         n, rest = int(count), numbers[_MODEL_HEAD:]
         own = {"number": int(number), "base": int(base_number), "epoch": int(epoch), "time": time,
-               "pose": _make_pose(pose), "wrench": rest[:6],
+               "pose": _build_pose(pose), "wrench": rest[:6],
                "free_displacement": rest[6 : 6 + 3 * n].reshape(n, 3), "reach": reach, "modulus": modulus,
                "residual": residual, "material": int(material), "has_contact": bool(has_contact)}
         if number != base_number:
@@ -166,14 +166,14 @@ class CondensedContact:
         tangent, nodes, stiffness, tool_coupling, compliance = np.split(
             rest[6 + 3 * n :], np.cumsum([_TANGENT_HEAD, n, 36, 18 * n]))
         tangent_time, *tangent_pose = tangent.tolist()
-        return cls(tangent_time=tangent_time, tangent_pose=_make_pose(tangent_pose), nodes=nodes.astype(np.intp),
+        return cls(tangent_time=tangent_time, tangent_pose=_build_pose(tangent_pose), nodes=nodes.astype(np.intp),
                    stiffness=stiffness.reshape(6, 6),
                    tool_coupling=tool_coupling.reshape(3 * n, 6),
                    compliance=compliance.reshape(3 * n, 3 * n), **own)
 
 
-def max_packed_size(surface: ContactSurface, whole: bool = True) -> int:
-    """Return the largest size of a packed `CondensedContact`.
+def max_packed_linearisation_size(surface: ContactSurface, whole: bool = True) -> int:
+    """Return the largest number of entries of a packed `CondensedBulk`.
 
     Args:
         surface: constants of the contact.
@@ -186,10 +186,10 @@ def max_packed_size(surface: ContactSurface, whole: bool = True) -> int:
 
 @dataclass(frozen=True, eq=False)
 class ContactState:
-    """State of the fast solver of the contact.
+    """State of the contact (forces, bonds, pose of the tool), which the fast contact solver sends to the bulk.
 
     Attributes:
-        model: number of the `CondensedContact` on which the contact was solved; 0: none yet.
+        model: number of the `CondensedBulk` on which the contact was solved; 0: none yet.
         epoch: number of resets to the untouched specimen.
         time: time, s.
         pose: pose of the tool.
@@ -197,7 +197,7 @@ class ContactState:
         before: pose of the tool at the earlier time.
         forces: forces of the surface's nodes on the tool, N, shape (s, 3).
         anchors: positions in the frame of the tool where nodes are bound, m, shape (s, 3).
-        states: bond (`Bond`), whether pressed, and whether slipping, shape (3, s).
+        states: bond (`ContactBond`), whether pressed, and whether slipping, shape (3, s).
         touched: whether the tool has touched the specimen since the last reset.
     """
 
@@ -212,23 +212,23 @@ class ContactState:
     states: np.ndarray
     touched: bool = True
 
-    def pack(self) -> np.ndarray:
-        """Pack the state in one array of numbers."""
+    def pack_to_array(self) -> np.ndarray:
+        """Return the state as one array of numbers, for `unpack_from_array`."""
         head = (self.model, self.epoch, self.touched, self.time, *self.pose.position, *self.pose.orientation,
                 self.earlier, *self.before.position, *self.before.orientation)
         return np.concatenate([head, self.forces.ravel(), self.anchors.ravel(), self.states.ravel()])
 
     @classmethod
-    def unpack(cls, numbers: np.ndarray) -> ContactState:
-        """Return the state from an array of `pack`."""
+    def unpack_from_array(cls, numbers: np.ndarray) -> ContactState:
+        """Return the state that `pack_to_array` packed."""
         model, epoch, touched, time, *poses = numbers[:_STATE_HEAD].tolist()
         forces, anchors, states = np.split(numbers[_STATE_HEAD:], 3)
-        return cls(int(model), int(epoch), time, _make_pose(poses[:7]), poses[7], _make_pose(poses[8:]),
+        return cls(int(model), int(epoch), time, _build_pose(poses[:7]), poses[7], _build_pose(poses[8:]),
                    forces.reshape(-1, 3), anchors.reshape(-1, 3), states.reshape(3, -1), bool(touched))
 
 
 def packed_state_size(surface: ContactSurface) -> int:
-    """Return the size of a packed `ContactState` of a surface."""
+    """Return the number of entries of a packed `ContactState` of a surface."""
     return _STATE_HEAD + 9 * len(surface.places)
 
 
@@ -236,14 +236,14 @@ def packed_state_size(surface: ContactSurface) -> int:
 Executor = Callable[[Callable[[], None]], Callable[[], bool]]
 
 
-def run_now(compute: Callable[[], None]) -> Callable[[], bool]:
-    """Run a computation before the return: the synchronous `Executor`."""
+def run_synchronously(compute: Callable[[], None]) -> Callable[[], bool]:
+    """Run a computation before returning (synchronous `Executor`); the returned function always gives True."""
     compute()
     return lambda: True
 
 
 class BulkLinearisation(Protocol):
-    """Newton iteration of the bulk of a tissue; another solver adds the contact to its linearisation.
+    """Interface of Newton's iteration for the bulk; a contact solver uses the linearisation of each iterate.
 
     Attributes:
         executor: runs the condensation of tangents. Meanwhile iterations use the previous tangent.
@@ -253,10 +253,10 @@ class BulkLinearisation(Protocol):
 
     @property
     def surface(self) -> ContactSurface:
-        """Constants of the contact between tissue and tool."""
+        """Nodes of the tissue surface and shape of the tool, constant during the simulation."""
 
-    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
-        """Advance Newton's iteration of the bulk with the contact forces, and return its linearisation.
+    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
+        """Make an iteration of the bulk under the contact forces, and return its new linearisation.
 
         Args:
             state: state of the contact on the last linearisation.
@@ -268,11 +268,11 @@ class BulkLinearisation(Protocol):
         """
 
     def set_material(self, material: Material) -> None:
-        """Change the material; see `Solver.set_material`."""
+        """Change the material of the bulk; see `Solver.set_material`."""
 
     @property
     def solver(self) -> Solver:
-        """Solver whose last committed state is the last iterate, for visualisation."""
+        """Solver that holds the last iterate of the bulk as its committed state, for visualisation."""
 
 
 class LinearisationMaker(Protocol):
@@ -290,6 +290,7 @@ LINEARISATIONS: Registry[LinearisationMaker] = Registry(
     "linearisation", "tissue_sim.linearisations", {"solid": "tissue_sim.fem.solid.linearisation:make_linearisation"})
 
 
-def _make_pose(numbers: list[float]) -> Pose:
+def _build_pose(numbers: list[float]) -> Pose:
+    """Return the pose with 3 coordinates of the position, m, and 4 of the quaternion."""
     x, y, z, a, b, c, d = numbers
     return Pose((x, y, z), (a, b, c, d))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedContact, ContactState
+from tissue_sim.fem.condensed.model import BulkLinearisation, CondensedBulk, ContactState
 from tissue_sim.fem.condensed.stepper import CondensedStepper
 from tissue_sim.material.material import Material
 from tissue_sim.pose import Pose, between, motion
@@ -48,8 +48,8 @@ class PredictiveLinearisation:
         self._stepper = CondensedStepper(linearisation.surface, PREDICTION.max_increment)
         self._epoch = self._material = 0
 
-    def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedContact | None:
-        """Return the next linearisation.
+    def linearise(self, state: ContactState, lead: float, serves: float) -> CondensedBulk | None:
+        """Linearise the bulk for the predicted pose, and return the linearisation.
 
         Args:
             state: newest state of the contact.
@@ -71,7 +71,7 @@ class PredictiveLinearisation:
             return None
         has_contact = bool(predicted.forces.any()) or (state.touched and model.holds_tissue)
         model = replace(model, material=self._material, has_contact=has_contact)
-        stepper.set_model(model)
+        stepper.set_linearisation(model)
         self._epoch = state.epoch
         return model
 
@@ -80,7 +80,7 @@ class PredictiveLinearisation:
 
         Args:
             material: new material.
-            number: number of the change, `CondensedContact.material` of all later linearisations.
+            number: number of the change, `CondensedBulk.material` of all later linearisations.
 
         Raises:
             InputError: the bulk does not support the material; the material stays.
@@ -89,11 +89,14 @@ class PredictiveLinearisation:
         self._material = number
 
     def extrapolate_pose(self, state: ContactState, lead: float) -> Pose:
-        """Return the pose of the tool after a time, s, extrapolated with constant velocity."""
+        """Return the pose of the tool `lead` seconds after a state, extrapolated with constant velocity.
+
+        The motion is limited to `PredictionSettings.max_prediction`.
+        """
         passed = state.time - state.earlier
         if passed <= 0.0:
             return state.pose
-        distance = self._stepper.distance(motion(state.before, state.pose))
+        distance = self._stepper.max_travel(motion(state.before, state.pose))
         factor = lead / passed
         if distance * factor > 0.0:
             factor = min(factor, PREDICTION.max_prediction * self._linearisation.surface.radius / distance)

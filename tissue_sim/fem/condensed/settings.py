@@ -11,7 +11,7 @@ class StepperSettings:
         max_iterations: maximum number of contact iterations of an increment.
         max_exact_iterations: the same if the stiffness must belong to the pose (`exact`).
         max_flat_iterations: number of iterations in which the linear equations keep the contact states that
-            `FlatContact` found.
+            `TangentPlaneContact` found.
         flat_gap: nodes with a gap below this fraction of the contact radius take part in the flat contact.
         flat_tolerance: relative residual of the flat contact.
         near_gap: nodes with a gap above this fraction of the contact radius are not evaluated until the tool or the

@@ -1,8 +1,8 @@
 """Frictional contact of a tool with a bulk condensed to the contact nodes (Schur complement), step by step.
 
-Each increment alternates between `FlatContact`, which decides the contact states on the tangent planes of the tool, and
-Newton's method for the curved contact with these states. The contact forces are unknowns; gap and stick conditions are
-enforced by an augmented Lagrangian with a penalty stiffness for each node.
+Each increment alternates between `TangentPlaneContact`, which decides the contact states on the tangent planes of the
+tool, and Newton's method for the curved contact with these states. The contact forces are unknowns; gap and stick
+conditions are enforced by an augmented Lagrangian with a penalty stiffness for each node.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import cast
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.flat_contact import FlatContact
-from tissue_sim.fem.condensed.kernel import contact_kernel
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface
+from tissue_sim.fem.condensed.flat_contact import TangentPlaneContact
+from tissue_sim.fem.condensed.kernel import make_contact_kernel
+from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface
 from tissue_sim.fem.condensed.settings import StepperSettings
 from tissue_sim.fem.condensed.tables import (
     LIST_COLUMNS,
@@ -27,13 +27,13 @@ from tissue_sim.fem.condensed.tables import (
     RIGHT_HAND_SIDES,
     SETTING_COUNT,
     STATE_COLUMNS,
-    ListColumn,
-    LocalColumn,
+    KernelSetting,
+    LocalContactColumn,
     NodeColumn,
-    Setting,
+    NodeListColumn,
 )
-from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, Answer, wrench_kernel
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.condensed.wrench_kernel import ANSWER_SIZE, WrenchIndex, make_wrench_kernel
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.launch import BoundKernel
 from tissue_sim.fem.taichi.runtime import LOCK
 from tissue_sim.fem.taichi.scratch import LANES
@@ -45,15 +45,15 @@ _SETTINGS = StepperSettings()
 
 
 @dataclass(frozen=True, slots=True)
-class ContactStep:
-    """Result of a step of the contact.
+class ContactStepResult:
+    """Result of a step of `CondensedStepper`: wrench and stiffness on the tool.
 
     Attributes:
         converged: whether all contact conditions hold.
         iterations: number of contact iterations of the last increment.
         wrench: wrench on the tool about its deepest point, N and N m.
         stiffness_matrix: minus the derivative of the wrench with respect to position and rotation vector, 6 x 6.
-        distance: distance of the tool from the pose of the model, m, see `CondensedStepper.distance`.
+        distance: distance of the tool from the pose of the model, m, see `CondensedStepper.max_travel`.
         residual: norm of the change of the forces in the last iteration, N.
         pressed: number of nodes in contact.
         slipping: number of slipping nodes.
@@ -70,11 +70,11 @@ class ContactStep:
 
 
 _ZERO_WRENCH: Screw = (0.0,) * 6
-_INITIAL_STEP = ContactStep(True, 0, _ZERO_WRENCH, (_ZERO_WRENCH,) * 6, 0.0, 0.0, 0, 0)
+_INITIAL_STEP = ContactStepResult(True, 0, _ZERO_WRENCH, (_ZERO_WRENCH,) * 6, 0.0, 0.0, 0, 0)
 
 
 class CondensedStepper:
-    """Solver of the contact of a tool with a tissue whose bulk is a `CondensedContact`.
+    """Real-time solver of the contact between a tool and tissue whose bulk is a `CondensedBulk`.
 
     Forces and bonds of the nodes continue from model to model.
 
@@ -108,8 +108,9 @@ class CondensedStepper:
         self._compliance, self._free_displacement = np.zeros((3 * n, width)), np.zeros((n, 3))
         lists, local = np.zeros((n, LIST_COLUMNS), dtype=np.int32), np.zeros((n, LOCAL_COLUMNS))
         self._nodes, self._active, self._signature = (lists[:, at]
-                                                      for at in (ListColumn.NODE, ListColumn.ACTIVE, ListColumn.STATUS))
-        self._guess = local[:, LocalColumn.FORCE:LocalColumn.FORCE + 3]
+                                                      for at in (NodeListColumn.NODE, NodeListColumn.ACTIVE,
+                                                                 NodeListColumn.STATUS))
+        self._guess = local[:, LocalContactColumn.FORCE:LocalContactColumn.FORCE + 3]
         arrays = {
             "settings": self._settings, "results": self._results, "chains": surface.chains, "shapes": surface.shapes,
             "surface": np.column_stack([surface.places, surface.springs, surface.friction]), "states": self._states,
@@ -119,22 +120,22 @@ class CondensedStepper:
             "local": local, "columns": self._columns, "matrix": self._matrix, "right": self._right}
         self._sum = np.zeros(ANSWER_SIZE)
         with LOCK:
-            self._kernel = BoundKernel(contact_kernel(), arrays)
-            self._wrench_kernel = BoundKernel.of(wrench_kernel(), arrays | {"answer": self._sum})
-        self._flat = FlatContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
+            self._kernel = BoundKernel(make_contact_kernel(), arrays)
+            self._wrench_kernel = BoundKernel.bind_by_name(make_wrench_kernel(), arrays | {"answer": self._sum})
+        self._flat = TangentPlaneContact(arrays, _SETTINGS.flat_gap * surface.radius, surface.floor)
         self._tolerance, self._stiffest = _SETTINGS.violation_factor * surface.tolerance, math.inf
-        self._settings[[Setting.TOLERANCE, Setting.NEGLIGIBLE, Setting.NEAR_GAP]] = (
+        self._settings[[KernelSetting.TOLERANCE, KernelSetting.NEGLIGIBLE, KernelSetting.NEAR_GAP]] = (
             self._tolerance, _SETTINGS.negligible_friction * surface.floor, _SETTINGS.near_gap * surface.radius)
         self._tool_radius = float((surface.chains[:, :, 0] + surface.shapes[:, :1]).max())
         self._others = surface.places[:0]
         self._largest = largest * surface.radius
         self._first_height = surface.start.position[2]
-        self.model: CondensedContact | None = None
+        self.model: CondensedBulk | None = None
         self._last = _INITIAL_STEP
         self.reset()
 
     def reset(self) -> None:
-        """Reset forces and bonds to the first touch; the model stays."""
+        """Set forces to zero and bonds to those of the first touch; the linearisation of the bulk stays."""
         for array in (self.forces, self._pressed, self._slips, self._met):
             array[:] = 0
         self._bound[:], self._anchors[:] = self.surface.bound, self.surface.anchors
@@ -145,45 +146,45 @@ class CondensedStepper:
         self._steps = 0
 
     def place_in_air(self) -> None:
-        """Place the tool in the air above an undeformed tissue: no node is bound to it."""
+        """Reset the contact for a tool in the air above undeformed tissue: no node is bound to the tool."""
         self.reset()
-        self._bound[:] = Bond.FREE
+        self._bound[:] = ContactBond.FREE
 
-    def place_at_touch(self, pose: Pose) -> None:
+    def place_at_first_touch(self, pose: Pose) -> None:
         """Place the tool at a pose of first touch; the next step continues from there.
 
         At the pose for which the surface was described, nodes are bound as there. At another one, nodes are bound
         where the tool meets them in the next steps.
         """
         self.reset()
-        if self.distance(motion(self.surface.start, pose)) > self.surface.tolerance:
-            self._bound[:] = Bond.FREE
+        if self.max_travel(motion(self.surface.start, pose)) > self.surface.tolerance:
+            self._bound[:] = ContactBond.FREE
         self._pose = pose
 
     def _discard_equations(self) -> None:
-        """Discard the linear equations and force derivatives of the last step."""
+        """Discard the linear equations and force derivatives of the last step; the next step assembles new ones."""
         #: Number of nodes, the first of `_active`, whose force derivatives with respect to the pose are known.
         self._predicted_count = 0
-        self._settings[Setting.REBUILDS] = 1.0
+        self._settings[KernelSetting.REBUILDS] = 1.0
         #: Pose of the tool when all nodes were evaluated; None: the next iteration evaluates all nodes.
         self._evaluation_pose: Pose | None = None
 
-    def state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0,
-              touched: bool = True) -> ContactState:
-        """Return the state of the contact for the solver of the bulk; arguments are attributes of `ContactState`."""
+    def export_state(self, time: float, pose: Pose, earlier: float, before: Pose, epoch: int = 0,
+                     touched: bool = True) -> ContactState:
+        """Return a copy of the contact state for the solver of the bulk; for the arguments see `ContactState`."""
         return ContactState(0 if self.model is None else self.model.number, epoch, time, pose, earlier, before,
                             self.forces.copy(), self._anchors.copy(),
                             np.stack([self._bound, self._pressed, self._slips]).astype(float), touched)
 
     def load_state(self, state: ContactState) -> None:
-        """Continue from the state of another stepper with the same surface and model."""
+        """Replace forces, anchors, bonds and pose by those of another stepper with the same surface and model."""
         self.forces[:], self._anchors[:] = state.forces, state.anchors
         self._bound[:], self._pressed[:], self._slips[:] = state.states
         self._pose = state.pose
         self._discard_equations()
 
-    def set_model(self, model: CondensedContact) -> None:
-        """Continue on another linearisation of the same surface.
+    def set_linearisation(self, model: CondensedBulk) -> None:
+        """Replace the linearisation of the bulk by another one of the same surface.
 
         Nodes that the new model does not contain lose their forces and frictional bonds.
         """
@@ -194,25 +195,25 @@ class CondensedStepper:
             dropped = rows < 0
             self.forces[dropped], self._pressed[dropped], self._met[dropped], self._slips[dropped] = 0.0, 0, 0, 0
             self._others = self.surface.places[dropped]
-            self._bound[dropped & (self._bound != Bond.HELD)] = 0
+            self._bound[dropped & (self._bound != ContactBond.HELD)] = 0
             self._nodes[:n], self._tool_coupling[:3 * n], self._compliance[:3 * n, :3 * n] = (
                 model.nodes, model.tool_coupling, model.compliance)
             self._signature[:] = -1
-            self._settings[Setting.COUNT] = n
+            self._settings[KernelSetting.COUNT] = n
             smallest_compliance = float(np.abs(np.diag(model.compliance)).min(initial=math.inf))
             self._stiffest = _SETTINGS.max_stiffness_factor / smallest_compliance
-            self._sum[Answer.HELD_STIFFNESS:Answer.HELD_STIFFNESS + 36] = model.stiffness.ravel()
+            self._sum[WrenchIndex.HELD_STIFFNESS:WrenchIndex.HELD_STIFFNESS + 36] = model.stiffness.ravel()
             self._discard_equations()
             if not dropped[predicted].any():
                 # The force derivatives of the last model are a better predictor than constant forces.
                 self._predicted_count = len(predicted)
                 self._active[:self._predicted_count] = rows[predicted]
-        self._sum[Answer.HELD_WRENCH:Answer.HELD_WRENCH + 6] = model.wrench
+        self._sum[WrenchIndex.HELD_WRENCH:WrenchIndex.HELD_WRENCH + 6] = model.wrench
         self._free_displacement[:n], self._evaluation_pose = model.free_displacement, None
-        self._settings[Setting.MODULUS] = model.modulus
+        self._settings[KernelSetting.MODULUS] = model.modulus
         self.model = model
 
-    def step(self, pose: Pose, exact: bool = False) -> ContactStep:
+    def step(self, pose: Pose, exact: bool = False) -> ContactStepResult:
         """Move the tool to a pose and solve the contact.
 
         Args:
@@ -224,15 +225,15 @@ class CondensedStepper:
             increment, from which the next step continues.
 
         Raises:
-            ValueError: the stepper has no model.
+            ValueError: no linearisation was set.
         """
         model = self.model
         if model is None:
-            raise ValueError("the stepper has no model. Call set_model first.")
+            raise ValueError("model must be a linearisation of the bulk; got None. Call set_linearisation before step.")
         start = self._pose
         if start is None:
             return self._solve_increment(pose, exact)
-        length, done, increment = self.distance(motion(start, pose)), 0.0, 1.0
+        length, done, increment = self.max_travel(motion(start, pose)), 0.0, 1.0
         if length > 0.0:
             increment = min(1.0, self._largest / length)
         while True:
@@ -249,34 +250,34 @@ class CondensedStepper:
                 if increment * length < _SETTINGS.min_increment * self._largest or length == 0.0:
                     return step
 
-    def _solve_increment(self, pose: Pose, exact: bool) -> ContactStep:
+    def _solve_increment(self, pose: Pose, exact: bool) -> ContactStepResult:
         """Solve the contact at the end of one increment; the state is unchanged if the solution does not converge."""
         from scipy.linalg import lapack
 
         assert self.model is not None
         settings, results = self._settings, self._results
         displacement = motion(self.model.pose, pose)
-        self._write_pose(pose, displacement)
+        self._write_pose_settings(pose, displacement)
         carried, states = self._carried.copy(), self._states.copy()
         if self._predicted_count and self._pose is not None:
-            settings[Setting.PREDICTED] = self._predicted_count
-            settings[Setting.STEP:Setting.STEP + 6] = motion(self._pose, pose)
+            settings[KernelSetting.PREDICTED] = self._predicted_count
+            settings[KernelSetting.STEP:KernelSetting.STEP + 6] = motion(self._pose, pose)
         self._steps += 1
         if exact or self._steps % _SETTINGS.reassembly_interval == 0:
-            settings[Setting.REBUILDS] = 1.0
-        if self._evaluation_pose is None or self.distance(motion(self._evaluation_pose,
+            settings[KernelSetting.REBUILDS] = 1.0
+        if self._evaluation_pose is None or self.max_travel(motion(self._evaluation_pose,
                                                            pose)) > _SETTINGS.near_gap / 3.0 * self.surface.radius:
-            self._evaluation_pose, settings[Setting.NEAR_COUNT] = pose, 0.0
-        settings[Setting.RELEASE], settings[Setting.CHANGEABLE] = 0.0, 1.0
+            self._evaluation_pose, settings[KernelSetting.NEAR_COUNT] = pose, 0.0
+        settings[KernelSetting.RELEASE], settings[KernelSetting.CHANGEABLE] = 0.0, 1.0
         max_iterations = _SETTINGS.max_exact_iterations if exact else _SETTINGS.max_iterations
         converged, fresh, decided, iterations, solution = False, False, False, 0, None
         while True:
             with LOCK:
                 self._kernel()
             violation, pulling, unbalanced, size, active, rebuilt, slipping, gone = results.tolist()
-            settings[Setting.RELEASE], settings[Setting.CHANGEABLE], k = 0.0, 1.0, 3 * int(active)
+            settings[KernelSetting.RELEASE], settings[KernelSetting.CHANGEABLE], k = 0.0, 1.0, 3 * int(active)
             if stale := gone > _SETTINGS.near_gap / 3.0 * self.surface.radius:
-                settings[Setting.NEAR_COUNT] = 0.0
+                settings[KernelSetting.NEAR_COUNT] = 0.0
             change, enough = math.sqrt(unbalanced), _SETTINGS.force_tolerance * max(math.sqrt(size), self.surface.floor)
             if not math.isfinite(unbalanced + size) or iterations >= max_iterations:
                 break
@@ -290,9 +291,9 @@ class CondensedStepper:
                 not exact or (change < _SETTINGS.exact_factor * enough
                               and violation <= _SETTINGS.exact_violation * self._tolerance))
             if done and pulling:
-                settings[Setting.RELEASE] = 1.0
+                settings[KernelSetting.RELEASE] = 1.0
             elif done and k and not usable and 3 * self._predicted_count != k:
-                settings[Setting.REBUILDS] = 1.0
+                settings[KernelSetting.REBUILDS] = 1.0
             elif done:
                 solution = self._solve_equations(k) if k and usable else None
                 converged = True
@@ -301,19 +302,20 @@ class CondensedStepper:
                 chosen, step = self._active[:k // 3], self._solve_equations(k)[:, 0]
                 self.forces[self._nodes[chosen]] = self._guess[chosen] + step.reshape(-1, 3)
                 decided = False
-                settings[Setting.CHANGEABLE], settings[Setting.REBUILDS] = 0.0 if settles else 1.0, 1.0
+                settings[KernelSetting.CHANGEABLE], settings[KernelSetting.REBUILDS] = 0.0 if settles else 1.0, 1.0
             else:
-                decided = self._flat.solve(_SETTINGS.flat_tolerance) and iterations <= _SETTINGS.max_flat_iterations
-                settings[Setting.CHANGEABLE], settings[Setting.REBUILDS] = 0.0, 1.0
+                solved = self._flat.solve_contact_forces(_SETTINGS.flat_tolerance)
+                decided = solved and iterations <= _SETTINGS.max_flat_iterations
+                settings[KernelSetting.CHANGEABLE], settings[KernelSetting.REBUILDS] = 0.0, 1.0
         if converged:
             if solution is not None:
                 self._columns[:k] = solution[:, 1:]
             self._pose, self._predicted_count = pose, k // 3
-            self._last = self._commit(displacement, iterations, change, int(slipping))
+            self._last = self._commit_increment(displacement, iterations, change, int(slipping))
             return self._last
         self._carried[:], self._states[:] = carried, states
         self._discard_equations()
-        return replace(self._last, converged=False, iterations=iterations, distance=self.distance(displacement),
+        return replace(self._last, converged=False, iterations=iterations, distance=self.max_travel(displacement),
                        residual=change)
 
     def _solve_equations(self, k: int) -> np.ndarray:
@@ -330,45 +332,51 @@ class CondensedStepper:
             solution[:] = 0.0
         return solution
 
-    def may_leave_model(self, pose: Pose) -> bool:
-        """Whether the tool at a pose may touch nodes that the model does not contain."""
+    def may_touch_missing_nodes(self, pose: Pose) -> bool:
+        """Whether the tool at a pose may touch nodes of the surface that the condensed model does not contain."""
         model = self.model
-        if model is None or not len(self._others) or self.distance(motion(model.pose, pose)) <= model.reach:
+        if model is None or not len(self._others) or self.max_travel(motion(model.pose, pose)) <= model.reach:
             return False
         # Only nodes within the largest radius of the tool can be touched; distant nodes have small displacements.
-        self._write_pose(pose, motion(model.pose, pose))
-        at = (self._others - self._settings[Setting.ORIGIN:Setting.ORIGIN
-                                            + 3]) @ self._settings[Setting.ROTATION:Setting.ROTATION + 9].reshape(3, 3)
+        self._write_pose_settings(pose, motion(model.pose, pose))
+        origin = self._settings[KernelSetting.ORIGIN:KernelSetting.ORIGIN + 3]
+        rotation = self._settings[KernelSetting.ROTATION:KernelSetting.ROTATION + 9].reshape(3, 3)
+        at = (self._others - origin) @ rotation
         return bool(np.hypot(at[:, 0], at[:, 1]).min() < self._tool_radius)
 
-    def distance(self, displacement: Screw) -> float:
-        """Return an upper bound of the path of a contact point in a motion (translation, rotation vector), m."""
+    def max_travel(self, displacement: Screw) -> float:
+        """Return an upper bound of the path length of any contact point in a rigid motion of the tool, m.
+
+        Args:
+            displacement: translation, m, and rotation vector, rad.
+        """
         return math.hypot(*displacement[:3]) + self.surface.radius * math.hypot(*displacement[3:])
 
-    def _write_pose(self, pose: Pose, displacement: Screw) -> None:
+    def _write_pose_settings(self, pose: Pose, displacement: Screw) -> None:
         """Write the pose of the tool, and its motion from the pose of the model, to the settings of the kernel."""
         settings, (w, x, y, z) = self._settings, pose.orientation
-        settings[Setting.ROTATION:Setting.ROTATION + 9] = (
+        settings[KernelSetting.ROTATION:KernelSetting.ROTATION + 9] = (
             1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
             2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
             2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y))
         x, y, z = pose.position
-        settings[Setting.ORIGIN:Setting.ORIGIN + 3] = x, y, z + self.surface.datum
-        settings[Setting.MOTION:Setting.MOTION + 6] = displacement
-        settings[Setting.PRESSED_IN] = float(z <= self._first_height)
+        settings[KernelSetting.ORIGIN:KernelSetting.ORIGIN + 3] = x, y, z + self.surface.datum
+        settings[KernelSetting.MOTION:KernelSetting.MOTION + 6] = displacement
+        settings[KernelSetting.PRESSED_IN] = float(z <= self._first_height)
 
-    def _commit(self, displacement: Screw, iterations: int, change: float, slipping: int) -> ContactStep:
-        """Bind the nodes for the next step, and return the result of a converged increment."""
+    def _commit_increment(self, displacement: Screw, iterations: int, change: float,
+                          slipping: int) -> ContactStepResult:
+        """Commit the bonds of a converged increment, and return its wrench and stiffness."""
         count = self._predicted_count
-        self._sum[Answer.COUNT] = count
+        self._sum[WrenchIndex.COUNT] = count
         with LOCK:
             self._wrench_kernel()
         answer = self._sum.tolist()
-        x, y, z, u, v, w = answer[Answer.WRENCH:Answer.WRENCH + 6]
+        x, y, z, u, v, w = answer[WrenchIndex.WRENCH:WrenchIndex.WRENCH + 6]
         if count and not self._columns[:3 * count].any():
             stiffness = self._last.stiffness_matrix  # the linear equations were close to singular
         else:
             stiffness = cast("Matrix", tuple(tuple(-rate for rate in answer[row:row + 6])
-                                             for row in range(Answer.RATES, ANSWER_SIZE, 6)))
-        return ContactStep(True, iterations, (x, y, z, u, v, w), stiffness, self.distance(displacement), change, count,
-                           slipping)
+                                             for row in range(WrenchIndex.RATES, ANSWER_SIZE, 6)))
+        return ContactStepResult(True, iterations, (x, y, z, u, v, w), stiffness, self.max_travel(displacement), change,
+                                 count, slipping)

@@ -5,7 +5,7 @@ from enum import IntEnum
 from tissue_sim.fem.taichi.scratch import LANES, VECTORS
 
 
-class Setting(IntEnum):
+class KernelSetting(IntEnum):
     """Indices of `settings`: inputs of the contact kernel, and the switches that the kernel resets.
 
     Attributes:
@@ -23,7 +23,7 @@ class Setting(IntEnum):
         ROTATION: rotation matrix of the tool, 9 numbers by rows.
         ORIGIN: position of the tool in the frame of the mesh, 3 numbers, m.
         MOTION: translation (m) and rotation vector of the tool from the pose of the model, 6 numbers.
-        STEP: the same from the last step.
+        STEP: translation (m) and rotation vector of the tool from its pose in the last step, 6 numbers.
     """
 
     COUNT = 0
@@ -44,10 +44,10 @@ class Setting(IntEnum):
 
 
 #: Size of `settings`.
-SETTING_COUNT = Setting.STEP + 6
+SETTING_COUNT = KernelSetting.STEP + 6
 
 
-class Result(IntEnum):
+class KernelResult(IntEnum):
     """Indices of `results`: outputs of one iteration of the contact kernel.
 
     Attributes:
@@ -72,11 +72,11 @@ class Result(IntEnum):
 
 
 #: Size of `results`.
-RESULT_COUNT = len(Result)
+RESULT_COUNT = len(KernelResult)
 
 
 # Taichi takes 0.3 us for each array argument when a kernel starts, so the data of the nodes are packed in few arrays.
-class SurfaceColumn(IntEnum):
+class SurfaceNodeColumn(IntEnum):
     """Columns of `surface`, constants of the nodes of the surface.
 
     Attributes:
@@ -91,7 +91,7 @@ class SurfaceColumn(IntEnum):
 
 
 class NodeColumn(IntEnum):
-    """Columns of `carried`, the state of the nodes of the surface that continues from step to step.
+    """Columns of `carried`: forces and anchors of the surface nodes, which continue from step to step.
 
     Attributes:
         FORCE: force on the tool, 3 numbers, N.
@@ -108,11 +108,11 @@ class NodeColumn(IntEnum):
 NODE_COLUMNS = NodeColumn.NEW_ANCHOR + 3
 
 
-class StateColumn(IntEnum):
+class ContactStateColumn(IntEnum):
     """Columns of `states`, the contact states of the nodes of the surface.
 
     Attributes:
-        BOND: bond to the tool, a `tissue_sim.fem.contact_settings.Bond`.
+        BOND: bond to the tool, a `tissue_sim.fem.contact_settings.ContactBond`.
         NEW_BOND: `BOND` of the next step if this step converges.
         PRESSED: 1 if the node is in contact.
         SLIPS: 1 if the node slips against friction.
@@ -127,11 +127,11 @@ class StateColumn(IntEnum):
 
 
 #: Number of columns of `states`.
-STATE_COLUMNS = len(StateColumn)
+STATE_COLUMNS = len(ContactStateColumn)
 
 
-class ListColumn(IntEnum):
-    """Columns of `lists`: index lists with one row for each node of the model.
+class NodeListColumn(IntEnum):
+    """Columns of `lists`: lists of node indices; the table has one row for each node of the model.
 
     Attributes:
         NODE: index of the node in the surface.
@@ -139,7 +139,7 @@ class ListColumn(IntEnum):
         ACTIVE: list of the nodes in the linear equations.
         LOADED: list of the nodes that carry a force.
         NEAR: list of the nodes near the tool.
-        UNKNOWN: list of the nodes in the equations of a `FlatContact`.
+        UNKNOWN: list of the nodes in the equations of a `TangentPlaneContact`.
         FIRST_ROW: first equation of each node of `UNKNOWN`.
         ROWS: number of equations of each node of `UNKNOWN`.
     """
@@ -155,7 +155,7 @@ class ListColumn(IntEnum):
 
 
 #: Number of columns of `lists`.
-LIST_COLUMNS = len(ListColumn)
+LIST_COLUMNS = len(NodeListColumn)
 
 
 class ContactStatus(IntEnum):
@@ -176,8 +176,8 @@ class ContactStatus(IntEnum):
     STICKING = 4
 
 
-class LocalColumn(IntEnum):
-    """Columns of `local`, the linearised contact of the nodes of the model.
+class LocalContactColumn(IntEnum):
+    """Columns of `local`: gap, force and force derivatives (linearised contact) of each node of the model.
 
     Attributes:
         FORCE: force at the beginning of the evaluation, 3 numbers, N.
@@ -205,7 +205,7 @@ class LocalColumn(IntEnum):
 
 
 #: Number of columns of `local`.
-LOCAL_COLUMNS = LocalColumn.REFERENCE + 3
+LOCAL_COLUMNS = LocalContactColumn.REFERENCE + 3
 #: Maximum number of displacement components, three for each node.
 MAX_FREEDOMS = LANES * VECTORS
 #: Number of right-hand sides: one of the iteration and six of the motions of the tool.

@@ -3,12 +3,18 @@
 from enum import IntEnum
 from functools import cache
 
-from tissue_sim.fem.condensed.tables import ListColumn, LocalColumn, NodeColumn, Setting, StateColumn
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.condensed.tables import (
+    ContactStateColumn,
+    KernelSetting,
+    LocalContactColumn,
+    NodeColumn,
+    NodeListColumn,
+)
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.taichi.runtime import initialise
 
 
-class Answer(IntEnum):
+class WrenchIndex(IntEnum):
     """Indices of `answer`: inputs and outputs of the kernel that sums the forces.
 
     Attributes:
@@ -27,81 +33,83 @@ class Answer(IntEnum):
 
 
 #: Size of `answer`.
-ANSWER_SIZE = Answer.RATES + 36
+ANSWER_SIZE = WrenchIndex.RATES + 36
 
 
 @cache
-def wrench_kernel():
+def make_wrench_kernel():
     """Return the kernel that commits the bonds of the nodes and sums the wrench and its derivative."""
     ti = initialise()
     real1, real2 = (ti.types.ndarray(ti.f64, ndim=n) for n in (1, 2))
     int2 = ti.types.ndarray(ti.i32, ndim=2)
 
     @ti.func
-    def bind(states: ti.template(), carried: ti.template()):
+    def commit_node_bonds(states: ti.template(), carried: ti.template()):
+        """Replace bonds and anchors by those found in the step; a node that is not pressed does not slip."""
         for s in range(states.shape[0]):
-            if states[s, StateColumn.BOND] != Bond.HELD:
-                states[s, StateColumn.BOND] = states[s, StateColumn.NEW_BOND]
+            if states[s, ContactStateColumn.BOND] != ContactBond.HELD:
+                states[s, ContactStateColumn.BOND] = states[s, ContactStateColumn.NEW_BOND]
                 for a in ti.static(range(3)):
                     carried[s, NodeColumn.ANCHOR + a] = carried[s, NodeColumn.NEW_ANCHOR + a]
-            states[s, StateColumn.SLIPS] = states[s, StateColumn.SLIPS] & states[s, StateColumn.PRESSED]
+            states[s, ContactStateColumn.SLIPS] = (
+                states[s, ContactStateColumn.SLIPS] & states[s, ContactStateColumn.PRESSED])
 
     @ti.kernel
-    def answer(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2,
-               tool_coupling: real2,
-               compliance: real2, columns: real2):
+    def compute_tool_wrench(settings: real1, answer: real1, states: int2, carried: real2, lists: int2, local: real2,
+                            tool_coupling: real2, compliance: real2, columns: real2):
         ti.loop_config(serialize=True)
         for _ in range(1):
-            bind(states, carried)
-            count = ti.cast(answer[Answer.COUNT], ti.i32)
+            commit_node_bonds(states, carried)
+            count = ti.cast(answer[WrenchIndex.COUNT], ti.i32)
             for a in range(6):
-                value = answer[Answer.HELD_WRENCH + a]
+                value = answer[WrenchIndex.HELD_WRENCH + a]
                 for c in range(6):
-                    held = answer[Answer.HELD_STIFFNESS + 6 * a + c]
-                    value = value - held * settings[Setting.MOTION + c]
-                    answer[Answer.RATES + 6 * a + c] = -held
-                answer[Answer.WRENCH + a] = value
+                    held = answer[WrenchIndex.HELD_STIFFNESS + 6 * a + c]
+                    value = value - held * settings[KernelSetting.MOTION + c]
+                    answer[WrenchIndex.RATES + 6 * a + c] = -held
+                answer[WrenchIndex.WRENCH + a] = value
             total = ti.Vector.zero(ti.f64, 3)
             for p in range(count):
-                i = lists[p, ListColumn.ACTIVE]
-                s = lists[i, ListColumn.NODE]
+                i = lists[p, NodeListColumn.ACTIVE]
+                s = lists[i, NodeListColumn.NODE]
                 f = ti.Vector([carried[s, NodeColumn.FORCE + a] for a in ti.static(range(3))])
-                arm = ti.Vector([local[i, LocalColumn.ARM + a] for a in ti.static(range(3))])
+                arm = ti.Vector([local[i, LocalContactColumn.ARM + a] for a in ti.static(range(3))])
                 total = total + f
                 torque = arm.cross(f)
                 for a in ti.static(range(3)):
-                    answer[Answer.WRENCH + a] = answer[Answer.WRENCH + a] + f[a]
-                    answer[Answer.WRENCH + 3 + a] = answer[Answer.WRENCH + 3 + a] + torque[a]
+                    answer[WrenchIndex.WRENCH + a] = answer[WrenchIndex.WRENCH + a] + f[a]
+                    answer[WrenchIndex.WRENCH + 3 + a] = answer[WrenchIndex.WRENCH + 3 + a] + torque[a]
                 for c in range(6):
                     way = ti.Vector([tool_coupling[3 * i + a, c] for a in ti.static(range(3))])
                     change = ti.Vector([columns[3 * p + a, c] for a in ti.static(range(3))])
                     # Part of the force loads the tissue that is bonded to the tool: - G^T f.
-                    answer[Answer.WRENCH + c] = answer[Answer.WRENCH + c] - f.dot(way)
+                    answer[WrenchIndex.WRENCH + c] = answer[WrenchIndex.WRENCH + c] - f.dot(way)
                     turned = arm.cross(change) + way.cross(f)
                     for a in ti.static(range(3)):
-                        answer[Answer.RATES + 6 * a + c] = answer[Answer.RATES + 6 * a + c] + change[a]
-                        answer[Answer.RATES + 18 + 6 * a + c] = answer[Answer.RATES + 18 + 6 * a + c] + turned[a]
+                        answer[WrenchIndex.RATES + 6 * a + c] = answer[WrenchIndex.RATES + 6 * a + c] + change[a]
+                        answer[WrenchIndex.RATES + 18 + 6 * a + c] = (
+                            answer[WrenchIndex.RATES + 18 + 6 * a + c] + turned[a])
                     for b in range(6):
                         value = 0.0
                         for a in ti.static(range(3)):
                             value = value + tool_coupling[3 * i + a, b] * columns[3 * p + a, c]
-                        answer[Answer.RATES + 6 * b + c] = answer[Answer.RATES + 6 * b + c] - value
+                        answer[WrenchIndex.RATES + 6 * b + c] = answer[WrenchIndex.RATES + 6 * b + c] - value
             # The arms of the torque change with the displacements of the nodes and with the motion of the tool.
             for q in range(3 * count):
-                turned, at = ti.Vector.zero(ti.f64, 3), 3 * lists[q // 3, ListColumn.ACTIVE] + q % 3
+                turned, at = ti.Vector.zero(ti.f64, 3), 3 * lists[q // 3, NodeListColumn.ACTIVE] + q % 3
                 for p in range(count):
-                    i = lists[p, ListColumn.ACTIVE]
-                    f = ti.Vector([carried[lists[i, ListColumn.NODE], NodeColumn.FORCE + a]
+                    i = lists[p, NodeListColumn.ACTIVE]
+                    f = ti.Vector([carried[lists[i, NodeListColumn.NODE], NodeColumn.FORCE + a]
                                    for a in ti.static(range(3))])
                     turned = turned + ti.Vector([compliance[at, 3 * i + a] for a in ti.static(range(3))]).cross(f)
                 for c in range(6):
                     for a in ti.static(range(3)):
-                        at_rate = Answer.RATES + 18 + 6 * a + c
+                        at_rate = WrenchIndex.RATES + 18 + 6 * a + c
                         answer[at_rate] = answer[at_rate] - turned[a] * columns[q, c]
             for c in ti.static(range(3)):
                 unit = ti.Vector([1.0 if a == c else 0.0 for a in ti.static(range(3))])
                 turned = unit.cross(total)
                 for a in ti.static(range(3)):
-                    answer[Answer.RATES + 18 + 6 * a + c] = answer[Answer.RATES + 18 + 6 * a + c] - turned[a]
+                    answer[WrenchIndex.RATES + 18 + 6 * a + c] = answer[WrenchIndex.RATES + 18 + 6 * a + c] - turned[a]
 
-    return answer
+    return compute_tool_wrench

@@ -17,33 +17,39 @@ from tissue_sim.fem.taichi.runtime import initialise
 BLOCK = 8
 
 
-class Factorisation(NamedTuple):
-    """Taichi functions of a linear solver, for use inside kernels: factorise once, solve for many right-hand sides.
+class BandSolverFunctions(NamedTuple):
+    """Taichi functions of a direct solver for band matrices, for use inside kernels.
 
     Attributes:
-        init: ``init(matrix, matrix_upper, lower, upper, inverse, rows, width, begin, skewed) -> int`` writes the
-            factors to the bands `lower` and `upper`, and the reciprocals of their diagonal to `inverse`
-            (rows * BLOCK). It returns 1, or 0 if the factorisation fails. The factors of block rows before `begin`
-            are kept. Entries with a row or column before block row `skewed` are symmetric, and their upper half is
-            not read. A symmetric solver reads no upper half.
-        solve: ``solve(lower, upper, inverse, x, rows, width)`` overwrites the right-hand side x, (rows) vectors.
+        factorise_band: ``factorise_band(matrix, matrix_upper, lower, upper, inverse, rows, width, begin, skewed) ->
+            int`` writes the factors to the bands `lower` and `upper`, and the reciprocals of their diagonal to
+            `inverse` (rows * BLOCK). It returns 1, or 0 if the factorisation fails. The factors of block rows before
+            `begin` are kept. Entries with a row or column before block row `skewed` are symmetric, and their upper half
+            is not read. A symmetric solver reads no upper half.
+        solve_band: ``solve_band(lower, upper, inverse, x, rows, width)`` overwrites the right-hand side x, (rows)
+            vectors, with the solution.
 
     Source: the pair init and compute of lineax (Rader, Lyons and Kidger, 2023, arXiv:2311.17283).
     """
 
-    init: object
-    solve: object
+    factorise_band: object
+    solve_band: object
 
 
-def block_shape(size: int, half_band: int) -> tuple[int, int]:
-    """Number of block rows and of blocks per row of a band matrix of `size` equations."""
+def band_block_shape(size: int, half_band: int) -> tuple[int, int]:
+    """Return the number of block rows and of blocks per row of the band of a matrix of `size` equations.
+
+    Args:
+        size: number of equations.
+        half_band: half-bandwidth, number of subdiagonals.
+    """
     return max(1, -(-size // BLOCK)), -(-half_band // BLOCK) + 1
 
 
-def pack(lower: np.ndarray) -> np.ndarray:
+def pack_band_blocks(lower: np.ndarray) -> np.ndarray:
     """Convert LAPACK's lower band storage, shape (half_band + 1, n), to blocks, shape (rows, width, BLOCK, BLOCK)."""
     half_band, size = lower.shape[0] - 1, lower.shape[1]
-    rows, width = block_shape(size, half_band)
+    rows, width = band_block_shape(size, half_band)
     band = np.zeros((rows, width, BLOCK, BLOCK))
     for d in range(half_band + 1):
         j = np.arange(size - d)
@@ -54,8 +60,8 @@ def pack(lower: np.ndarray) -> np.ndarray:
     return band
 
 
-def unpack(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
-    """Convert blocks to LAPACK's lower band storage, shape (half_band + 1, size); the inverse of `pack`."""
+def unpack_band_blocks(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
+    """Convert blocks to LAPACK's lower band storage, shape (half_band + 1, size); the inverse of `pack_band_blocks`."""
     width = blocks.shape[1]
     lower = np.zeros((half_band + 1, size))
     for d in range(half_band + 1):
@@ -66,8 +72,8 @@ def unpack(blocks: np.ndarray, size: int, half_band: int) -> np.ndarray:
 
 
 @cache
-def add_entry_function():
-    """Return the Taichi function ``add_entry(row, column, value, free, width, band)``.
+def make_add_lower_entry_function():
+    """Return the Taichi function ``add_lower_entry(row, column, value, free, width, band)``.
 
     It adds `value` to an entry of the lower triangle of the matrix of the first `free` equations; other entries are
     ignored.
@@ -75,25 +81,25 @@ def add_entry_function():
     ti = initialise()
 
     @ti.func
-    def add_entry(row, column, value, free, width, band: ti.template()):
+    def add_lower_entry(row, column, value, free, width, band: ti.template()):
         if row < free and column <= row:
             I, J = row // BLOCK, column // BLOCK
             w, c, r = J - I + width - 1, column % BLOCK, row % BLOCK
             band[I, w, c, r] = band[I, w, c, r] + value
 
-    return add_entry
+    return add_lower_entry
 
 
 @cache
-def subtract_function():
-    """Return the Taichi function ``subtract(I, J, first, width, matrix, left, right)``.
+def make_subtract_block_products_function():
+    """Return the Taichi function ``subtract_block_products(I, J, first, width, matrix, left, right)``.
 
     left(I, J) = matrix(I, J) - sum of left(I, K) right(J, K)^T over the block columns K from `first` to J - 1.
     """
     ti = initialise()
 
     @ti.func
-    def subtract(I, J, first, width, matrix: ti.template(), left: ti.template(), right: ti.template()):
+    def subtract_block_products(I, J, first, width, matrix: ti.template(), left: ti.template(), right: ti.template()):
         w = J - I + width - 1
         # Eight columns stay in registers while all earlier blocks are subtracted.
         t0, t1, t2, t3 = matrix[I, w, 0], matrix[I, w, 1], matrix[I, w, 2], matrix[I, w, 3]
@@ -113,55 +119,55 @@ def subtract_function():
         left[I, w, 0], left[I, w, 1], left[I, w, 2], left[I, w, 3] = t0, t1, t2, t3
         left[I, w, 4], left[I, w, 5], left[I, w, 6], left[I, w, 7] = t4, t5, t6, t7
 
-    return subtract
+    return subtract_block_products
 
 
 @cache
-def mirror_function():
-    """Return the Taichi function ``mirror(lower, upper, begin, end, width)``.
+def make_copy_lower_to_upper_function():
+    """Return the Taichi function ``copy_lower_to_upper(lower, upper, begin, end, width)``.
 
     It copies the lower band of a symmetric matrix to the upper band, for block rows `begin` to `end` - 1.
     """
     ti = initialise()
 
     @ti.func
-    def mirror(lower: ti.template(), upper: ti.template(), begin, end, width):
+    def copy_lower_to_upper(lower: ti.template(), upper: ti.template(), begin, end, width):
         for I in range(begin, end):
             for w in range(width):
                 for c in range(BLOCK):
                     upper[I, w, c] = lower[I, w, c]
 
-    return mirror
+    return copy_lower_to_upper
 
 
 @cache
-def complete_function():
-    """Return the Taichi function ``complete(lower, rows, width)``.
+def make_fill_diagonal_blocks_function():
+    """Return the Taichi function ``fill_diagonal_blocks(lower, rows, width)``.
 
     It fills the upper triangles of the diagonal blocks of a symmetric matrix.
     """
     ti = initialise()
 
     @ti.func
-    def complete(lower: ti.template(), rows, width):
+    def fill_diagonal_blocks(lower: ti.template(), rows, width):
         for I in range(rows):
             for c in range(BLOCK):
                 for r in range(c):
                     lower[I, width - 1, c][r] = lower[I, width - 1, r][c]
 
-    return complete
+    return fill_diagonal_blocks
 
 
 @cache
-def add_any_function():
-    """Return the Taichi function ``add_any(row, column, value, free, width, lower, upper)``.
+def make_add_unsymmetric_entry_function():
+    """Return the Taichi function ``add_unsymmetric_entry(row, column, value, free, width, lower, upper)``.
 
     It adds `value` to an entry on either side of the diagonal of the matrix of the first `free` equations.
     """
     ti = initialise()
 
     @ti.func
-    def add_any(row, column, value, free, width, lower: ti.template(), upper: ti.template()):
+    def add_unsymmetric_entry(row, column, value, free, width, lower: ti.template(), upper: ti.template()):
         if row < free and column < free:
             I, J = row // BLOCK, column // BLOCK
             r, c = row % BLOCK, column % BLOCK
@@ -170,4 +176,4 @@ def add_any_function():
             else:
                 upper[J, I - J + width - 1, r, c] = upper[J, I - J + width - 1, r, c] + value
 
-    return add_any
+    return add_unsymmetric_entry

@@ -2,27 +2,27 @@
 
 from functools import cache
 
-from tissue_sim.fem.linear.band import BLOCK, Factorisation, subtract_function
+from tissue_sim.fem.linear.band import BLOCK, BandSolverFunctions, make_subtract_block_products_function
 from tissue_sim.fem.taichi.runtime import initialise
 
 
 @cache
-def cholesky_functions() -> Factorisation:
-    """Return the Taichi functions of L L^T; `init` fails if the matrix is not positive definite."""
+def make_cholesky_functions() -> BandSolverFunctions:
+    """Return the Taichi functions of L L^T; `factorise_band` fails if the matrix is not positive definite."""
     ti = initialise()
-    subtract = subtract_function()
+    subtract_block_products = make_subtract_block_products_function()
     lanes = ti.Vector(list(range(BLOCK)))
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def init(matrix: ti.template(), _matrix_upper: ti.template(), band: ti.template(), _upper: ti.template(),
-             inverse: ti.template(), rows, width, begin, _skewed):
+    def factorise_band(matrix: ti.template(), _matrix_upper: ti.template(), band: ti.template(), _upper: ti.template(),
+                       inverse: ti.template(), rows, width, begin, _skewed):
         ok = 1
         for I in range(begin, rows):
             first = ti.max(0, I - width + 1)
             for J in range(first, I + 1):
                 w = J - I + width - 1
-                subtract(I, J, first, width, matrix, band, band)
+                subtract_block_products(I, J, first, width, matrix, band, band)
                 if J < I:
                     for c in range(BLOCK):
                         v = band[I, w, c]
@@ -42,14 +42,14 @@ def cholesky_functions() -> Factorisation:
                             ok = 0
                             pivot = 1.0
                         inverse[I * BLOCK + c] = 1.0 / ti.sqrt(pivot)
-                        # `solve` relies on zeros above the diagonal.
+                        # `solve_band` relies on zeros above the diagonal.
                         band[I, w, c] = ti.select(lanes >= c, v * inverse[I * BLOCK + c], 0.0)
             if ok == 0:
                 break
         return ok
 
     @ti.func
-    def solve(band: ti.template(), _upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
+    def solve_band(band: ti.template(), _upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
         for I in range(rows):
             v = x[I]
             for J in range(ti.max(0, I - width + 1), I):
@@ -75,4 +75,4 @@ def cholesky_functions() -> Factorisation:
                 v += unit[c] * (value - v[c])
             x[I] = v
 
-    return Factorisation(init, solve)
+    return BandSolverFunctions(factorise_band, solve_band)

@@ -7,30 +7,30 @@ diagonal times L^T, so that one half is enough.
 
 from functools import cache
 
-from tissue_sim.fem.linear.band import BLOCK, Factorisation, subtract_function
+from tissue_sim.fem.linear.band import BLOCK, BandSolverFunctions, make_subtract_block_products_function
 from tissue_sim.fem.taichi.runtime import initialise
 
 
 @cache
-def lu_functions() -> Factorisation:
-    """Return the Taichi functions of L U, L with unit diagonal; `init` fails if a pivot is too small for its column."""
+def make_lu_functions() -> BandSolverFunctions:
+    """Return the Taichi functions of L U (unit diagonal of L); `factorise_band` fails if a pivot is too small."""
     ti = initialise()
-    subtract = subtract_function()
+    subtract_block_products = make_subtract_block_products_function()
     lanes = ti.Vector(list(range(BLOCK)))
     unit = [ti.Vector([float(i == c) for i in range(BLOCK)]) for c in range(BLOCK)]
 
     @ti.func
-    def init(matrix: ti.template(), matrix_upper: ti.template(), lower: ti.template(), upper: ti.template(),
-             inverse: ti.template(), rows, width, begin, skewed):
+    def factorise_band(matrix: ti.template(), matrix_upper: ti.template(), lower: ti.template(), upper: ti.template(),
+                       inverse: ti.template(), rows, width, begin, skewed):
         ok = 1
         for I in range(begin, rows):
             first = ti.max(0, I - width + 1)
             for J in range(first, I + 1):
                 w = J - I + width - 1
-                subtract(I, J, first, width, matrix, lower, upper)
+                subtract_block_products(I, J, first, width, matrix, lower, upper)
                 if J < I:
                     if skewed <= J:
-                        subtract(I, J, first, width, matrix_upper, upper, lower)
+                        subtract_block_products(I, J, first, width, matrix_upper, upper, lower)
                         for c in range(BLOCK):
                             u = upper[I, w, c]
                             for k in range(c):
@@ -60,7 +60,7 @@ def lu_functions() -> Factorisation:
         return ok
 
     @ti.func
-    def solve(lower: ti.template(), upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
+    def solve_band(lower: ti.template(), upper: ti.template(), inverse: ti.template(), x: ti.template(), rows, width):
         for I in range(rows):
             v = x[I]
             for J in range(ti.max(0, I - width + 1), I):
@@ -85,4 +85,4 @@ def lu_functions() -> Factorisation:
                 v += unit[c] * (value - v[c])
             x[I] = v
 
-    return Factorisation(init, solve)
+    return BandSolverFunctions(factorise_band, solve_band)

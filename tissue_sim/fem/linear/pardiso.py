@@ -25,7 +25,7 @@ class MatrixType(IntEnum):
     UNSYMMETRIC = 11
 
 
-class _Phase(IntEnum):
+class _PardisoPhase(IntEnum):
     """Phases of a call of Pardiso (`phase`)."""
 
     ANALYSE = 11
@@ -35,7 +35,7 @@ class _Phase(IntEnum):
     BACKWARD = 333
 
 
-class _Parameter(IntEnum):
+class _ParameterIndex(IntEnum):
     """Indices of Pardiso's parameters `iparm`, counted from 0."""
 
     #: 1: the values below are used instead of the defaults.
@@ -65,8 +65,8 @@ class PardisoError(RuntimeError):
     """Pardiso returned an error code."""
 
 
-class PardisoPattern:
-    """Factor of matrices of one sparsity pattern; only the newest factor is valid.
+class PardisoPatternFactor:
+    """Pardiso's analysis of one sparsity pattern, and the factor of the last matrix with this pattern.
 
     Args:
         matrix: one of the matrices, a `scipy.sparse.csc_array` with sorted rows.
@@ -97,12 +97,14 @@ class PardisoPattern:
         if interface is not None:
             self._solver.perm = np.zeros(self.size, dtype=np.int32)
             self._solver.perm[interface] = 1
-            parameters[[_Parameter.USE, _Parameter.ORDERING, _Parameter.SMALLEST_PIVOT, _Parameter.SCHUR]] = 1, 2, 8, 2
+            parameters[[_ParameterIndex.USE, _ParameterIndex.ORDERING, _ParameterIndex.SMALLEST_PIVOT,
+                        _ParameterIndex.SCHUR]] = 1, 2, 8, 2
         else:
             # Pardiso's defaults except that iterative refinement, which does not reduce the error here, is off.
             exchanges = int(kind == MatrixType.UNSYMMETRIC)
-            parameters[[_Parameter.USE, _Parameter.ORDERING, _Parameter.SMALLEST_PIVOT, _Parameter.SCALING,
-                        _Parameter.MATCHING, _Parameter.PIVOTING, _Parameter.SINGLE_PRECISION]] = (
+            parameters[[_ParameterIndex.USE, _ParameterIndex.ORDERING, _ParameterIndex.SMALLEST_PIVOT,
+                        _ParameterIndex.SCALING, _ParameterIndex.MATCHING, _ParameterIndex.PIVOTING,
+                        _ParameterIndex.SINGLE_PRECISION]] = (
                 1, 2, 13 if exchanges else 8, exchanges, exchanges, 1, int(single))
         self._analysed = False
 
@@ -119,54 +121,59 @@ class PardisoPattern:
         schur = None if self.interface is None else np.zeros((self.interface.size, self.interface.size))
         unused = np.zeros((self.size, 1), dtype=self._data.dtype)
         if not self._analysed:
-            self._run(_Phase.ANALYSE, unused, unused)
+            self._call_pardiso(_PardisoPhase.ANALYSE, unused, unused)
             self._analysed = True
-        self._run(_Phase.FACTORISE, unused, unused if schur is None else schur)
-        if self._kind == MatrixType.UNSYMMETRIC and self.perturbed:
+        self._call_pardiso(_PardisoPhase.FACTORISE, unused, unused if schur is None else schur)
+        if self._kind == MatrixType.UNSYMMETRIC and self.has_perturbed_pivots:
             # The row permutation of the analysis was chosen for other values.
-            self._run(_Phase.ANALYSE, unused, unused)
-            self._run(_Phase.FACTORISE, unused, unused)
+            self._call_pardiso(_PardisoPhase.ANALYSE, unused, unused)
+            self._call_pardiso(_PardisoPhase.FACTORISE, unused, unused)
         return schur
 
-    def require_interface(self) -> np.ndarray:
+    def require_interface_equations(self) -> np.ndarray:
         """Return the indices of the interface equations.
 
         Raises:
             ValueError: the pattern has no interface.
         """
         if self.interface is None:
-            raise ValueError("this PardisoPattern has no interface equations; create it with interface=indices")
+            raise ValueError("interface must be an array of equation indices; got None. Create the factor with "
+                             "interface=indices.")
         return self.interface
 
     @property
-    def perturbed(self) -> bool:
-        """Whether pivots of the last matrix were perturbed."""
-        return bool(self._solver.iparm[_Parameter.PERTURBED])
+    def has_perturbed_pivots(self) -> bool:
+        """Whether Pardiso perturbed small pivots of the last matrix, so that the factor is inaccurate."""
+        return bool(self._solver.iparm[_ParameterIndex.PERTURBED])
 
     @property
-    def negative(self) -> bool:
-        """Whether the last symmetric matrix had negative eigenvalues."""
-        return bool(self._solver.iparm[_Parameter.NEGATIVE])
+    def has_negative_eigenvalues(self) -> bool:
+        """Whether the last matrix, which is symmetric, has negative eigenvalues."""
+        return bool(self._solver.iparm[_ParameterIndex.NEGATIVE])
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        """Solve for right-hand sides, shape (n,) or (n, m)."""
-        return self._solve_phase(_Phase.SOLVE, right)
+        """Return the solutions for right-hand sides, shape (n,) or (n, m)."""
+        return self._solve_phase(_PardisoPhase.SOLVE, right)
 
-    def reduce(self, right: np.ndarray) -> np.ndarray:
-        """Forward substitution; the interface rows then hold the right-hand side of the Schur complement."""
-        return self._solve_phase(_Phase.FORWARD, right)
+    def substitute_forward(self, right: np.ndarray) -> np.ndarray:
+        """Return the forward substitution; its interface rows are the right-hand side of the Schur complement."""
+        return self._solve_phase(_PardisoPhase.FORWARD, right)
 
-    def expand(self, reduced: np.ndarray) -> np.ndarray:
-        """Backward substitution; the interface rows of `reduced` must hold the solution of the Schur complement."""
-        return self._solve_phase(_Phase.BACKWARD, reduced)
+    def substitute_backward(self, reduced: np.ndarray) -> np.ndarray:
+        """Return the solution by backward substitution.
+
+        Args:
+            reduced: result of `substitute_forward`, with the solution of the Schur complement in the interface rows.
+        """
+        return self._solve_phase(_PardisoPhase.BACKWARD, reduced)
 
     def _solve_phase(self, phase: int, right: np.ndarray) -> np.ndarray:
         columns = np.asfortranarray(right.reshape(self.size, -1), dtype=self._data.dtype)
         answer = np.zeros_like(columns, order="F")
-        self._run(phase, columns, answer)
+        self._call_pardiso(phase, columns, answer)
         return np.ascontiguousarray(answer, dtype=np.float64).reshape(right.shape)
 
-    def _run(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
+    def _call_pardiso(self, phase: int, right: np.ndarray, answer: np.ndarray) -> None:
         solver, numbers = self._solver, ctypes.POINTER(ctypes.c_int32)
         one, error = ctypes.byref(ctypes.c_int32(1)), ctypes.c_int32(0)
         reals = ctypes.POINTER(ctypes.c_double)
@@ -179,7 +186,8 @@ class PardisoPattern:
             solver.iparm.ctypes.data_as(numbers), ctypes.byref(ctypes.c_int32(0)), right.ctypes.data_as(reals),
             answer.ctypes.data_as(reals), ctypes.byref(error))
         if error.value:
-            raise PardisoError(f"Pardiso ended with error {error.value} in phase {phase}")
+            raise PardisoError(f"Pardiso returned error code {error.value} in phase {int(phase)}. See the error codes "
+                               "of MKL Pardiso, or set TISSUE_SIM_SPARSE=scipy.")
 
     def __del__(self) -> None:
         if hasattr(self, "_solver") and not sys.is_finalizing():

@@ -13,11 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.linear.pardiso import MatrixType, PardisoError, PardisoPattern
+from tissue_sim.fem.linear.pardiso import MatrixType, PardisoError, PardisoPatternFactor
 
 
 @dataclass(frozen=True)
-class RefinementSettings:
+class KrylovRefinementSettings:
     """Settings of the Krylov refinement.
 
     Attributes:
@@ -33,44 +33,45 @@ class RefinementSettings:
     max_test_iterations: int = 12
 
 
-_SETTINGS = RefinementSettings()
+_SETTINGS = KrylovRefinementSettings()
 
 
-class SingleFactor:
+class SinglePrecisionFactor:
     """Factor in single precision together with its matrix in double precision; see `Factor` in `sparse.py`."""
 
     definite = True
 
-    def __init__(self, pattern: PardisoPattern, matrix: Any, symmetric: bool):
+    def __init__(self, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool):
         self._pattern, self._matrix, self._symmetric = pattern, matrix, symmetric
-        self._exact: PardisoPattern | None = None
+        self._exact: PardisoPatternFactor | None = None
 
     @classmethod
-    def of(cls, pattern: PardisoPattern, matrix: Any, symmetric: bool) -> SingleFactor | None:
-        """Factorise; None if single precision is too inaccurate, or a symmetric matrix may be indefinite."""
+    def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool) -> SinglePrecisionFactor | None:
+        """Return the factor; None if single precision is too inaccurate, or a symmetric matrix may be indefinite."""
         try:
             pattern.factorise(matrix)
         except PardisoError:
             return None
-        if pattern.perturbed:
+        if pattern.has_perturbed_pivots:
             return None
         factor = cls(pattern, matrix.copy(), symmetric)
         right = np.random.default_rng(0).standard_normal((matrix.shape[0], 1))
-        found = factor._iterate(right, _SETTINGS.test_tolerance, _SETTINGS.max_test_iterations)
+        found = factor._solve_iteratively(right, _SETTINGS.test_tolerance, _SETTINGS.max_test_iterations)
         return None if found is None else factor
 
     def solve(self, right: np.ndarray) -> np.ndarray:
         """Solve for right-hand sides, shape (n,) or (n, m), to the relative residual of the settings."""
         if self._exact is None:
-            answer = self._iterate(right.reshape(right.shape[0], -1), _SETTINGS.tolerance, _SETTINGS.max_iterations)
+            answer = self._solve_iteratively(right.reshape(right.shape[0], -1), _SETTINGS.tolerance,
+                                             _SETTINGS.max_iterations)
             if answer is not None:
                 return answer.reshape(right.shape)
             kind = MatrixType.SYMMETRIC if self._symmetric else MatrixType.UNSYMMETRIC
-            self._exact = PardisoPattern(self._matrix, kind)
+            self._exact = PardisoPatternFactor(self._matrix, kind)
             self._exact.factorise(self._matrix)
         return self._exact.solve(right)
 
-    def _iterate(self, right: np.ndarray, tolerance: float, max_iterations: int) -> np.ndarray | None:
+    def _solve_iteratively(self, right: np.ndarray, tolerance: float, max_iterations: int) -> np.ndarray | None:
         """Solve by preconditioned conjugate gradients, or by GCR if the matrix is not symmetric.
 
         Args:
@@ -94,12 +95,12 @@ class SingleFactor:
             if iteration == max_iterations:
                 return None
             iteration += 1
-            found = self._apply(residual)
+            found = self._apply_preconditioner(residual)
             if self._symmetric:
-                product = _column_products(residual, found)
+                product = _column_inner_products(residual, found)
                 direction = found + _divide_or_zero(product, last) * direction if iteration > 1 else found
                 last, image = product, self._matrix @ direction
-                curvature = _column_products(direction, image)
+                curvature = _column_inner_products(direction, image)
                 if not ((curvature > 0.0) | (np.linalg.norm(residual, axis=0) == 0.0)).all():
                     return None
                 length = _divide_or_zero(product, curvature)
@@ -107,27 +108,27 @@ class SingleFactor:
                 # The image of each direction is orthogonal to those of all earlier ones.
                 direction, image = found, self._matrix @ found
                 for earlier, earlier_image in zip(directions, products, strict=True):
-                    length = _column_products(earlier_image, image)
+                    length = _column_inner_products(earlier_image, image)
                     direction, image = direction - length * earlier, image - length * earlier_image
                 norm = np.linalg.norm(image, axis=0)
                 direction, image = _divide_or_zero(direction, norm), _divide_or_zero(image, norm)
                 directions.append(direction)
                 products.append(image)
-                length = _column_products(image, residual)
+                length = _column_inner_products(image, residual)
             answer += length * direction
             residual -= length * image
         return answer
 
-    def _apply(self, right: np.ndarray) -> np.ndarray:
-        """Apply the single-precision inverse to normalised columns, which avoids underflow."""
+    def _apply_preconditioner(self, right: np.ndarray) -> np.ndarray:
+        """Return the single-precision solutions for columns that are normalised first, which avoids underflow."""
         size = np.linalg.norm(right, axis=0)
         return size * self._pattern.solve(_divide_or_zero(right, size))
 
-def _column_products(first: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Inner products of the columns of two arrays."""
+def _column_inner_products(first: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return the inner product of each column of one array with the same column of another."""
     return np.asarray(np.einsum("ij,ij->j", first, other))
 
 
 def _divide_or_zero(number: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Quotient of two arrays; 0 where the divisor is 0."""
+    """Return number / other; 0 where the divisor is 0."""
     return np.divide(number, other, out=np.zeros_like(number), where=other != 0.0)

@@ -11,8 +11,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from tissue_sim.fem.linear.pardiso import MatrixType, PardisoError, PardisoPattern
-from tissue_sim.fem.linear.single import SingleFactor
+from tissue_sim.fem.linear.pardiso import MatrixType, PardisoError, PardisoPatternFactor
+from tissue_sim.fem.linear.single import SinglePrecisionFactor
 
 #: Environment variable; ``TISSUE_SIM_SPARSE=scipy`` selects SciPy although pypardiso is installed.
 _CHOICE = "TISSUE_SIM_SPARSE"
@@ -21,7 +21,7 @@ _SINGLE_FROM = 1000
 
 
 class Factor(Protocol):
-    """Factorised matrix, which solves linear equations.
+    """Factorised sparse matrix, with which linear equations are solved.
 
     Attributes:
         definite: whether a symmetric matrix is positive definite; True for other matrices.
@@ -42,31 +42,35 @@ class CondensedFactor(Factor, Protocol):
 
     compliance: np.ndarray
 
-    def begin(self, right: np.ndarray) -> np.ndarray:
-        """First half of a solution: the interface rows of the result hold the solution; `finish` computes the others.
+    def solve_interface(self, right: np.ndarray) -> np.ndarray:
+        """Compute the interface rows of a solution (half of the work); `complete_solution` computes the other rows.
 
-        The first half takes half of the time. Results are linear in the right-hand side and may be added.
+        Results are linear in the right-hand side and may be added.
 
         Args:
             right: shape (n,) or (n, several).
         """
 
-    def begin_push(self, forces: np.ndarray) -> np.ndarray:
-        """First half of a solution for a right-hand side that is 0 except in the interface equations, shape (m,)."""
+    def solve_interface_force(self, forces: np.ndarray) -> np.ndarray:
+        """Return the result of `solve_interface` for a right-hand side that is 0 except in the interface equations.
 
-    def finish(self, begun: np.ndarray) -> np.ndarray:
-        """Second half of a solution; returns the solution of all equations."""
+        Args:
+            forces: right-hand side of the interface equations, shape (m,).
+        """
+
+    def complete_solution(self, begun: np.ndarray) -> np.ndarray:
+        """Return the solution of all equations from a result of `solve_interface` (second half of the work)."""
 
 
 class SparseSolver:
-    """Factorise matrices of one sparsity pattern.
+    """Direct solver: factorises sparse matrices that share one sparsity pattern.
 
     The symbolic analysis is done once if the library supports it. Only the newest factor is valid.
     """
 
     def __init__(self) -> None:
-        self._kept: dict[MatrixType, PardisoPattern] = {}
-        self._single: dict[MatrixType, PardisoPattern] = {}
+        self._kept: dict[MatrixType, PardisoPatternFactor] = {}
+        self._single: dict[MatrixType, PardisoPatternFactor] = {}
         self._single_is_enough = True
 
     def factorise(self, matrix: Any, *, symmetric: bool) -> Factor | None:
@@ -79,22 +83,23 @@ class SparseSolver:
         Returns:
             None if the matrix is singular.
         """
-        if library() != "pardiso":
-            return _SuperLU.of(matrix, symmetric)
+        if sparse_library_name() != "pardiso":
+            return _SuperLUFactor.try_factorise(matrix, symmetric)
         tried = self._single_is_enough and matrix.shape[0] >= _SINGLE_FROM
         if tried:
             kind = MatrixType.DEFINITE if symmetric else MatrixType.UNSYMMETRIC
-            single = SingleFactor.of(_find_pattern(self._single, matrix, kind, single=True), matrix, symmetric)
+            single = SinglePrecisionFactor.try_factorise(_find_or_analyse_pattern(self._single, matrix, kind,
+                                                                                  single=True), matrix, symmetric)
             if single is not None:
                 return single
         kind = MatrixType.SYMMETRIC if symmetric else MatrixType.UNSYMMETRIC
-        factor = _Pardiso.of(_find_pattern(self._kept, matrix, kind), matrix, symmetric)
+        factor = _PardisoFactor.try_factorise(_find_or_analyse_pattern(self._kept, matrix, kind), matrix, symmetric)
         if tried and factor is not None and factor.definite:
             self._single_is_enough = False
             self._single.clear()
         return factor
 
-    def condense(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
+    def factorise_condensed(self, matrix: Any, interface: np.ndarray) -> CondensedFactor | None:
         """Factorise a symmetric matrix and condense it onto interface equations.
 
         Args:
@@ -104,41 +109,43 @@ class SparseSolver:
         Returns:
             None if the matrix is singular, or not positive definite with the interface held.
         """
-        if library() != "pardiso":
-            return _CondensedSuperLU.of(matrix, interface)
+        if sparse_library_name() != "pardiso":
+            return _CondensedSuperLUFactor.try_factorise(matrix, interface)
         pattern = self._kept.get(MatrixType.DEFINITE)
-        if pattern is None or pattern.indices is not matrix.indices or not np.array_equal(pattern.require_interface(),
-                                                                                          interface):
-            pattern = self._kept[MatrixType.DEFINITE] = PardisoPattern(matrix, MatrixType.DEFINITE, interface)
-        return _CondensedPardiso.of(pattern, matrix)
+        if pattern is None or pattern.indices is not matrix.indices or not np.array_equal(
+                pattern.require_interface_equations(), interface):
+            pattern = self._kept[MatrixType.DEFINITE] = PardisoPatternFactor(matrix, MatrixType.DEFINITE, interface)
+        return _CondensedPardisoFactor.try_factorise(pattern, matrix)
 
 
-def _find_pattern(kept: dict[MatrixType, PardisoPattern], matrix: Any, kind: MatrixType, *,
-                  single: bool = False) -> PardisoPattern:
+def _find_or_analyse_pattern(kept: dict[MatrixType, PardisoPatternFactor], matrix: Any, kind: MatrixType, *,
+                             single: bool = False) -> PardisoPatternFactor:
     pattern = kept.get(kind)
     if pattern is None or pattern.indices is not matrix.indices:
-        pattern = kept[kind] = PardisoPattern(matrix, kind, single=single)
+        pattern = kept[kind] = PardisoPatternFactor(matrix, kind, single=single)
     return pattern
 
 
 def factorise(matrix: Any, *, symmetric: bool) -> Factor | None:
-    """Factorise one matrix; see `SparseSolver.factorise`."""
+    """Factorise one sparse matrix; for arguments and result see `SparseSolver.factorise`."""
     return SparseSolver().factorise(matrix, symmetric=symmetric)
 
 
-def library() -> str:
-    """Name of the library in use: ``"pardiso"`` or ``"scipy"``."""
+def sparse_library_name() -> str:
+    """Return the name of the library that factorises sparse matrices: ``"pardiso"`` or ``"scipy"``."""
     if os.environ.get(_CHOICE) == "scipy" or importlib.util.find_spec("pypardiso") is None:
         return "scipy"
     return "pardiso"
 
 
-class _SuperLU:
+class _SuperLUFactor:
+    """`Factor` by SciPy's SuperLU."""
+
     def __init__(self, factor: Any, definite: bool):
         self._factor, self.definite = factor, definite
 
     @classmethod
-    def of(cls, matrix: Any, symmetric: bool) -> _SuperLU | None:
+    def try_factorise(cls, matrix: Any, symmetric: bool) -> _SuperLUFactor | None:
         from scipy.sparse.linalg import splu
 
         options = {"SymmetricMode": True} if symmetric else {}
@@ -155,15 +162,17 @@ class _SuperLU:
         return self._factor.solve(right)
 
 
-class _CondensedSuperLU:
+class _CondensedSuperLUFactor:
+    """`CondensedFactor` by SuperLU; `solve_interface` computes the whole solution."""
+
     definite = True
 
-    def __init__(self, factor: _SuperLU, compliance: np.ndarray, interface: np.ndarray, size: int):
+    def __init__(self, factor: _SuperLUFactor, compliance: np.ndarray, interface: np.ndarray, size: int):
         self._factor, self.compliance, self._interface, self._size = factor, compliance, interface, size
 
     @classmethod
-    def of(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLU | None:
-        factor = _SuperLU.of(matrix, True)
+    def try_factorise(cls, matrix: Any, interface: np.ndarray) -> _CondensedSuperLUFactor | None:
+        factor = _SuperLUFactor.try_factorise(matrix, True)
         if factor is None:
             return None
         unit = np.zeros((matrix.shape[0], interface.size))
@@ -173,43 +182,47 @@ class _CondensedSuperLU:
     def solve(self, right: np.ndarray) -> np.ndarray:
         return self._factor.solve(right)
 
-    begin = solve
+    solve_interface = solve
 
-    def begin_push(self, forces: np.ndarray) -> np.ndarray:
+    def solve_interface_force(self, forces: np.ndarray) -> np.ndarray:
         right = np.zeros(self._size)
         right[self._interface] = forces
         return self._factor.solve(right)
 
-    def finish(self, begun: np.ndarray) -> np.ndarray:
+    def complete_solution(self, begun: np.ndarray) -> np.ndarray:
         return begun
 
 
-class _Pardiso:
-    def __init__(self, pattern: PardisoPattern, definite: bool):
-        self._find_pattern, self.definite = pattern, definite
+class _PardisoFactor:
+    """`Factor` by Pardiso in double precision."""
+
+    def __init__(self, pattern: PardisoPatternFactor, definite: bool):
+        self._pattern, self.definite = pattern, definite
 
     @classmethod
-    def of(cls, pattern: PardisoPattern, matrix: Any, symmetric: bool) -> _Pardiso | None:
+    def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any, symmetric: bool) -> _PardisoFactor | None:
         try:
             pattern.factorise(matrix)
         except PardisoError:
             return None
-        if pattern.perturbed and not symmetric:
+        if pattern.has_perturbed_pivots and not symmetric:
             return None
-        return cls(pattern, not pattern.perturbed and not (symmetric and pattern.negative))
+        return cls(pattern, not pattern.has_perturbed_pivots and not (symmetric and pattern.has_negative_eigenvalues))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        return self._find_pattern.solve(right)
+        return self._pattern.solve(right)
 
 
-class _CondensedPardiso:
+class _CondensedPardisoFactor:
+    """`CondensedFactor` by Pardiso, with the inverse of the Schur complement as compliance."""
+
     definite = True
 
-    def __init__(self, pattern: PardisoPattern, compliance: np.ndarray):
-        self._find_pattern, self.compliance = pattern, compliance
+    def __init__(self, pattern: PardisoPatternFactor, compliance: np.ndarray):
+        self._pattern, self.compliance = pattern, compliance
 
     @classmethod
-    def of(cls, pattern: PardisoPattern, matrix: Any) -> _CondensedPardiso | None:
+    def try_factorise(cls, pattern: PardisoPatternFactor, matrix: Any) -> _CondensedPardisoFactor | None:
         from scipy.linalg import lapack
 
         try:
@@ -229,18 +242,18 @@ class _CondensedPardiso:
         return cls(pattern, np.ascontiguousarray(inverse))
 
     def solve(self, right: np.ndarray) -> np.ndarray:
-        return self.finish(self.begin(right))
+        return self.complete_solution(self.solve_interface(right))
 
-    def begin(self, right: np.ndarray) -> np.ndarray:
-        begun, interface = self._find_pattern.reduce(right), self._find_pattern.require_interface()
+    def solve_interface(self, right: np.ndarray) -> np.ndarray:
+        begun, interface = self._pattern.substitute_forward(right), self._pattern.require_interface_equations()
         begun[interface] = self.compliance @ begun[interface]
         return begun
 
-    def begin_push(self, forces: np.ndarray) -> np.ndarray:
+    def solve_interface_force(self, forces: np.ndarray) -> np.ndarray:
         # Forward substitution does not change such a right-hand side.
-        begun = np.zeros(self._find_pattern.size)
-        begun[self._find_pattern.require_interface()] = self.compliance @ forces
+        begun = np.zeros(self._pattern.size)
+        begun[self._pattern.require_interface_equations()] = self.compliance @ forces
         return begun
 
-    def finish(self, begun: np.ndarray) -> np.ndarray:
-        return self._find_pattern.expand(begun)
+    def complete_solution(self, begun: np.ndarray) -> np.ndarray:
+        return self._pattern.substitute_backward(begun)

@@ -140,7 +140,7 @@ class SampledElements:
         return tuple(array for region in self._regions for array in region.memory.state_arrays)
 
     def prepare_step(self, dt: float) -> None:
-        """Prepare the material history for a step of `dt` seconds; see `Memory.prepare_step`."""
+        """Prepare the material history for a step of `dt` seconds; see `MaterialMemory.prepare_step`."""
         self._now = self._time + dt
         for region in self._regions:
             region.memory.prepare_step(dt)
@@ -196,7 +196,7 @@ class SampledElements:
             self._select_rows_of_batches(self._standing, part)[:] = (per_bulk[:, None] * pressures).reshape(-1, LANES)
             with LOCK:
                 kernel = make_sampled_elements_kernel(self._mesh.element.name, stated.energy_law.kernel_energy)
-                region.kernel = BoundKernel.of(kernel, named)
+                region.kernel = BoundKernel.bind_by_name(kernel, named)
             self._moduli[part] = stated.mu0 * batches.moduli[part]
         self._next = -1
         stiffer = np.divide(self._moduli, before, out=np.ones_like(before), where=before > 0.0)

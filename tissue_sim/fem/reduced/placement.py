@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from tissue_sim.fem.free_tool import digest
+from tissue_sim.fem.free_tool import digest_arrays
 from tissue_sim.fem.reduced.contact import LayerContact
 from tissue_sim.fem.reduced.elements import SampledElements
 from tissue_sim.fem.reduced.model import ReducedModel
@@ -51,17 +51,17 @@ class ReducedSolverBase(KernelOwner, Solver):
             margin=specimen.margin, touch_height=lambda pose: find_first_touch(mesh, places, bodies, pose).height,
             remake=None)
 
-    def identity(self) -> str:
-        """See `FreeTool.identity`. The digest includes mesh, modes and sampled elements."""
+    def mesh_digest(self) -> str:
+        """See `FreeTool.mesh_digest`. The digest includes mesh, modes and sampled elements."""
         reduced = self.reduced
-        return digest(reduced.mesh.nodes, reduced.mesh.connectivity, reduced.basis, reduced.elements)
+        return digest_arrays(reduced.mesh.nodes, reduced.mesh.connectivity, reduced.basis, reduced.elements)
 
-    def height_above(self, pose: Pose) -> float:
-        """See `FreeTool.height_above`."""
-        return self._placement.height_above(pose)
+    def height_above_tissue(self, pose: Pose) -> float:
+        """See `FreeTool.height_above_tissue`."""
+        return self._placement.height_above_tissue(pose)
 
-    def place_tool(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool`.
+    def place_tool_at_first_touch(self, pose: Pose) -> bool:
+        """See `FreeTool.place_tool_at_first_touch`.
 
         The modes of a bonded tool belong to one pose of first contact; other poses are refused. A tool that can lift
         off may touch anywhere in the box of poses.
@@ -75,8 +75,8 @@ class ReducedSolverBase(KernelOwner, Solver):
         return True
 
     @property
-    def relaxes(self) -> bool:
-        """See `FreeTool.relaxes`. True also while the stiffness at rest is not computed completely."""
+    def is_time_dependent(self) -> bool:
+        """See `FreeTool.is_time_dependent`. True also while the stiffness at rest is not computed completely."""
         return self.elements.has_history or not self.is_at_rest
 
     @property

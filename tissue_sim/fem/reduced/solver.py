@@ -24,7 +24,7 @@ from tissue_sim.fem.solid.frame import ToolFrame
 from tissue_sim.fem.solid.state import SavedState
 from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tissue import node_shear_moduli
-from tissue_sim.fem.solver import Fields, OwnStiffness, Step, StepStatus
+from tissue_sim.fem.solver import Fields, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.model import Model
@@ -108,7 +108,7 @@ class ReducedSolver(ReducedSolverBase):
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = TOLERANCE, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+             own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for static equilibrium; see `Solver.step`. Inertia is neglected."""
         elements, contact = self.elements, self.contact
         if not resumes:
@@ -336,7 +336,7 @@ class ReducedSolver(ReducedSolverBase):
 
     def restore(self, saved: SavedState) -> None:
         """Make a state that was returned by `save` the committed state."""
-        self.place_tool(saved.start or self._start)
+        self.place_tool_at_first_touch(saved.start or self._start)
         for array, before in zip(self._state_arrays, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force

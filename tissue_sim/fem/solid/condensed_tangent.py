@@ -71,7 +71,7 @@ class CondensedTangent:
 
     def _condense(self) -> None:
         """Set `factor`; it stays None if the matrix is singular."""
-        self.factor = self._sparse.condense(self._matrix, self._sorted)
+        self.factor = self._sparse.factorise_condensed(self._matrix, self._sorted)
 
     @property
     def is_done(self) -> bool:
@@ -107,17 +107,17 @@ class CondensedTangent:
             right: forces on the free degrees of freedom, N, shape (free,).
 
         Returns:
-            Argument of `finish_solution`, shape (free,); see `CondensedFactor.begin`.
+            Argument of `finish_solution`, shape (free,); see `CondensedFactor.solve_interface`.
         """
         assert self.factor is not None
-        return self.factor.begin(right)
+        return self.factor.solve_interface(right)
 
     def begin_solution_for_interface(self, forces: np.ndarray) -> np.ndarray:
         """Do the first half of a solution for forces on the interface nodes only, N, shape (m, 3)."""
         assert self.factor is not None
-        return self.factor.begin_push(forces.ravel()[self._order])
+        return self.factor.solve_interface_force(forces.ravel()[self._order])
 
     def finish_solution(self, begun: np.ndarray) -> np.ndarray:
         """Do the second half of a solution; return the displacements of all free degrees of freedom, m."""
         assert self.factor is not None
-        return self.factor.finish(begun)
+        return self.factor.complete_solution(begun)

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, Bond
+from tissue_sim.fem.contact_settings import ALL_POINTS, SOLID_PENALTY, ActiveSetSettings, ContactBond
 from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
 from tissue_sim.fem.solid.contact_laws import NodalContactLaws
 from tissue_sim.fem.solid.contact_state import ContactState
@@ -59,7 +59,7 @@ class ContactNodes:
         nodes: indices in the mesh, shape (n,).
         moves, stays: `RigidBody.moves` and `RigidBody.stays` of each node, shape (n,).
         parts: bodies, and indices of their nodes in these arrays.
-        bound: committed bond of each node to its body, a `Bond`, shape (n,).
+        bound: committed bond of each node to its body, a `ContactBond`, shape (n,).
         anchors: displacements at which nodes are held or stick, in the frame of the body, m, shape (n, 3).
         pressed, slips: active sets of the present step: nodes in contact, and nodes that slip, shape (n,).
         slipped: nodes that slipped at the last equilibrium, shape (n,).
@@ -133,7 +133,7 @@ class ContactNodes:
             if body.moves:
                 places, moved = self._first.transform_to_tool(places), self._first.transform_to_tool(moved)
             touches = find_nearest_surface_points(body, moved, pressed_in=True).gap <= self._slack
-            self.bound[own[touches]] = Bond.HELD if body.tied else Bond.TOUCHED
+            self.bound[own[touches]] = ContactBond.HELD if body.tied else ContactBond.TOUCHED
             self.anchors[own[touches]] = (moved - places)[touches]
         if settled is not None:
             _, here, there = np.intersect1d(np.where(self.moves, -1, self.nodes), settled.nodes, return_indices=True)
@@ -196,7 +196,7 @@ class ContactNodes:
         normals, forces, springs = self.normals, self.forces, self.springs
         augmentation, stick = ACTIVE_SET.augmentation_factor, SOLID_PENALTY.stick_factor
         mu = np.where(shaft, self._friction[:, 1], self._friction[:, 0])
-        held = self.held == Bond.HELD
+        held = self.held == ContactBond.HELD
         normal = np.einsum("ni,ni->n", forces, normals)
         normal = np.where(self.stays, normal, np.minimum(normal, 0.0))
         tangential = forces - np.einsum("ni,ni->n", forces, normals)[:, None] * normals
@@ -228,7 +228,7 @@ class ContactNodes:
         rates = springs[:, None, None] * nn + bending * normal[:, None, None] * curved
         missed = gap[:, None] * normals
         pushed = normal[:, None] * normals
-        rubs = pressed & (mu > 0.0) & (self.held == Bond.TOUCHED) & (mu * np.maximum(-trial, 0.0) > negligible)
+        rubs = pressed & (mu > 0.0) & (self.held == ContactBond.TOUCHED) & (mu * np.maximum(-trial, 0.0) > negligible)
         limit = mu * np.maximum(-normal, 0.0)
         length, rubbing = np.linalg.norm(along, axis=1), np.linalg.norm(tangential, axis=1)
         tried = tangential + (augmentation * stick * springs)[:, None] * along
@@ -269,7 +269,7 @@ class ContactNodes:
         for noted, found in ((self.rates, rates), (self.missed, missed), (found_forces, pushed)):
             noted[pressed] = found[pressed]
         forces[:] = found_forces
-        near = self.moves & (self.held == Bond.TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
+        near = self.moves & (self.held == ContactBond.TOUCHED) & (gap < self.laws.reach) & bool(self.laws)
         if self.laws:
             self._law_forces[:], self.law_rates[:] = 0.0, 0.0
             self._law_forces[near], self.law_rates[near] = self.laws.compute_forces(
@@ -279,15 +279,15 @@ class ContactNodes:
         # State of the nodes if this were an equilibrium.
         surface = travel - np.einsum("nji,nj->ni", turn, gap[:, None] * normals)
         touches = pressed | ((mu > 0.0) & (gap <= 1e-3 * tolerance))
-        self._met[:] = np.where(touches & (mu < 0.0) & pressed, Bond.HELD,
-                                np.where(touches & (mu > 0.0), Bond.TOUCHED, Bond.FREE))
-        keeps = sticks | (touches & ~pressed & (self.held == Bond.TOUCHED))
+        self._met[:] = np.where(touches & (mu < 0.0) & pressed, ContactBond.HELD,
+                                np.where(touches & (mu > 0.0), ContactBond.TOUCHED, ContactBond.FREE))
+        keeps = sticks | (touches & ~pressed & (self.held == ContactBond.TOUCHED))
         if self.laws:  # nodes that have touched the tool keep their anchors up to the reach of the laws
-            others = self.moves & ~held & (self._met == Bond.FREE) & (pressed | near)
-            self._met[others] = Bond.TOUCHED
-            keeps = keeps | (others & (mu == 0.0) & (self.held == Bond.TOUCHED))
+            others = self.moves & ~held & (self._met == ContactBond.FREE) & (pressed | near)
+            self._met[others] = ContactBond.TOUCHED
+            keeps = keeps | (others & (mu == 0.0) & (self.held == ContactBond.TOUCHED))
         self._met_at[:] = np.where(keeps[:, None], self.held_at, surface)
-        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != Bond.FREE, near, gap,
+        self.state = ContactState(held, pressed, sticks, sliding, goes, keeps, self._met != ContactBond.FREE, near, gap,
                                   normal, limit, mu, springs, stick * springs, normals, slip, ways, curved, turn)
         return ContactEvaluation(float(violation), int(sliding.sum()), switched, wanting)
 
@@ -307,13 +307,14 @@ class ContactNodes:
     def release_pulled_nodes(self) -> int:
         """Release held nodes whose tension at an equilibrium exceeds the adhesion of the laws; return their number."""
         bears = np.where(self.moves, self.laws.compute_largest_adhesive_pull(self.nodes), 0.0)
-        pulls = (self.held == Bond.HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces, self.normals) > bears)
-        self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), Bond.TOUCHED, Bond.FREE)
+        pulls = (self.held == ContactBond.HELD) & ~self.stays & (np.einsum("ni,ni->n", self.forces,
+                                                                           self.normals) > bears)
+        self.held[pulls] = np.where(self.moves[pulls] & (self.laws.reach > 0.0), ContactBond.TOUCHED, ContactBond.FREE)
         return int(pulls.sum())
 
     def bind_touching_nodes(self) -> None:
         """Bind the nodes to the bodies that they touch at this equilibrium, with their new anchors."""
-        loose = self.held != Bond.HELD
+        loose = self.held != ContactBond.HELD
         self.held[loose], self.held_at[loose] = self._met[loose], self._met_at[loose]
 
     def commit_step(self) -> None:

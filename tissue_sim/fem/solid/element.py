@@ -9,11 +9,11 @@ from enum import IntEnum
 from functools import cache
 from typing import Any, NamedTuple
 
-from tissue_sim.fem.energy import inverse_root_function, soften_function
-from tissue_sim.fem.history import PastColumn
+from tissue_sim.fem.energy import make_inverse_cube_root_function, make_softening_function
+from tissue_sim.fem.history import MemoryCoefficient
 from tissue_sim.fem.solid import energy as point
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.fem.taichi.scratch import LANES, ElementSize, scratch
+from tissue_sim.fem.taichi.scratch import LANES, LargestElementSize, get_scratch_field
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.mesh.solid import SOLID_ELEMENTS
 
@@ -32,7 +32,7 @@ class SettingColumn(IntEnum):
 
 
 #: Size of the largest element.
-_LARGEST = ElementSize(nodes=27, points=27, modes=4)
+_LARGEST = LargestElementSize(nodes=27, points=27, modes=4)
 #: Sections of the scratch field for one batch, with their sizes: displacements and forces of the nodes, pressure
 #: amplitudes, residuals of the pressure equations, derivatives of the volume, tangents at the points; for one node the
 #: derivatives of the stress at one point, and the stiffness with all other nodes.
@@ -62,10 +62,10 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
     ti = initialise()
     element = SOLID_ELEMENTS[element_name]
     nodes, modes, points = element.node_count, element.pressure_modes, element.quadrature[1].size
-    s = scratch(LANES, SCRATCH)
+    s = get_scratch_field(LANES, SCRATCH)
     compute_stress_and_tangent = point.make_stress_function(energy)
-    inverse_root, compute_cofactor = inverse_root_function(), point.make_cofactor_function()
-    soften, apply_relaxation = soften_function(9), point.make_relax_function()
+    inverse_cube_root, compute_cofactor = make_inverse_cube_root_function(), point.make_cofactor_function()
+    apply_softening, apply_relaxation = make_softening_function(9), point.make_relax_function()
     vec = ti.types.vector(LANES, ti.f64)
     U, FORCE, PRESSURE, GAP = (_AT[name] for name in ("U", "FORCE", "PRESSURE", "GAP"))
     V, A, RATE, PAIRS = (_AT[name] for name in ("V", "A", "RATE", "PAIRS"))
@@ -81,25 +81,25 @@ def make_element_functions(element_name: str, energy: KernelEnergy) -> ElementFu
                                  largest: ti.template(), stresses: ti.template(), energies: ti.template()):
         """Return dW/dF and dJ/dF of quadrature point q times its weight, and store its tangent in the scratch field."""
         F = [H[m] + ti.static(float(m % 4 == 0)) for m in ti.static(range(9))]
-        W, P, T = compute_stress_and_tangent(F, J, inverse_root(ti.max(J, 1e-6)), coefficients, tangent)
+        W, P, T = compute_stress_and_tangent(F, J, inverse_cube_root(ti.max(J, 1e-6)), coefficients, tangent)
         cof = compute_cofactor(F)
         if remembers > 0.0:
-            f = past[PastColumn.FACTOR]
+            f = past[MemoryCoefficient.FACTOR]
             W = f * W
             for l in ti.static(range(LANES)):
                 energies[elements[b, l], q] = W[l]
             P1, T1 = [f * P[m] for m in ti.static(range(9))], [f * T[n] for n in ti.static(range(45))]
-            if past[PastColumn.LOSS] != 0.0:
+            if past[MemoryCoefficient.LOSS] != 0.0:
                 most = ti.Vector([largest[elements[b, l], q] for l in ti.static(range(LANES))])
-                P2, T2 = soften(W, most, past[PastColumn.LOSS], past[PastColumn.LOSS_MODULUS],
-                                past[PastColumn.LOSS_SHARE], P1, T1)
+                P2, T2 = apply_softening(W, most, past[MemoryCoefficient.LOSS], past[MemoryCoefficient.LOSS_MODULUS],
+                                         past[MemoryCoefficient.LOSS_SHARE], P1, T1)
                 for m in ti.static(range(9)):
                     P1[m] = P2[m]
                 for n in ti.static(range(45)):
                     T1[n] = T2[n]
             h = [ti.Vector([inherited[elements[b, l], q, i] for l in ti.static(range(LANES))])
                  for i in ti.static(range(6))]
-            S, P3, T3 = apply_relaxation(F, cof, J, past[PastColumn.INSTANT], h, P1, T1)
+            S, P3, T3 = apply_relaxation(F, cof, J, past[MemoryCoefficient.INSTANT], h, P1, T1)
             for i in ti.static(range(6)):
                 for l in ti.static(range(LANES)):
                     stresses[elements[b, l], q, i] = S[i][l]

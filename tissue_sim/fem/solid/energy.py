@@ -10,7 +10,12 @@ Every function works on vectors, one point in each lane.
 from functools import cache
 from typing import TYPE_CHECKING
 
-from tissue_sim.fem.energy import invariant_derivatives, packed_indices, stretch_derivatives, taichi_function
+from tissue_sim.fem.energy import (
+    make_expression_function,
+    make_invariant_derivatives,
+    make_stretch_derivatives,
+    packed_symmetric_indices,
+)
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
 from tissue_sim.public_names import LazyModule
@@ -21,7 +26,7 @@ else:
     sp = LazyModule("sympy")
 
 #: Row and column of every entry of a symmetric 9 x 9 tangent in packed storage.
-PACKED = packed_indices(9)
+PACKED = packed_symmetric_indices(9)
 #: Index of entry (m, n) in packed storage.
 PLACE = tuple(tuple(PACKED.index((max(m, n), min(m, n))) for n in range(9)) for m in range(9))
 #: Rows and columns of the components of a symmetric tensor.
@@ -52,7 +57,7 @@ def _make_isochoric_chain():
 
     The derivatives are with respect to the invariants of F; s = J^(-2/3) is an argument, so that no power is computed.
     """
-    return taichi_function(_derive_isochoric_chain, ("solid chain",), __file__)
+    return make_expression_function(_derive_isochoric_chain, ("solid chain",), __file__)
 
 
 def _derive_isochoric_chain():
@@ -143,7 +148,7 @@ def _make_invariant_function(energy: KernelEnergy):
     ti = initialise()
     count = energy.count
 
-    derivatives = invariant_derivatives(energy)
+    derivatives = make_invariant_derivatives(energy)
     chain = _make_isochoric_chain()
     compute_cofactor = make_cofactor_function()
 
@@ -197,7 +202,7 @@ def _make_stretch_function(energy: KernelEnergy):
     ti = initialise()
     count = energy.count
 
-    derivatives = stretch_derivatives(energy)
+    derivatives = make_stretch_derivatives(energy)
 
     @ti.func
     def compute_stress_and_tangent(F, J, root, coefficients: ti.template(), tangent: ti.template()):

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate, volume_quantile
+from tissue_sim.fem.fields import FIELD_UNITS, TAIL, extrapolate_to_nodes, volume_quantile
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 
@@ -230,7 +230,7 @@ class SolidFields:
         """
         if name == "displacement":
             return np.linalg.norm(self.displacement(sample), axis=1)
-        return extrapolate(self.mesh, self.at_points(name, sample))
+        return extrapolate_to_nodes(self.mesh, self.at_points(name, sample))
 
 
 def _compute_determinant(F: np.ndarray) -> np.ndarray:

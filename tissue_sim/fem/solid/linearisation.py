@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tissue_sim.errors import InputError
-from tissue_sim.fem.condensed.model import CondensedContact, ContactState, ContactSurface, Executor, run_now
+from tissue_sim.fem.condensed.model import CondensedBulk, ContactState, ContactSurface, Executor, run_synchronously
 from tissue_sim.fem.contact_settings import SOLID_PENALTY
-from tissue_sim.fem.linear.sparse import library
+from tissue_sim.fem.linear.sparse import sparse_library_name
 from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
 from tissue_sim.fem.solid.condensed_tangent import CondensedTangent
 from tissue_sim.fem.solid.discretisation import make_solver
@@ -97,7 +97,7 @@ class SolidLinearisation:
         self._equations = equation[self._freedoms]
         self._meets = np.flatnonzero((self._equations >= 0).all(axis=1))
         self._count = min(candidates, self._meets.size)
-        self._most = min(self._count * (_SETTINGS.more if library() == "pardiso" else 1), self._meets.size)
+        self._most = min(self._count * (_SETTINGS.more if sparse_library_name() == "pardiso" else 1), self._meets.size)
         self.surface = self._make_contact_surface(self._count)
         self._untouched = solver.save()
         self._epoch, self._number, self._time = 0, 0, 0.0
@@ -110,7 +110,7 @@ class SolidLinearisation:
         # Whether the tangent in use belongs to an earlier iterate.
         self._stale = False
         self._settles = np.zeros(solver._free.size)  # first half of a solution, see `CondensedTangent.begin_solution`
-        self.executor: Executor = run_now
+        self.executor: Executor = run_synchronously
         self.residual = 0.0
 
     def _make_contact_surface(self, candidates: int) -> ContactSurface:
@@ -143,7 +143,7 @@ class SolidLinearisation:
         """Solver of the solid; its committed state is the last iterate."""
         return self._solver
 
-    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedContact | None:
+    def linearise(self, state: ContactState, ahead: Sequence[Pose] = ()) -> CondensedBulk | None:
         """See `BulkLinearisation.linearise`."""
         solver = self._solver
         if state.epoch != self._epoch:
@@ -199,7 +199,7 @@ class SolidLinearisation:
         solver.tissue.prepare_step(0.0)
         solver._restore_committed_state()
 
-    def _relinearise_from_committed(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedContact | None:
+    def _relinearise_from_committed(self, state: ContactState, ahead: Sequence[Pose]) -> CondensedBulk | None:
         """Linearise with a new tangent at the committed state, or at rest if that tangent is singular; else None."""
         solver, self._coming = self._solver, None
         for go_back in (solver._restore_committed_state, self._restore_untouched_state):
@@ -207,7 +207,7 @@ class SolidLinearisation:
             pose = solver.pose if self._holds else state.pose
             if not self._assemble_forces(True):
                 continue
-            self._start_condensation(state, pose, ahead, run_now)
+            self._start_condensation(state, pose, ahead, run_synchronously)
             if self._adopt_finished_tangent(state, pose, ahead):
                 self._stale = False
                 self._store_contact_free_increment()
@@ -335,7 +335,7 @@ class SolidLinearisation:
                 gaps[own] = find_nearest_surface_points(body, at[own], pressed_in=True).gap
         return gaps
 
-    def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedContact:
+    def _make_condensed_model(self, state: ContactState, pose: Pose) -> CondensedBulk:
         """Return the linearisation at the last iterate, condensed onto the published nodes."""
         solver, tangent = self._solver, self._tangent
         assert tangent is not None
@@ -350,9 +350,9 @@ class SolidLinearisation:
         left = np.setdiff1d(self._meets, tangent.nodes)
         reach = float(np.maximum(0.0, self._compute_gaps(pose)[left]).min(initial=np.inf))
         self._number += 1
-        return CondensedContact(self._number, self._base, self._epoch, state.time, pose, tangent.nodes,
-                                free_displacement, tangent.compliance, tangent.tool_coupling, wrench, tangent.stiffness,
-                                reach, solver.material.mu0, self.residual, tangent.time, tangent.pose)
+        return CondensedBulk(self._number, self._base, self._epoch, state.time, pose, tangent.nodes,
+                             free_displacement, tangent.compliance, tangent.tool_coupling, wrench, tangent.stiffness,
+                             reach, solver.material.mu0, self.residual, tangent.time, tangent.pose)
 
     def _store_held_derivatives(self, tangent: CondensedTangent, levers: np.ndarray, forces: np.ndarray) -> None:
         """Store the derivatives of nodes and wrench with respect to the pose of a tool that holds tissue.

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.inertia import Motion
+from tissue_sim.fem.inertia import InertialMotion
 from tissue_sim.mesh.solid import SolidMesh
 
 
@@ -45,7 +45,8 @@ class LumpedMass:
     def __init__(self, mesh: SolidMesh, weights: np.ndarray, density: float, matrix: Any):
         freedoms = 3 * len(mesh.nodes)
         self._masses, self._rest = np.zeros((2, freedoms))
-        self.motion = Motion(self._masses, self._rest, np.repeat(density * compute_lumped_volumes(mesh, weights), 3))
+        volumes = compute_lumped_volumes(mesh, weights)
+        self.motion = InertialMotion(self._masses, self._rest, np.repeat(density * volumes, 3))
         columns = np.repeat(np.arange(freedoms), np.diff(matrix.indptr))
         self._diagonal = np.flatnonzero(matrix.indices == columns)
         self.rate, self.density = 0.0, density
@@ -62,5 +63,5 @@ class LumpedMass:
                 matrix.data[self._diagonal] += self.rate * self._masses
 
     def predict_force_change(self, x: np.ndarray, dt: float, along: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Predict the change of the inertial forces in a next step without motion of the tool; see `Motion.ahead`."""
-        return self.motion.ahead(x, dt, self._masses, along)
+        """Predict the change of the inertial forces in a next step without motion of the tool; see `InertialMotion`."""
+        return self.motion.predict_inertial_force_change(x, dt, self._masses, along)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.fem.history import Memory, PastColumn
+from tissue_sim.fem.history import MaterialMemory, MemoryCoefficient
 from tissue_sim.material.viscoelasticity import Prony
 
 
@@ -34,7 +34,7 @@ class HistoryDerivatives:
 
     Args:
         memory: history of the elements of the material.
-        past_rates: derivatives of `Memory.past`, shape (m, 5).
+        past_rates: derivatives of `MaterialMemory.past`, shape (m, 5).
         relaxations: for each parameter the relaxing terms with the parameter increased and decreased.
         widths: differences of the two parameter values, shape (m,).
 
@@ -42,11 +42,11 @@ class HistoryDerivatives:
         inherited: derivatives of the contribution of earlier stresses in the step, shape (m, elements, q, 6).
     """
 
-    def __init__(self, memory: Memory, past_rates: np.ndarray, relaxations: Sequence[tuple[Prony | None, Prony | None]],
-                 widths: np.ndarray):
+    def __init__(self, memory: MaterialMemory, past_rates: np.ndarray,
+                 relaxations: Sequence[tuple[Prony | None, Prony | None]], widths: np.ndarray):
         self.memory, self._past_rates, self._relaxations, self._widths = memory, past_rates, relaxations, widths
         m = widths.size
-        self._past_rates[:, PastColumn.INSTANT] = 0.0
+        self._past_rates[:, MemoryCoefficient.INSTANT] = 0.0
         shape = (m, *memory.stresses.shape) if memory.works else (m, 0)
         self._before, self._largest = np.zeros(shape), np.zeros(shape[:-1])
         self._internal = np.zeros((m, *memory.internal.shape))
@@ -70,7 +70,7 @@ class HistoryDerivatives:
         decay, gain = memory.step
         for k, ((more, less), width) in enumerate(zip(self._relaxations, self._widths, strict=True)):
             if more is not None and less is not None and more != less:
-                self._past_rates[k, PastColumn.INSTANT], self._decays[k], self._gains[k] = (
+                self._past_rates[k, MemoryCoefficient.INSTANT], self._decays[k], self._gains[k] = (
                     (np.asarray(a) - np.asarray(b)) / width
                     for a, b in zip(more.increment(memory.dt), less.increment(memory.dt), strict=True))
             self.inherited[k] = (np.tensordot(decay, self._internal[k], 1)
@@ -88,7 +88,7 @@ class HistoryDerivatives:
         """
         memory = self.memory
         self._kept = []
-        if memory.works and memory.past[PastColumn.LOSS] != 0.0:
+        if memory.works and memory.past[MemoryCoefficient.LOSS] != 0.0:
             largest, more = memory.largest, memory.energies - memory.largest
             near = (largest > 0.0) & (more >= -_KINK.below * largest) & (more <= _KINK.beyond * largest)
             if near.any():

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.fem.contact_settings import Bond
+from tissue_sim.fem.contact_settings import ContactBond
 from tissue_sim.fem.free_tool import AT_REST
 from tissue_sim.fem.solid.bodies import RigidBody, find_nearest_surface_points
 from tissue_sim.fem.solid.contact import ContactNodes
@@ -66,12 +66,12 @@ class RelocatableSolver(KernelOwner, Solver):
     _start: Pose
     _pose: Pose
 
-    def height_above(self, pose: Pose) -> float:
-        """See `FreeTool.height_above`."""
-        return pose.position[2] if self.placement is None else self.placement.height_above(pose)
+    def height_above_tissue(self, pose: Pose) -> float:
+        """See `FreeTool.height_above_tissue`."""
+        return pose.position[2] if self.placement is None else self.placement.height_above_tissue(pose)
 
-    def place_tool(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool`. The mesh is moved with the tool, so that it is equally fine under the tool."""
+    def place_tool_at_first_touch(self, pose: Pose) -> bool:
+        """See `FreeTool.place_tool_at_first_touch`. The mesh moves with the tool, which keeps it fine under the tool."""
         if self.placement is None or self.placement.is_at_mesh_position(self._start, pose):
             return True
         other = self.placement.make_solver_for_touch_pose(pose, self)
@@ -93,14 +93,15 @@ class RelocatableSolver(KernelOwner, Solver):
         if self._asked:
             other.ask_for_stiffness()
         if self._mass is not None:
-            other.follow_motion(self._mass.density)
+            other.enable_inertia(self._mass.density)
         if self.material is not other.material:
             other.set_material(self.material)
 
     def clearance(self, pose: Pose) -> float | None:
         """See `FreeTool.clearance`, with distances of nodes; None if the tool holds tissue, and with contact laws."""
         contact = self.contact
-        if self._bonded.size or contact.laws or (contact.moves & (contact.stays | (contact.bound != Bond.FREE))).any():
+        if self._bonded.size or contact.laws or (
+                contact.moves & (contact.stays | (contact.bound != ContactBond.FREE))).any():
             return None
         frame, displacement, least = ToolFrame(pose, self.datum), self.committed_displacement, math.inf
         for body, own in contact.parts:
@@ -110,14 +111,14 @@ class RelocatableSolver(KernelOwner, Solver):
         return least
 
     @property
-    def relaxes(self) -> bool:
-        """See `FreeTool.relaxes`."""
+    def is_time_dependent(self) -> bool:
+        """See `FreeTool.is_time_dependent`."""
         return self.tissue.has_history
 
-    def stand_still(self) -> None:
-        """See `FreeTool.stand_still`."""
+    def stop_tissue_motion(self) -> None:
+        """See `FreeTool.stop_tissue_motion`."""
         if self._mass is not None:
-            self._mass.motion.stop()
+            self._mass.motion.reset_velocity()
 
     @property
     def committed_displacement(self) -> np.ndarray:
@@ -129,8 +130,8 @@ class RelocatableSolver(KernelOwner, Solver):
 
         See `FreeTool.move_to_next_touch`.
         """
-        begins = (self.placement is not None and not self.relaxes and self._is_at_rest
-                  and self.place_tool(raised(pose, -self.height_above(pose))))
+        begins = (self.placement is not None and not self.is_time_dependent and self._is_at_rest
+                  and self.place_tool_at_first_touch(raised(pose, -self.height_above_tissue(pose))))
         if begins:
             self.lift_off()
         else:
@@ -175,8 +176,8 @@ class FirstTouchPlacement:
         x, y, z, *turn = motion(start, pose)
         return math.hypot(x, y, z) + self.radius * math.hypot(*turn) <= PLACEMENT.same_position * self.radius
 
-    def height_above(self, pose: Pose) -> float:
-        """See `FreeTool.height_above`."""
+    def height_above_tissue(self, pose: Pose) -> float:
+        """See `FreeTool.height_above_tissue`."""
         x, y, z = pose.position
         _, a, b, _ = pose.orientation
         sine = 2.0 * math.sqrt(max(0.0, (a * a + b * b) * (1.0 - a * a - b * b)))

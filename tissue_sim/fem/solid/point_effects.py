@@ -9,9 +9,9 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tissue_sim.fem.point_effects import LONGEST, require_formula
+from tissue_sim.fem.point_effects import LONGEST, require_valid_formula
 from tissue_sim.fem.solid.batches import ElementBatches, find_sparse_entry_indices
-from tissue_sim.fem.taichi.trace import Formula
+from tissue_sim.fem.taichi.trace import KernelFormula
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
 #: Index pairs of the components of formulas: 11, 22, 33, 12, 13, 23.
@@ -41,7 +41,7 @@ class SolidPointEffects:
             len(elements), 3 * connectivity.shape[1])
         self._dofs, self._dt = dofs, 0.0
         self._effects: tuple[PointEffect, ...] = ()
-        self._makes: tuple[Formula, ...] = ()
+        self._makes: tuple[KernelFormula, ...] = ()
         points = (len(elements), batches.weights.shape[1])
         self.states, self.stress = np.zeros((*points, 0)), np.zeros((*points, 6))
         self._found, self._stress = self.states.copy(), self.stress.copy()
@@ -54,13 +54,13 @@ class SolidPointEffects:
         """Set the effects of a material; state variables are kept if the formulas are the same.
 
         Raises:
-            InputError: see `require_formula`.
+            InputError: see `require_valid_formula`.
         """
         points = tuple(effect for effect in effects if isinstance(effect, PointEffect))
-        makes = tuple(Formula.of(effect) for effect in points)
+        makes = tuple(KernelFormula.from_instance(effect) for effect in points)
         if makes != self._makes:
             for make in makes:
-                require_formula(make)
+                require_valid_formula(make)
             rest = [value for effect in points for value in effect.rest]
             self.states = np.broadcast_to(rest, (*self.stress.shape[:2], len(rest))).copy()
             self.stress[:] = 0.0

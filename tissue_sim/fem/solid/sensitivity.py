@@ -202,7 +202,7 @@ class SolidSensitivity:
         return [self._motion.T, np.moveaxis(self._anchors, -1, 0), *(array for each in self._memories
                                                                      for array in each.state_arrays)]
 
-    def pop_changed(self) -> bool:
+    def pop_contact_change(self) -> bool:
         """Whether the contact changed since the last call; see `tissue_sim.fem.solver.Derivatives`."""
         changed, self._changed = self._changed, False
         return changed

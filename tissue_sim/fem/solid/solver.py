@@ -26,7 +26,7 @@ from tissue_sim.fem.solid.surface import SolidSurface
 from tissue_sim.fem.solid.tangent import ReusableTangentFactor
 from tissue_sim.fem.solid.tissue import Tissue
 from tissue_sim.fem.solid.tool_wrench import ToolConstraint, to_matrix_tuples
-from tissue_sim.fem.solver import Neighbours, OwnStiffness, Step, StepStatus
+from tissue_sim.fem.solver import Neighbours, StaticStiffnessRequest, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
@@ -124,7 +124,7 @@ class SolidSolver(RelocatableSolver):
 
     def step(self, pose: Pose, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
              predictor_order: int = 2, inertial: bool = False, resumes: bool = False,
-             own_stiffness: int = OwnStiffness.IF_LEFT) -> Step:
+             own_stiffness: int = StaticStiffnessRequest.IF_LEFT) -> Step:
         """Move the tool to a pose and solve for equilibrium; see `Solver.step`. The motion is solved linearly first."""
         self.tissue.prepare_step(dt)
         if self._mass is not None:
@@ -136,7 +136,8 @@ class SolidSolver(RelocatableSolver):
         if outcome.status is StepStatus.CONVERGED:
             if inertial and self._mass is not None and self._asked:
                 has_left = outcome.iterations < max_iterations
-                own = self._compute_static_stiffness(frame) if OwnStiffness.is_due(own_stiffness, has_left) else None
+                is_due = StaticStiffnessRequest.is_stiffness_due(own_stiffness, has_left)
+                own = self._compute_static_stiffness(frame) if is_due else None
                 outcome = replace(outcome, step_stiffness_matrix=outcome.stiffness_matrix, stiffness_matrix=own)
             if self._mass is not None:
                 self._mass.motion.commit_step(self._committed[0], self.x, dt, inertial)
@@ -295,13 +296,13 @@ class SolidSolver(RelocatableSolver):
         return to_matrix_tuples(self._make_tool_constraint(frame).condense_stiffness(self._matrix.all, factor,
                                                                                      self._free)[0])
 
-    def follow_motion(self, density: float) -> bool:
-        """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.follow_motion`."""
+    def enable_inertia(self, density: float) -> bool:
+        """Give all regions of the tissue a mass, density in kg/m3; returns True. See `Solver.enable_inertia`."""
         self._mass = LumpedMass(self.mesh, self.batches.weights, density, self._matrix.all)
         return True
 
-    def ahead(self, dt: float) -> NextForce | None:
-        """Predict the force of the next step; see `Solver.ahead` and the axisymmetric solver for the method."""
+    def predict_next_force(self, dt: float) -> NextForce | None:
+        """Predict the force of the next step; see `Solver.predict_next_force` and the axisymmetric solver."""
         last = self._last
         if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
             return None
@@ -333,7 +334,7 @@ class SolidSolver(RelocatableSolver):
         for array, rest in zip(self._committed, self._rest, strict=True):
             array[:] = rest
         self.contact.reset_to_first_touch()
-        self.stand_still()
+        self.stop_tissue_motion()
         self._pose, self._largest_force = self._start, 0.0
         self._restore_committed_state()
 
@@ -344,7 +345,7 @@ class SolidSolver(RelocatableSolver):
 
     def restore(self, saved: SavedState) -> None:
         """Make a state that was returned by `save` the committed state."""
-        self.place_tool(saved.start or self._start)
+        self.place_tool_at_first_touch(saved.start or self._start)
         for array, before in zip(self._state_arrays, saved.arrays, strict=True):
             array[:] = before
         self._pose, self._largest_force = saved.pose, saved.largest_force

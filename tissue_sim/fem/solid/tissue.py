@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tissue_sim.errors import InputError, nearest
-from tissue_sim.fem.history import Memory
+from tissue_sim.fem.history import MaterialMemory
 from tissue_sim.fem.solid.assembly import make_assembly_kernel
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.element import SettingColumn
@@ -32,7 +32,7 @@ class RegionDerivativeInputs(NamedTuple):
     """
 
     inputs: tuple[np.ndarray, ...]
-    memory: Memory
+    memory: MaterialMemory
     relaxation: Callable[[Material], Prony | None]
 
 
@@ -52,7 +52,7 @@ class RegionElements:
 
     def __init__(self, name: str, elements: np.ndarray, points: int, settings: int = 4):
         self.name, self.elements = name, elements
-        self.memory = Memory((elements.size, points), 6)
+        self.memory = MaterialMemory((elements.size, points), 6)
         self.settings, self.least = np.zeros(settings), np.zeros(1)
         self.coefficients = np.zeros(0)
         self.bulk = self.mu0 = 0.0
@@ -106,7 +106,7 @@ class Tissue:
         self.effects = SolidPointEffects(self.batches, mesh.connectivity, named.get("", np.zeros(0, dtype=np.intp)))
 
     @property
-    def first_region_history(self) -> Memory:
+    def first_region_history(self) -> MaterialMemory:
         """Material history of the elements of the first region; these are all elements if there is one region only."""
         return self._regions[0].memory
 
@@ -198,7 +198,7 @@ class Tissue:
         self.batches.correct_forces_for_old_volume_rates(forces, self.bulk_moduli)
 
     def prepare_step(self, dt: float) -> None:
-        """Prepare material history and point effects for a step of dt seconds; see `Memory.prepare_step`."""
+        """Prepare material history and point effects for a step of dt seconds; see `MaterialMemory.prepare_step`."""
         for region in self._regions:
             region.memory.prepare_step(dt)
         self.effects.prepare_step(dt)
@@ -230,7 +230,7 @@ class Tissue:
             return None
         found = np.zeros((*self.batches.weights.shape, 6))
         for region in self._regions:
-            found[region.elements] = region.memory.total()
+            found[region.elements] = region.memory.total_stress()
             if self.effects and region.name == "":
                 found[region.elements] += self.effects.stress
         return found

@@ -1,1 +1,1 @@
-"""Taichi: one runtime for the process, and kernels that start fast."""
+"""Taichi: initialisation, fast launch of kernels, scratch memory, and tracing of plug-in formulas into kernels."""

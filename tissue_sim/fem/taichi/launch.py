@@ -23,7 +23,7 @@ _COMPILED: dict[Any, tuple[Any, Any, Callable[..., None]]] = {}
 
 
 class BoundKernel(KernelOwner):
-    """A Taichi kernel with numpy arrays as its arguments, bound once.
+    """Taichi kernel that is bound once to NumPy arrays; a call without arguments launches the kernel.
 
     The arrays are kept alive and must be changed in place: the kernel uses their memory addresses.
 
@@ -41,27 +41,29 @@ class BoundKernel(KernelOwner):
         expected = _describe_arguments(kernel)
         for name in arrays:
             if name not in expected:
-                raise ValueError(f"the kernel has no argument {name!r}{nearest(name, expected)}")
+                raise ValueError(f"arrays must be named like the arguments of the kernel; got {name!r}"
+                                 f"{nearest(name, expected)}")
         if missing := [name for name in expected if name not in arrays]:
-            raise ValueError(f"the kernel's arguments {', '.join(missing)} are missing")
+            raise ValueError(f"arrays must contain every argument of the kernel; {', '.join(missing)} missing.")
         for name, (rank, width, dtype) in expected.items():
             array = arrays[name]
             if array.ndim != rank or array.dtype != dtype or (width and array.shape[-1] != width):
-                last = f" whose last axis is {width} long" if width else ""
-                raise ValueError(f"{name}: expected {rank} axes of {dtype}{last}, got {array.dtype} of shape "
-                                 f"{array.shape}")
+                last = f" whose last axis has length {width}" if width else ""
+                raise ValueError(f"{name} must be an array with {rank} axes of type {dtype}{last}; got type "
+                                 f"{array.dtype} and shape {array.shape}.")
             if not array.flags.c_contiguous:
-                raise ValueError(f"{name}: every array must be C-contiguous")
+                raise ValueError(f"{name} must be C-contiguous; got strides {array.strides}. Use "
+                                 "numpy.ascontiguousarray.")
         self.kernel, self.arrays = kernel, {name: arrays[name] for name in expected}
         self._start: Callable[[], None] | None = None
 
     @classmethod
-    def of(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
-        """Bind those of the arrays whose names are arguments of the kernel."""
+    def bind_by_name(cls, kernel, arrays: Mapping[str, np.ndarray]) -> BoundKernel:
+        """Return the kernel bound to those of the arrays whose names are names of its arguments."""
         return cls(kernel, {name: arrays[name] for name in _describe_arguments(kernel) if name in arrays})
 
-    def is_of(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
-        """Return whether this object launches this kernel with these arrays; a new binding takes a millisecond."""
+    def is_bound_to(self, kernel, arrays: Mapping[str, np.ndarray]) -> bool:
+        """Return whether this object is bound to this kernel and to these arrays (same memory and shape)."""
         return kernel is self.kernel and all(
             array.ctypes.data == arrays[name].ctypes.data and array.shape == arrays[name].shape
             for name, array in self.arrays.items())
@@ -69,7 +71,7 @@ class BoundKernel(KernelOwner):
     def __call__(self) -> None:
         """Run the kernel. The first call compiles it, or loads it from the cache."""
         if self._start is None:
-            self._start = _bind(self.kernel, tuple(self.arrays.values()))
+            self._start = _bind_arrays(self.kernel, tuple(self.arrays.values()))
         self._start()
 
 
@@ -91,8 +93,8 @@ def _parse_annotation(annotation) -> tuple[int, int, np.dtype]:
     return annotation.ndim + 1, element.n, np.dtype(from_taichi(element.dtype))
 
 
-def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
-    """Bind arrays to a kernel and return the function that launches it.
+def _bind_arrays(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
+    """Bind arrays to the arguments of a kernel by position, and return the function that launches the kernel.
 
     This is `Kernel.launch_kernel` of Taichi 1.7.4, split into the part that is done once and the part of each launch.
     An ordinary call is no alternative: it accepts at most 64 arguments.
@@ -117,5 +119,6 @@ def _bind(kernel, arrays: tuple[np.ndarray, ...]) -> Callable[[], None]:
 
 
 def _unsupported_taichi_error(error: Exception) -> MissingBackendError:
-    return MissingBackendError(f"kernels are started by private names of taichi 1.7.4, and this one lacks some "
-                               f"({error}); install taichi==1.7.4")
+    """Return the error that the installed Taichi lacks a private name that launching a kernel requires."""
+    return MissingBackendError(f"taichi must be version 1.7.4, whose private functions launch the kernels; the "
+                               f"installed version lacks one ({error}). To correct this, install taichi==1.7.4")

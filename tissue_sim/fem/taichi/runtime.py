@@ -29,17 +29,17 @@ CACHE_BYTES = 2**31 - 1
 
 
 def initialise():
-    """Initialise Taichi on first call and return the module.
+    """Import and initialise Taichi at the first call, and return the module `taichi`.
 
     Raises:
         MissingBackendError: no Taichi wheel exists for this platform.
     """
     with LOCK:
-        return _initialise()
+        return _import_and_initialise()
 
 
 @cache
-def _initialise():
+def _import_and_initialise():
     # Taichi prints its version at import and its backend at start to stdout, where --json must be alone.
     os.environ.setdefault("ENABLE_TAICHI_HEADER_PRINT", "0")
     try:
@@ -48,10 +48,10 @@ def _initialise():
         from taichi.lang.ast.ast_transformer_utils import ASTTransformerContext
     except ImportError as error:
         raise MissingBackendError(
-            "the finite elements need taichi 1.7.4, which exists for Linux x86-64, Windows x86-64 and macOS on Apple "
-            f"silicon ({error}); analytical calibration works without it") from None
+            "the finite elements need taichi 1.7.4 for Linux x86-64, Windows x86-64 or macOS on Apple silicon; the "
+            f"import failed ({error}). Install taichi==1.7.4; analytical calibration works without it") from None
     # For its messages Taichi formats the source of every expression, which takes longer than the rest of the parsing.
-    ASTTransformerContext.get_pos_info = _place
+    ASTTransformerContext.get_pos_info = _format_source_position
     folder = cache_folder()
     folder.mkdir(parents=True, exist_ok=True)
     with contextlib.redirect_stdout(io.StringIO()):
@@ -70,27 +70,27 @@ def _initialise():
     return ti
 
 
-def _place(context: Any, node: Any) -> str:
-    """Return file, line and function of an expression of a kernel."""
+def _format_source_position(context: Any, node: Any) -> str:
+    """Return file, line and function of a node of the syntax tree of a kernel, for messages of Taichi."""
     return f'File "{context.file}", line {node.lineno + context.lineno_offset}, in {context.func.func.__name__}:\n'
 
 
 @contextlib.contextmanager
 def _fast_module_lookup() -> Iterator[None]:
-    """Speed up `inspect.getmodule` during the import of Taichi.
+    """Replace `inspect.getmodule` by a faster function in a with block, during the import of Taichi.
 
     `inspect.getmodule` searches all loaded modules for that of each function, which takes a quarter of the import.
     Functions and frames contain the name of their module.
     """
     search, importer = inspect.getmodule, threading.get_ident()
 
-    def module(thing: object, _filename: str | None = None) -> ModuleType | None:
+    def get_defining_module(thing: object, _filename: str | None = None) -> ModuleType | None:
         if threading.get_ident() != importer:
             return search(thing, _filename)
         known = getattr(thing, "f_globals", None) or getattr(thing, "__globals__", None) or {}
         return sys.modules.get(known.get("__name__", "")) or search(thing, _filename)
 
-    inspect.getmodule = module  # type: ignore[assignment]
+    inspect.getmodule = get_defining_module  # type: ignore[assignment]
     try:
         yield
     finally:

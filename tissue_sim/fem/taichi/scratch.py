@@ -17,7 +17,7 @@ VECTORS = 3200
 
 
 @dataclass(frozen=True)
-class ElementSize:
+class LargestElementSize:
     """Size of the largest element for which a kernel reserves vectors of the scratch field.
 
     Attributes:
@@ -31,8 +31,8 @@ class ElementSize:
     modes: int
 
 
-def scratch(lanes: int, size: int):
-    """Return the field; a kernel may use its first `size` vectors while the kernel runs.
+def get_scratch_field(lanes: int, size: int):
+    """Return the shared scratch field; a kernel may use its first `size` vectors while the kernel runs.
 
     Args:
         lanes: required number of components of a vector.
@@ -42,12 +42,13 @@ def scratch(lanes: int, size: int):
         ValueError: the field has fewer vectors, or vectors of another length.
     """
     if lanes != LANES or size > VECTORS:
-        raise ValueError(f"the scratch field has {VECTORS} vectors of {LANES} components; got a request for {size} of "
-                         f"{lanes}")
-    return _create_field()
+        raise ValueError(f"size must be at most {VECTORS} vectors of {LANES} components; got {size} vectors of "
+                         f"{lanes}. Increase VECTORS in tissue_sim/fem/taichi/scratch.py.")
+    return _create_scratch_field()
 
 
 @cache
-def _create_field():
+def _create_scratch_field():
+    """Create the scratch field of `VECTORS` vectors, once per process."""
     ti = initialise()
     return ti.Vector.field(LANES, ti.f64, shape=VECTORS)

@@ -1,9 +1,9 @@
 """Tracing of plug-in formulas, written in Python and NumPy, into code of a kernel.
 
 Taichi compiles the source of functions that carry its decorators only. A formula of a plug-in is therefore called with
-`Traced` numbers when the kernel is compiled, and each operation becomes an operation of the kernel. The formula may
-call functions, loop and index; a branch must not depend on a number, for which ``numpy.where`` is used. Constant zeros
-and ones are folded, so that components that vanish in a plane or on an axis cost nothing.
+`TracedNumber` objects when the kernel is compiled, and each operation becomes an operation of the kernel. The formula
+may call functions, loop and index; a branch must not depend on a number, for which ``numpy.where`` is used. Constant
+zeros and ones are folded, so that components that vanish in a plane or on an axis take no time.
 
 The key of a compiled kernel consists of its operations, so that two formulas of the same name are two kernels.
 """
@@ -37,7 +37,7 @@ TRIED: Any = object()
 Thing = TypeVar("Thing")
 
 
-class Formula(NamedTuple, Generic[Thing]):
+class KernelFormula(NamedTuple, Generic[Thing]):
     """Formula for which a kernel is compiled: a frozen dataclass and its constants, without its declared parameters.
 
     Attributes:
@@ -49,31 +49,31 @@ class Formula(NamedTuple, Generic[Thing]):
     constants: tuple[tuple[str, Any], ...]
 
     @classmethod
-    def of(cls, thing: Thing) -> Formula[Thing]:
-        """Return the formula of an effect or a law."""
+    def from_instance(cls, thing: Thing) -> KernelFormula[Thing]:
+        """Return the formula of the class of an effect or a law, with the constants of this instance."""
         kind: Any = type(thing)
         known = declared(kind)
         return cls(kind, tuple((entry.name, getattr(thing, entry.name)) for entry in fields(kind)
                                if entry.name not in known))
 
     @property
-    def parameters(self) -> tuple[str, ...]:
-        """Names of the declared parameters, in order."""
+    def parameter_names(self) -> tuple[str, ...]:
+        """Names of the declared parameters of the class, in the order of declaration."""
         return tuple(declared(self.kind))
 
-    def numbers(self, thing: Thing) -> list[float]:
-        """Return the parameters of a law or effect, in order."""
-        return [float(getattr(thing, name)) for name in self.parameters]
+    def get_parameter_values(self, thing: Thing) -> list[float]:
+        """Return the values of the declared parameters of a law or effect, in the order of `parameter_names`."""
+        return [float(getattr(thing, name)) for name in self.parameter_names]
 
-    def bind(self, parameters: Iterable[Any]) -> Thing:
-        """Return a law or effect with these parameters, which may be traced numbers and are not checked."""
+    def with_parameters(self, parameters: Iterable[Any]) -> Thing:
+        """Return a law or effect with these parameter values, which may be traced numbers and are not checked."""
         thing: Thing = object.__new__(self.kind)
-        for name, value in (*self.constants, *zip(self.parameters, parameters, strict=True)):
+        for name, value in (*self.constants, *zip(self.parameter_names, parameters, strict=True)):
             object.__setattr__(thing, name, value)
         return thing
 
 
-class Traced(NDArrayOperatorsMixin):
+class TracedNumber(NDArrayOperatorsMixin):
     """Scalar or vector of a kernel that records the operations of a formula.
 
     Args:
@@ -89,10 +89,11 @@ class Traced(NDArrayOperatorsMixin):
         self.value, self.lanes = value if value is TRIED else initialise().lang.impl.expr_init(value), lanes
 
     def __bool__(self):
-        raise InputError("a formula in a kernel cannot branch on a number; choose with numpy.where")
+        raise InputError("a formula in a kernel cannot branch on a number (if, and, or). Choose between values "
+                         "with numpy.where.")
 
     def __array_ufunc__(self, ufunc, method, *inputs, **options):
-        """Record an operator or a NumPy function."""
+        """Return the traced result of an operator or a NumPy function."""
         # `a += b` binds the name a to another number.
         in_place = options.pop("out", None)
         if method != "__call__" or options or not (in_place is None or in_place[0] is inputs[0]):
@@ -105,15 +106,15 @@ class Traced(NDArrayOperatorsMixin):
             return _trace_operation(_OPERATORS[ufunc], *operands)
         if ufunc in _FUNCTIONS:
             return _trace_operation(getattr(initialise(), _FUNCTIONS[ufunc]), *operands)
-        raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}; it has exp, log, sqrt, tanh, sin, "
-                         "cos, tan, abs, maximum, minimum and where")
+        raise InputError(f"a formula in a kernel cannot use numpy.{ufunc.__name__}. Use exp, log, sqrt, tanh, sin, "
+                         "cos, tan, abs, maximum, minimum or where.")
 
     def __array_function__(self, function, types, arguments, options):
-        """Record ``numpy.where``."""
+        """Return the traced result of ``numpy.where``, the only other NumPy function that a formula may use."""
         if function is not np.where or options or len(arguments) != 3:
             return NotImplemented
         condition, yes, no = arguments
-        vector = next((x for x in arguments if isinstance(x, Traced) and x.lanes), None)
+        vector = next((x for x in arguments if isinstance(x, TracedNumber) and x.lanes), None)
         if vector is not None:
             yes, no = (_spread_over_lanes(x, vector) for x in (yes, no))
             if not condition.lanes:
@@ -121,15 +122,15 @@ class Traced(NDArrayOperatorsMixin):
         return _trace_operation(initialise().select, condition, yes, no)
 
 
-def traced(values: Sequence[Any], lanes: bool) -> list[Traced]:
-    """Return expressions as traced numbers."""
-    return [Traced(value, lanes) for value in values]
+def trace_values(values: Sequence[Any], lanes: bool) -> list[TracedNumber]:
+    """Return Taichi expressions wrapped as traced numbers; `lanes`: whether the expressions are vectors."""
+    return [TracedNumber(value, lanes) for value in values]
 
 
-def expressions(values: Sequence[Any], like: Any) -> list[Any]:
-    """Return the results of a formula as expressions, as vectors if the traced number `like` is a vector."""
+def extract_expressions(values: Sequence[Any], like: Any) -> list[Any]:
+    """Return results of a formula as Taichi expressions; as vectors if the traced number `like` is a vector."""
     if not like.lanes:
-        return [value.value if isinstance(value, Traced) else float(value) for value in values]
+        return [value.value if isinstance(value, TracedNumber) else float(value) for value in values]
     return [_spread_over_lanes(value, like).value for value in values]
 
 
@@ -137,32 +138,36 @@ def _simplify_operation(ufunc: np.ufunc, left: Any, right: Any) -> Any:
     """Simplify an operation with a constant 0 or 1, or an integer power; return None if neither applies."""
     if ufunc is np.power and isinstance(right, int) and 1 <= right <= _PRODUCTS:
         return reduce(operator.mul, [left] * right)
-    if (ufunc is np.multiply and (_is(left, 0) or _is(right, 0))) or (ufunc is np.divide and _is(left, 0)):
+    if (ufunc is np.multiply and (_is_constant(left, 0) or _is_constant(right, 0))) or (
+            ufunc is np.divide and _is_constant(left, 0)):
         return 0.0
-    if (ufunc in (np.add, np.subtract) and _is(right, 0)) or (ufunc in (np.multiply, np.divide) and _is(right, 1)):
+    if (ufunc in (np.add, np.subtract) and _is_constant(right, 0)) or (ufunc in (np.multiply,
+                                                                                 np.divide) and _is_constant(right, 1)):
         return left
-    if (ufunc is np.add and _is(left, 0)) or (ufunc is np.multiply and _is(left, 1)):
+    if (ufunc is np.add and _is_constant(left, 0)) or (ufunc is np.multiply and _is_constant(left, 1)):
         return right
-    return -right if ufunc is np.subtract and _is(left, 0) else None
+    return -right if ufunc is np.subtract and _is_constant(left, 0) else None
 
 
-def _is(value: Any, number: int) -> bool:
-    return not isinstance(value, Traced) and value == number
+def _is_constant(value: Any, number: int) -> bool:
+    """Whether a value is the plain number `number`, not a traced number."""
+    return not isinstance(value, TracedNumber) and value == number
 
 
-def _trace_operation(function: Callable, *operands: Any) -> Traced:
-    lanes = any(isinstance(x, Traced) and x.lanes for x in operands)
-    if any(isinstance(x, Traced) and x.value is TRIED for x in operands):
-        return Traced(TRIED, lanes)
-    return Traced(function(*(x.value if isinstance(x, Traced) else float(x) for x in operands)), lanes)
+def _trace_operation(function: Callable, *operands: Any) -> TracedNumber:
+    """Return the traced result of a Taichi function of numbers; nothing is computed for `TRIED` operands."""
+    lanes = any(isinstance(x, TracedNumber) and x.lanes for x in operands)
+    if any(isinstance(x, TracedNumber) and x.value is TRIED for x in operands):
+        return TracedNumber(TRIED, lanes)
+    return TracedNumber(function(*(x.value if isinstance(x, TracedNumber) else float(x) for x in operands)), lanes)
 
 
-def _spread_over_lanes(value: Any, vector: Traced) -> Traced:
-    """A number in all lanes of a vector."""
-    if isinstance(value, Traced) and value.lanes:
+def _spread_over_lanes(value: Any, vector: TracedNumber) -> TracedNumber:
+    """Return a number as a traced vector with the number in every lane, like the traced vector `vector`."""
+    if isinstance(value, TracedNumber) and value.lanes:
         return value
     if vector.value is TRIED:
-        return Traced(TRIED, lanes=True)
-    plain = value.value if isinstance(value, Traced) else float(value)
+        return TracedNumber(TRIED, lanes=True)
+    plain = value.value if isinstance(value, TracedNumber) else float(value)
     # The lanes of a comparison are no numbers: a select makes them some.
-    return Traced(vector.value * 0.0 + plain, lanes=True)
+    return TracedNumber(vector.value * 0.0 + plain, lanes=True)
