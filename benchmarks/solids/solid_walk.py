@@ -194,7 +194,7 @@ def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMes
 def _running(session: Session) -> Frame:
     """Return the first frame of a running loop that has the curve of the whole test."""
     until = time.monotonic() + PATIENCE
-    while (frame := session.frame()).readouts is None or frame.snapshot is None or session.waits_for_curve:
+    while (frame := session.frame()).readouts is None or frame.snapshot is None or session.is_waiting_for_curve:
         if frame.phase is Phase.DIED or time.monotonic() > until:
             raise SystemExit(f"the simulation does not start: {frame.message}")
         time.sleep(0.05)

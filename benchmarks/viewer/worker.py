@@ -33,7 +33,7 @@ import tissue_sim as ts
 from benchmarks.viewer.client import readouts_in
 from benchmarks.viewer.ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, peak_memory
 from haptics.loop.ring import RingReader
-from scenes.viewer.cut_away import CutAway
+from scenes.viewer.cut_away import HalfSection
 from scenes.viewer.frame import Frame, NullViewer, Phase, Viewer
 from scenes.viewer.measurement import build_measurement
 from scenes.viewer.page import Page
@@ -78,8 +78,8 @@ class Stopwatch:
         Fields.at_points = self.timed("fields", Fields.at_points)
         bodies = scenes.viewer.bodies
         bodies.extrapolate = self.timed("fields", bodies.extrapolate)
-        solid.field_range = self.timed("fields", solid.field_range)
-        CutAway.bands = self.timed("bands", CutAway.bands)
+        solid.compute_colour_range = self.timed("fields", solid.compute_colour_range)
+        HalfSection.compute_band_surfaces = self.timed("bands", HalfSection.compute_band_surfaces)
         page._update_panels = self.timed("words", page._update_panels)
         page.show, session.frame = self.timed("show", page.show), self.timed("frame", session.frame)
 

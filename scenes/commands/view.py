@@ -105,14 +105,14 @@ def run(arguments) -> int:
     reduced = read_reduced(arguments)
 
     from scenes.viewer.live_simulation import PATIENT, SETTINGS
-    from scenes.viewer.run import run_headless, run_page
-    from scenes.viewer.scene import BUILT_IN, Scene, read_measurements
+    from scenes.viewer.run import run_viewer_page, run_without_browser
+    from scenes.viewer.scene import BUILT_IN, Scene, read_measurements_by_kind
 
     material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
     experiment = reduced.model.experiment if reduced else make_experiment(arguments, make_protocol(arguments), material)
     source = arguments.material or arguments.reduced
     scene = Scene(SCENES[arguments.scene], experiment, material, source.name if source else BUILT_IN,
-                  read_measurements(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
+                  read_measurements_by_kind(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
     # Other solvers may need more than a tick for a step. The page can wait for them; a haptic device cannot.
     other = arguments.solver not in (Scene.solver, "reduced")
     settings = PATIENT if other and not arguments.device else SETTINGS
@@ -123,8 +123,8 @@ def run(arguments) -> int:
     if arguments.device:
         options["device"] = open_haptic(arguments.device)
     if arguments.headless:
-        answer = run_headless(scene, arguments.seconds, protocol=arguments.protocol,
-                              speed=arguments.speed_mm_s * 1e-3, **options)
+        answer = run_without_browser(scene, arguments.seconds, protocol=arguments.protocol,
+                                     speed=arguments.speed_mm_s * 1e-3, **options)
         if arguments.json:
             print_json(answer)
         elif answer["phase"] == "stopped":
@@ -134,8 +134,8 @@ def run(arguments) -> int:
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
         return ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
-    return run_page(scene, folder, read_page_options(arguments), seconds=arguments.seconds, json=arguments.json,
-                    **options)
+    return run_viewer_page(scene, folder, read_page_options(arguments), seconds=arguments.seconds, json=arguments.json,
+                           **options)
 
 
 def _show_bench(arguments) -> int:
@@ -147,14 +147,14 @@ def _show_bench(arguments) -> int:
     from haptics.devices.back_ends import open_sensor, open_stage
     from haptics.devices.contracts import DeviceError
     from scenes.viewer.bench.page import run_bench_page
-    from scenes.viewer.bench.sources import DevicesSource, RunSource
+    from scenes.viewer.bench.sources import ConnectedDevicesSource, RecordRunSource
 
     if arguments.run_folder and (arguments.sensor or arguments.stage):
         raise InputError("cannot be combined with --sensor and --stage. Give --run, or the devices", field="--run")
     if not arguments.run_folder and not arguments.sensor:
         raise InputError("requires a force sensor. Add --sensor", field="--stage")
     try:
-        source = RunSource(arguments.run_folder) if arguments.run_folder else DevicesSource(
+        source = RecordRunSource(arguments.run_folder) if arguments.run_folder else ConnectedDevicesSource(
             open_sensor(arguments.sensor), open_stage(arguments.stage) if arguments.stage else None)
     except DeviceError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
@@ -163,9 +163,9 @@ def _show_bench(arguments) -> int:
 
 
 def read_page_options(arguments) -> dict:
-    """Return the options of the page for `scenes.viewer.run.run_page`."""
-    from scenes.viewer.page_token import make_token
+    """Return the options of the page for `scenes.viewer.run.run_viewer_page`."""
+    from scenes.viewer.page_token import make_access_token
 
     return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose,
-            "token": "" if arguments.no_token else make_token(), "open": arguments.open,
+            "token": "" if arguments.no_token else make_access_token(), "open": arguments.open,
             "low_graphics": arguments.low_graphics, "dark": arguments.dark}

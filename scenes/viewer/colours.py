@@ -27,7 +27,7 @@ ROUND = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 
 
 @dataclass(frozen=True)
-class ColourSettings:
+class ColourLevelSettings:
     """Rules for the levels of the colours.
 
     Attributes:
@@ -46,10 +46,10 @@ class ColourSettings:
 
 
 #: Settings of the viewer.
-SETTINGS = ColourSettings()
+SETTINGS = ColourLevelSettings()
 
 
-def field_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1.0) -> tuple[float, float]:
+def compute_colour_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1.0) -> tuple[float, float]:
     """Return the smallest and largest value for the colours: the `volume_range` of a field without rounding error.
 
     Args:
@@ -90,14 +90,14 @@ def choose_band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np
         raise InputError(f"must have a finite range in ascending order; got {low:g} to {high:g}", field="levels")
     largest = max(abs(low), abs(high))
     if high - low > SETTINGS.rounding * largest:
-        return _round_levels(low, high, bands)
+        return _choose_round_levels(low, high, bands)
     if largest < 1e-100:
-        return _round_levels(0.0, 1.0, bands)
+        return _choose_round_levels(0.0, 1.0, bands)
     # With a level at the value, rounding errors would alternate between two colours.
-    return _round_levels(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
+    return _choose_round_levels(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
 
 
-def keep_steady_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
+def update_band_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
     """Return levels for a range that changes with time, and keep the previous levels while they are suitable.
 
     Args:
@@ -107,8 +107,8 @@ def keep_steady_levels(previous: np.ndarray | None, low: float, high: float, ban
         bands: Number of bands.
 
     Returns:
-        `previous`, the same object, if these levels cover the range and span at most `ColourSettings.widest` times the
-        range of `choose_band_levels`; otherwise `choose_band_levels`.
+        `previous`, the same object, if these levels cover the range and span at most `ColourLevelSettings.widest` times
+        the range of `choose_band_levels`; otherwise the levels of `choose_band_levels`.
 
     Raises:
         InputError: As `choose_band_levels`.
@@ -144,7 +144,7 @@ def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]],
     for k, colour in enumerate(colours):
         name = "#{:02x}{:02x}{:02x}".format(*colour)
         shape = f";clip-path:{points[k]}" if k in points else ""
-        blocks.append(f'<div data-colour="{name}" title="{_describe_band(numbers, k)}{power}" '
+        blocks.append(f'<div data-colour="{name}" title="{_describe_band_range(numbers, k)}{power}" '
                       f'style="flex:1;background:{name}{shape}"></div>')
     every = 2 if bands % 2 == 0 else 1
     ticks = [f'<span style="position:absolute;left:{100 * k / bands:g}%;transform:translateX(-50%)">{numbers[k]}</span>'
@@ -159,7 +159,7 @@ def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]],
             f'{"".join(ticks)}</div></div></div>')
 
 
-def _round_levels(low: float, high: float, bands: int, apart_from: float | None = None) -> np.ndarray:
+def _choose_round_levels(low: float, high: float, bands: int, apart_from: float | None = None) -> np.ndarray:
     """Return multiples of the smallest round step that cover a range, none of them near the value `apart_from`."""
     smallest = np.floor(np.log10((high - low) / bands))
     for step in (factor * 10.0**power for power in (smallest, smallest + 1, smallest + 2) for factor in ROUND):
@@ -191,7 +191,7 @@ def _format_levels(levels: np.ndarray) -> tuple[list[str], str]:
     return numbers, f" × 10{superscript}" if power else ""
 
 
-def _describe_band(numbers: list[str], band: int) -> str:
+def _describe_band_range(numbers: list[str], band: int) -> str:
     """Describe the range of a band, such as "1 to 2"."""
     if band == 0:
         return f"below {numbers[1]}"

@@ -11,8 +11,8 @@ import numpy as np
 
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationState
-from scenes.viewer.measurement import Measurement, Residual
-from scenes.viewer.revolution import Surface
+from scenes.viewer.measurement import ForceResidual, Measurement
+from scenes.viewer.revolution import TriangulatedSurface
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.snapshot import Snapshot
@@ -28,7 +28,7 @@ class Phase(Enum):
 
 
 @dataclass(frozen=True)
-class FrameSettings:
+class FrameRateSettings:
     """Rates of the frames of a session.
 
     Attributes:
@@ -41,11 +41,11 @@ class FrameSettings:
 
 
 #: Rates of every session.
-FRAMES = FrameSettings()
+FRAMES = FrameRateSettings()
 
 
 @dataclass(frozen=True)
-class Readouts:
+class SimulationReadouts:
     """Present numbers of the simulation.
 
     Attributes:
@@ -98,7 +98,7 @@ class Curves:
     model: ts.Recording | None = None
     compared: tuple[str, ts.Recording] | None = None
     measurement: Measurement | None = None
-    residual: Residual | None = None
+    residual: ForceResidual | None = None
     trace: Trace | None = None
     replayed: tuple[np.ndarray, np.ndarray] | None = None
     number: int = 0
@@ -128,11 +128,11 @@ class Frame:
     message: str
     scene: Scene
     snapshot: Snapshot | None
-    readouts: Readouts | None
+    readouts: SimulationReadouts | None
     curves: Curves
     motion: str
     target: float
-    surface: Surface | None = None
+    surface: TriangulatedSurface | None = None
     calibration: CalibrationState = field(default_factory=CalibrationState)
     across: tuple[float, float] = (0.0, 0.0)
 

@@ -77,7 +77,7 @@ class Traffic:
 
     def foreign(self, server):
         """Requested addresses outside the server, without blob and data URLs, which cause no request."""
-        place = server.url.removeprefix("http://")
+        place = server.local_url.removeprefix("http://")
         own = tuple(f"{scheme}://{place}/" for scheme in ("http", "ws", "blob:http"))
         return [url for url in self.urls if not url.startswith(own) and not url.startswith("data:")]
 
@@ -94,7 +94,7 @@ def pages_of(browser, chromium):
         page = traffic.watch(context.new_page())
         page.set_default_timeout(PATIENCE * 1e3)
         opened.append((server, context, page, traffic))
-        chromium.open_viewer(page, server.address(), triangles=triangles, pixel_ratio=pixel_ratio)
+        chromium.open_viewer(page, server.make_page_address(), triangles=triangles, pixel_ratio=pixel_ratio)
         return page
 
     open_one.traffic = lambda page: next(traffic for _, _, one, traffic in opened if one is page)
@@ -159,10 +159,10 @@ class Shown:
 
     @property
     def url(self) -> str:
-        return self.page.server.url
+        return self.page.server.local_url
 
     def address(self) -> str:
-        return self.page.server.address()
+        return self.page.server.make_page_address()
 
     def ask(self, command: str, **values) -> None:
         """Post a command to the session and wait for its execution, like another browser."""

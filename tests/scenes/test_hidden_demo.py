@@ -17,7 +17,7 @@ from scenes.cli import main
 from scenes.commands.demo.found_scene import make_before_and_after_scene
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
 from scenes.demo.hidden_test import MEASUREMENT, build_plain_models
-from scenes.viewer.measurement import residual
+from scenes.viewer.measurement import compute_force_residual
 from scenes.viewer.session import Session
 
 RELAXING = 23
@@ -113,7 +113,8 @@ def test_the_viewer_shows_both_models(demo):
     assert scene.kind.name == "needle_indentation" and scene.compared[0] == "without viscoelasticity"
     assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "the material relaxes"
     with_it = ts.simulate(ts.Model(scene.experiment, scene.material))
-    assert residual(with_it, scene.measurement).rmse < 0.6 * residual(scene.compared[1], scene.measurement).rmse
+    without_it = compute_force_residual(scene.compared[1], scene.measurement)
+    assert compute_force_residual(with_it, scene.measurement).rmse < 0.6 * without_it.rmse
 
 
 @pytest.mark.slow
@@ -122,7 +123,8 @@ def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     scene = make_before_and_after_scene(result, out / "measured")
     asked = []
-    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.request", lambda self, model: asked.append(model))
+    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurveWorker.request_curve",
+                        lambda self, model: asked.append(model))
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:
         assert asked[0].rig.backlash == 1e-4
@@ -138,7 +140,7 @@ def test_the_page_opens_after_the_run(demo, monkeypatch, tmp_path):
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     shown = []
     monkeypatch.setattr("scenes.demo.hidden_test.run_hidden_demo", lambda *_, **__: SimpleNamespace(result=result))
-    monkeypatch.setattr("scenes.viewer.run.run_page", lambda scene, *_, **__: shown.append(scene) or 0)
+    monkeypatch.setattr("scenes.viewer.run.run_viewer_page", lambda scene, *_, **__: shown.append(scene) or 0)
     assert main(["demo", "--hidden", "--view", "--seed", "1", "-o", str(out), "--overwrite"]) == 0
     assert shown[0].kind.name == "needle_indentation" and shown[0].compared is not None
 

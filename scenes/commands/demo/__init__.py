@@ -74,10 +74,10 @@ def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
         print_json(answer.to_json())
     if arguments.view:
         from scenes.commands.demo.found_scene import make_before_and_after_scene
-        from scenes.viewer.run import run_page
+        from scenes.viewer.run import run_viewer_page
 
-        return run_page(make_before_and_after_scene(answer.result, output / "measured"), answer.result.output,
-                        read_page_options(arguments), json=arguments.json)
+        return run_viewer_page(make_before_and_after_scene(answer.result, output / "measured"), answer.result.output,
+                               read_page_options(arguments), json=arguments.json)
     return ExitCode.DONE
 
 
@@ -98,11 +98,11 @@ def _show_page(arguments, output: Path, material_file: Path) -> int:
     """Show the page of an indentation of the calibrated material, with the measurements."""
     import tissue_sim as ts
     from scenes.demo.specimen import DEPTH, SPECIMEN
-    from scenes.viewer.run import run_page
-    from scenes.viewer.scene import Scene, read_measurements
+    from scenes.viewer.run import run_viewer_page
+    from scenes.viewer.scene import Scene, read_measurements_by_kind
     from tissue_sim.experiment.kinds.indentation import NEEDLE
 
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
-    measured = read_measurements(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
+    measured = read_measurements_by_kind(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
     scene = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
-    return run_page(scene, material_file.parent, read_page_options(arguments), json=arguments.json)
+    return run_viewer_page(scene, material_file.parent, read_page_options(arguments), json=arguments.json)

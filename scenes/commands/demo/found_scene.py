@@ -11,7 +11,7 @@ import tissue_sim as ts
 from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, add_effect
 from scenes.demo.hidden_test import KINDS, build_plain_models
 from scenes.viewer.measurement import make_motion_protocol
-from scenes.viewer.scene import Scene, read_measurements
+from scenes.viewer.scene import Scene, read_measurements_by_kind
 
 if TYPE_CHECKING:
     from calibration import Diagnosis, DiagnosisResult
@@ -30,7 +30,7 @@ def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scen
     diagnosis = result.diagnosis
     test = _select_test(diagnosis)
     kind = ts.KINDS[KINDS[test]]
-    measurements = read_measurements(sorted(measured.glob("*.csv")), kind.name)
+    measurements = read_measurements_by_kind(sorted(measured.glob("*.csv")), kind.name)
     plain = build_plain_models()[test]
     fitted = {name: diagnosis.fit_before.parameters[name] for name in plain.material.parameters}
     found = plain = replace(plain, material=replace(plain.material, parameters=fitted, name="plain model"))

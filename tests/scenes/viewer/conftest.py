@@ -44,7 +44,7 @@ class ManualPool:
 
 @pytest.fixture
 def pool(monkeypatch) -> ManualPool:
-    """Manual pool that each new `ModelCurve` uses."""
+    """Manual pool that each new `ModelCurveWorker` uses."""
     pool = ManualPool()
     monkeypatch.setattr("scenes.viewer.model_curve.ProcessPool", lambda count: pool)
     return pool
