@@ -11,7 +11,7 @@ from tissue_sim.experiment.kinds.kind import TestKind
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class PredictedAndMeasuredForce:
     """Predicted force curve of a test and its measured replicates.
 
     Attributes:

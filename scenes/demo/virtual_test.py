@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
-from scenes.demo.comparison import Comparison
-from scenes.demo.figure import draw_demo
-from scenes.demo.measurement_settings import MeasurementSettings
+from scenes.demo.comparison import PredictedAndMeasuredForce
+from scenes.demo.figure import draw_demo_figure
+from scenes.demo.measurement_settings import VirtualMeasurementSettings
 from scenes.demo.specimen import BULK_RATIO, DEPTH, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
@@ -19,7 +19,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.experiment.kinds.kind import TestKind
 
 #: Recordings and errors of the virtual measurements.
-MEASUREMENT = MeasurementSettings(replicates=3, samples=101, force_noise=0.02)
+MEASUREMENT = VirtualMeasurementSettings(replicates=3, samples=101, force_noise=0.02)
 #: Material laws that are calibrated.
 LAWS = ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1")
 
@@ -75,7 +75,8 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     seeds = iter(np.random.SeedSequence(seed).generate_state(3 * MEASUREMENT.replicates).tolist())
 
     say("1 measuring the virtual specimen (the first run on a computer compiles the solver, about 10 s) ...")
-    measured = {kind: _simulate_measurements(kind, output / "measured", seeds) for kind in (LUBRICATED, BONDED, NEEDLE)}
+    measured = {kind: _simulate_and_write_replicates(kind, output / "measured", seeds)
+                for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
     campaign = output / "campaign.toml"
@@ -86,10 +87,12 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
 
     say("3 predicting the needle test and the bonded test, which the calibration did not use ...")
     material = ts.load_material(material_file)
-    needle, bonded = (_predict_recording(kind, measured[kind], material, output) for kind in (NEEDLE, BONDED))
+    needle, bonded = (_simulate_and_write_prediction(kind, measured[kind], material, output)
+                      for kind in (NEEDLE, BONDED))
 
     figure = output / "prediction.png"
-    draw_demo(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise, specimen=SPECIMEN)
+    draw_demo_figure(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise,
+                     specimen=SPECIMEN)
     answer = {
         "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
         "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
@@ -109,7 +112,7 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     return answer
 
 
-def _simulate_measurements(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
+def _simulate_and_write_replicates(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     """Simulate a test, and write its replicates as recordings of the virtual rig.
 
     Args:
@@ -132,7 +135,8 @@ def _simulate_measurements(kind: TestKind, folder: Path, seeds) -> list[ts.Recor
     return replicates
 
 
-def _predict_recording(kind: TestKind, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
+def _simulate_and_write_prediction(kind: TestKind, measured: list[ts.Recording], material: ts.Material,
+                                   output: Path) -> PredictedAndMeasuredForce:
     """Simulate the measured motion with the calibrated material, and write the recording.
 
     Args:
@@ -146,4 +150,4 @@ def _predict_recording(kind: TestKind, measured: list[ts.Recording], material: t
     predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=kind is NEEDLE,
                             estimate_error=False)
     ts.write_recording(predicted, output / f"predicted_{kind.name}.csv")
-    return Comparison(kind, measured, predicted)
+    return PredictedAndMeasuredForce(kind, measured, predicted)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.colour_scale import volume_range
+from scenes.colour_scale import compute_volume_quantiles
 from tissue_sim.errors import InputError
 from tissue_sim.fem.fields import FIELD_UNITS
 
@@ -50,7 +50,9 @@ SETTINGS = ColourLevelSettings()
 
 
 def compute_colour_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1.0) -> tuple[float, float]:
-    """Return the smallest and largest value for the colours: the `volume_range` of a field without rounding error.
+    """Return the smallest and largest value of a field for the colours, without rounding error of the solver.
+
+    The values are two quantiles by volume, as `compute_volume_quantiles` defines them.
 
     Args:
         values: Field at the quadrature points in the unit of the colours, shape (elements, q).
@@ -58,7 +60,7 @@ def compute_colour_range(values: np.ndarray, fields: Fields, name: str, factor: 
         name: Name of the field.
         factor: Unit of the colours per SI unit.
     """
-    low, high = volume_range(values, fields.weights, SETTINGS.excluded_volume)
+    low, high = compute_volume_quantiles(values, fields.weights, SETTINGS.excluded_volume)
     tolerance = SETTINGS.stress_tolerance * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     if max(abs(low), abs(high)) <= tolerance:
         return 0.0, 0.0

@@ -10,7 +10,7 @@ import webbrowser
 from pathlib import Path
 from typing import Any
 
-from scenes.stop_signals import stopped_by_signals
+from scenes.stop_signals import call_stop_at_signals
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
@@ -64,7 +64,7 @@ def run_viewer_page(scene: Scene, materials: Path, page: dict[str, Any], *, seco
             gc.collect()
             gc.freeze()  # exempts the existing objects from garbage collection, which would delay frames
             stop = threading.Event()
-            with stopped_by_signals(stop.set):
+            with call_stop_at_signals(stop.set):
                 session.run(viewer, stop, seconds)
         finally:
             gc.unfreeze()
@@ -94,7 +94,7 @@ def run_without_browser(scene: Scene, seconds: float, *, protocol: str | None = 
     session, viewer = Session(scene, **options), NullViewer()
     try:
         stop = threading.Event()
-        with stopped_by_signals(stop.set):
+        with call_stop_at_signals(stop.set):
             while not stop.is_set() and session.frame().phase is Phase.STARTING:
                 stop.wait(0.05)
             refused: list[str | None] = []

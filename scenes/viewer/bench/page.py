@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from haptics.recorder.live import UPDATE_INTERVAL
-from scenes.stop_signals import stopped_by_signals
+from scenes.stop_signals import call_stop_at_signals
 from scenes.viewer.bench.sources import BenchSource, BenchView
 from scenes.viewer.plots import make_sample_plot_options, round_axis_range
 from scenes.viewer.web_server import ViewerServer, describe_network_access, open_viewer_server
@@ -125,7 +125,7 @@ def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float 
         if page["open"]:
             webbrowser.open_new_tab(address)
         stop = threading.Event()
-        with stopped_by_signals(stop.set):
+        with call_stop_at_signals(stop.set):
             shown.run(stop, seconds)
     finally:
         shown.close()

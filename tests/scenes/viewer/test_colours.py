@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.colour_scale import volume_range
+from scenes.colour_scale import compute_volume_quantiles
 from scenes.viewer.colours import PALETTE, choose_band_levels, colour_bar_html, compute_colour_range, update_band_levels
 
 RANGES = st.tuples(st.floats(-1e6, 1e6), st.floats(1e-9, 1e6)).map(lambda pair: (pair[0], pair[0] + pair[1]))
@@ -98,10 +98,10 @@ def test_levels_change_rarely_for_an_oscillating_range():
 def test_range_excludes_a_fraction_of_the_volume_at_either_end():
     values = np.concatenate([[-1e6], np.linspace(0.0, 1.0, 1001), [1e6]])
     weights = np.concatenate([[1.0], np.ones(1001), [1.0]])
-    low, high = volume_range(values, weights)
+    low, high = compute_volume_quantiles(values, weights)
     assert 0.0 < low < 0.02 and 0.98 < high < 1.0
     # A small volume counts as little as it is.
-    assert volume_range(np.array([[0.0, 1.0], [2.0, 1e9]]), np.array([[1.0, 1.0], [1.0, 1e-6]]))[1] < 3.0
+    assert compute_volume_quantiles(np.array([[0.0, 1.0], [2.0, 1e9]]), np.array([[1.0, 1.0], [1.0, 1e-6]]))[1] < 3.0
 
 
 def test_range_of_a_field_ignores_rounding_errors():
