@@ -58,9 +58,9 @@ def draw_demo_figure(calibrated_on: list[Recording], material: Material, needle:
         axes.plot(test.predicted.displacement * 1e3, test.predicted.force, color=colour, linewidth=1.8,
                   label="predicted by finite elements")
         axes.set_title(f"Prediction: {test.kind.title.lower()}", loc="left", fontweight="bold")
-        error.plot(test.predicted.displacement * 1e3, test.error, color=colour, linewidth=1.2,
-                   label=f"{test.kind.title.lower()}, RMSE {test.rmse:.3f} N")
-    limit = 2.2 * max(3 * standard_error, abs(needle.error).max(), abs(bonded.error).max())
+        error.plot(test.predicted.displacement * 1e3, test.prediction_error, color=colour, linewidth=1.2,
+                   label=f"{test.kind.title.lower()}, RMSE {test.prediction_rmse:.3f} N")
+    limit = 2.2 * max(3 * standard_error, abs(needle.prediction_error).max(), abs(bonded.prediction_error).max())
     error.set_ylim(-limit, limit)
     error.set_title("Predicted − measured", loc="left", fontweight="bold")
     for axes in (calibration, *predictions, error):

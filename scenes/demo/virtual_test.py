@@ -96,17 +96,19 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     answer = {
         "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
         "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
-        "prediction_rmse_N": needle.rmse, "prediction_error_N": float(needle.error[-1]),
+        "prediction_rmse_N": needle.prediction_rmse, "prediction_error_N": float(needle.prediction_error[-1]),
         "predictions": [{"test": one.kind.name, "predicted_N": float(one.predicted.force[-1]),
-                         "measured_N": float(one.mean[-1]), "error_N": float(one.error[-1]), "RMSE_N": one.rmse}
+                         "measured_N": float(one.mean_measured_force[-1]), "error_N": float(one.prediction_error[-1]),
+                         "RMSE_N": one.prediction_rmse}
                         for one in (needle, bonded)],
         "noise_N": MEASUREMENT.force_noise, "wall_s": time.perf_counter() - started,
     }
     say(f"\nBest law: {material.energy_law.title}. At {DEPTH * 1e3:.0f} mm, with a sensor noise of "
         f"{MEASUREMENT.force_noise} N:", markup=False)
     for one in (needle, bonded):
-        say(f"{one.kind.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, measured {one.mean[-1]:.3f} N; "
-            f"RMSE over the curve {one.rmse:.3f} N", markup=False, soft_wrap=True)
+        say(f"{one.kind.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, "
+            f"measured {one.mean_measured_force[-1]:.3f} N; "
+            f"RMSE over the curve {one.prediction_rmse:.3f} N", markup=False, soft_wrap=True)
     for name in ("figure", "report", "material_file"):
         say(f"{name.replace('_', ' '):>20}: {answer[name]}", markup=False, soft_wrap=True)
     return answer

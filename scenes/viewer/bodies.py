@@ -65,28 +65,28 @@ class RevolvedBody:
 
     def evaluate_field(self, fields: Fields, name: str, positions: np.ndarray,
                        wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
-        """Return nodal values, values at integration points, and the fields that contain them."""
+        """Return nodal values, values at the quadrature points, and `fields`; shapes as in `DrawableBody`."""
         at_points = fields.at_points(name)
         nodal = fields.at_nodes(name) if name == "displacement" else extrapolate(fields.mesh, at_points)
         return nodal, at_points, fields
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               wedge: Wedge) -> list[TriangulatedSurface]:
-        """Return the surfaces of the colour bands between the levels."""
+        """Return the surface of each colour band between two levels: section faces and outer surface."""
         return self.cut_away.compute_band_surfaces(positions, values, levels, wedge.opening)
 
     def compute_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
-        """Return the line segments of the mesh on the cut faces."""
+        """Return the element edges on both section faces, shape (lines, 2, 3)."""
         return self.cut_away.compute_edge_lines(positions, wedge.opening)
 
     def find_contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
-        """Return the line segments that bound the contact area; None without contact."""
+        """Return lines along the contact on both section faces and around its rim; None without contact."""
         contact = find_tool_contact(self.cut_away.compute_contact_boundary(positions), tool, wedge.pose.depth,
                                     wedge.opening)
         return None if contact is None else contact.lines
 
     def make_undeformed_outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
-        """Return the outline of the undeformed body."""
+        """Return the dashed outline of the undeformed body, shape (lines, 2, 3)."""
         return self.cut_away.make_undeformed_outline(wedge.opening, tool=tool)
 
 

@@ -42,7 +42,7 @@ def apply_finished_calibration(session: CalibrationHost) -> None:
     function does nothing.
     """
     run = session.calibration
-    result = run.poll()
+    result = run.poll_fit()
     if result is None or run.scene is None:
         return
     if result.unusable:
@@ -54,7 +54,7 @@ def apply_finished_calibration(session: CalibrationHost) -> None:
         run.set_problem_message("The scene changed during the calibration, so the calibrated material is not in use. "
                                 "Save the material, or return to the previous scene and calibrate again.")
         return
-    session.scene = replace(before, measurements={**before.measurements, before.kind.name: run.measured})
+    session.scene = replace(before, measurements={**before.measurements, before.kind.name: run.combined_measurement})
     try:
         session.replace_material(result.material, CALIBRATED)
     except InputError as error:

@@ -68,12 +68,12 @@ class UploadedRecording:
 
     @property
     def max_displacement(self) -> float:
-        """Largest displacement, m."""
+        """Largest displacement of the recording, m."""
         return float(self.recording.displacement.max())
 
     @property
     def recording_duration(self) -> float | None:
-        """Duration, s; None if the recording has no time."""
+        """Duration of the recording, s; None if it has no time."""
         return float(self.recording.time[-1] - self.recording.time[0]) if "time" in self.recording else None
 
     @property
@@ -210,7 +210,7 @@ class CalibrationRun:
         self.state = replace(self.state, recordings=())
 
     @property
-    def measured(self) -> Measurement:
+    def combined_measurement(self) -> Measurement:
         """Measurement of all recordings.
 
         Raises:
@@ -228,7 +228,7 @@ class CalibrationRun:
                 process does not start.
         """
         self._refuse_during_fit()
-        _ = self.measured  # raises if the recordings are of different kinds
+        _ = self.combined_measurement  # raises if the recordings are of different kinds
         request = CalibrationRequest(scene.kind.name, scene.experiment, scene.rig, scene.material,
                                      group_replicates(self.state.recordings),
                                      {each.file.name: each.file.origin for each in self.state.recordings
@@ -260,7 +260,7 @@ class CalibrationRun:
         self._pool.stop()
         self._store_fit_outcome(problem="The calibration was cancelled. The material is unchanged.")
 
-    def poll(self) -> CalibrationResult | None:
+    def poll_fit(self) -> CalibrationResult | None:
         """Update the state from the process of the fit.
 
         Returns:
@@ -290,7 +290,7 @@ class CalibrationRun:
         return None
 
     def set_problem_message(self, problem: str) -> None:
-        """Set the message that explains why the last result is not in use."""
+        """Set the message of the state that explains why the last result is not in use."""
         self.state = replace(self.state, problem=problem)
 
     def close(self) -> None:

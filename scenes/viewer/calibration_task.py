@@ -113,12 +113,12 @@ def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> Calibr
     def write_progress_file() -> None:
         write_text(root / PROGRESS_FILE, json.dumps(status))
 
-    def progress(sentence: str, done: int = 0, of: int = 0) -> None:
+    def report_task(sentence: str, done: int = 0, of: int = 0) -> None:
         sentence = sentence.partition(": ")[2] or sentence
         status["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
         write_progress_file()
 
-    def listen(_campaign: str, _law: str, iteration: Iteration) -> None:
+    def report_iteration(_campaign: str, _law: str, iteration: Iteration) -> None:
         status.update(solves=status["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
         write_progress_file()
 
@@ -127,7 +127,8 @@ def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> Calibr
         write_progress_file()
         write_text(campaign, build_campaign_text(request, root))
         # The report is deleted with the folder, so its figures are not drawn.
-        result, = calibration.calibrate([campaign], root / "results", progress=progress, listen=listen, figures=False)
+        result, = calibration.calibrate([campaign], root / "results", progress=report_task, listen=report_iteration,
+                                        figures=False)
         fit = result.best
         if fit.material_file is None:
             raise InputError(f"The fit gives no material: {fit.unusable or fit.message}")
@@ -162,7 +163,7 @@ def build_campaign_text(request: CalibrationRequest, folder: Path) -> str:
     """
     from calibration.importing.campaign_text import format_toml_value
 
-    def table(heading: str, lines: dict[str, Any]) -> str:
+    def format_toml_table(heading: str, lines: dict[str, Any]) -> str:
         return "\n".join([heading, *(f"{key} = {format_toml_value(value)}" for key, value in lines.items())])
 
     experiment, material = request.experiment, request.material
@@ -182,10 +183,10 @@ def build_campaign_text(request: CalibrationRequest, folder: Path) -> str:
     for path, each in parameters(material).items():
         (start if path in material.parameters else fixed)[each.file_path] = float(each.value / each.declaration.factor)
     fit = {"method": "inverse_fem", "laws": [material.law], "start": start, **({"fixed": fixed} if fixed else {})}
-    tests = [table("[[test]]", {"name": f"test {number}", **test,
-                                "recordings": [f"{RECORDINGS}/{name}" for name in names]})
+    tests = [format_toml_table("[[test]]", {"name": f"test {number}", **test,
+                                            "recordings": [f"{RECORDINGS}/{name}" for name in names]})
              for number, names in enumerate(request.tests, start=1)]
-    return "\n\n".join([table("[[specimen]]", body), *tests, table("[fit]", fit)]) + "\n"
+    return "\n\n".join([format_toml_table("[[specimen]]", body), *tests, format_toml_table("[fit]", fit)]) + "\n"
 
 
 def _make_specimen_keys(specimen: ts.Specimen) -> dict[str, float | str]:

@@ -80,7 +80,7 @@ class SimulationReadouts:
 
 
 @dataclass(frozen=True, eq=False)
-class Curves:
+class PlotCurves:
     """Curves for the plots; each change creates a new object.
 
     Attributes:
@@ -129,7 +129,7 @@ class Frame:
     scene: Scene
     snapshot: Snapshot | None
     readouts: SimulationReadouts | None
-    curves: Curves
+    curves: PlotCurves
     motion: str
     target: float
     surface: TriangulatedSurface | None = None
@@ -138,7 +138,7 @@ class Frame:
 
 
 class Commands(Protocol):
-    """Receiver of commands, such as a `Session`."""
+    """Interface of an object that receives commands from a page, such as a `Session`."""
 
     def post(self, command: str, *, reply: Callable[[str | None], None] | None = None, **values: Any) -> None:
         """Queue a command.

@@ -200,7 +200,7 @@ class LiveSimulation:
         self._loop.stop()
 
     def skip_unread_ticks(self) -> None:
-        """Skip the ticks that have not been polled yet."""
+        """Skip the ticks that `poll_loop_process` has not read yet, and clear the statistics of the read-outs."""
         if self._ring is not None:
             self._number = self._ring.written
         self._statistics = self._statistics[:0]

@@ -43,12 +43,12 @@ class ModelCurveWorker:
         """Request the curve of a model; this replaces an earlier request that has not started."""
         self._requested = model
 
-    def forget(self) -> None:
-        """Delete the curve and all requests, because the test has changed."""
+    def discard_curve_and_requests(self) -> None:
+        """Delete the curve and all requests; for use when the kind of test has changed."""
         self.recording, self.problem, self._requested, self.number = None, "", None, self.number + 1
         self._stale = self._computed is not None
 
-    def poll(self) -> None:
+    def store_result_and_start_next(self) -> None:
         """Store a finished result, and start the computation of the next request."""
         if self._computed is not None and self._computed.done():
             computed, stale = self._computed, self._stale

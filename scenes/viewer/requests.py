@@ -60,8 +60,8 @@ def is_command_superseded(command: str, values: dict[str, Any],
             and later[0][2]["values"].keys() == values["values"].keys())
 
 
-def have_equal_law_and_parameter_names(a: ts.Material, b: ts.Material) -> bool:
-    """Return whether two materials have the same law and the same parameters up to their values."""
+def differ_in_parameter_values_only(a: ts.Material, b: ts.Material) -> bool:
+    """Return whether two materials differ at most in the values of their parameters and in their name."""
     values = parameter_values(b)
     if parameter_values(a).keys() != values.keys():
         return False

@@ -54,7 +54,7 @@ class WedgeOpening:
 
     @property
     def removes_nothing(self) -> bool:
-        """Whether nothing is removed."""
+        """Whether the angle of the wedge is zero, so that the whole solid is drawn."""
         return self.cut == 0.0
 
     @cached_property

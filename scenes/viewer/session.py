@@ -15,13 +15,13 @@ from haptics.devices.motions import HandMotion
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, apply_finished_calibration
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.frame import FRAMES, Curves, Frame, Phase, Viewer
+from scenes.viewer.frame import FRAMES, Frame, Phase, PlotCurves, Viewer
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited_material
 from scenes.viewer.measurement import compute_force_residual_if_possible, make_motion_protocol
 from scenes.viewer.model_curve import ModelCurveWorker
 from scenes.viewer.reach import limit_lateral_position
-from scenes.viewer.requests import CommandQueue, have_equal_law_and_parameter_names
+from scenes.viewer.requests import CommandQueue, differ_in_parameter_values_only
 from scenes.viewer.scene import Scene
 from scenes.viewer.tool_motions import HAND_SPEED, make_hand_motion, make_protocol_motion, make_replay_motion
 from scenes.viewer.trace import Trace
@@ -59,7 +59,7 @@ class Session:
         self._requests = CommandQueue()
         self._curve, self.calibration = ModelCurveWorker(curve_resolution, scene.solver,
                                                          scene.reduced), CalibrationRun()
-        self._curves, self._trace, self._frames = Curves(compared=scene.compared), Trace(), 0
+        self._curves, self._trace, self._frames = PlotCurves(compared=scene.compared), Trace(), 0
         #: Time since the start of the replay, s, and force, N, of the repeated recording.
         self._replayed: tuple | None = None
         #: Version of the trace: increases with each new point and with each clearing.
@@ -92,7 +92,7 @@ class Session:
         self._requests.queue_command(command, reply, values)
 
     def frame(self) -> Frame:
-        """Execute the queued commands, poll all processes, and return the present state."""
+        """Execute the queued commands, poll all processes, and return the new state for display."""
         self._requests.execute_queued_commands(lambda command, values: COMMANDS[command](self, **values))
         apply_finished_calibration(self)
         simulation = self._simulation
@@ -110,7 +110,7 @@ class Session:
             records = None
         if records is not None and len(records):
             self._trace_version += self._trace.append_ticks(records)
-        self._curve.poll()
+        self._curve.store_result_and_start_next()
         if self._frames % FRAMES.frames_per_plot == 0:
             self._update_plot_curves()
         self._frames += 1
@@ -246,7 +246,7 @@ class Session:
         if (reduced := self.scene.reduced) is not None:
             reduced.require_material(material)
         scene = replace(self.scene, material=material, source=source)
-        if not have_equal_law_and_parameter_names(self.scene.material, material):
+        if not differ_in_parameter_values_only(self.scene.material, material):
             self._restart_with_scene(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
@@ -304,12 +304,12 @@ class Session:
         self.calibration.close()
 
     def _restart_with_scene(self, scene: Scene) -> None:
-        """Start a simulation of a valid scene."""
+        """Make a valid scene the present one, and restart the simulation with it."""
         kind_changed = scene.kind is not self.scene.kind
         self.scene = scene
         if kind_changed:
-            self._curves = Curves()
-            self._curve.forget()
+            self._curves = PlotCurves()
+            self._curve.discard_curve_and_requests()
         self.restart_simulation()
 
 

@@ -67,7 +67,7 @@ class Wedge:
         return faces
 
     def find_points_inside(self, local: np.ndarray) -> np.ndarray:
-        """Return which points, given in the frame of the tool, lie inside the wedge, shape (n,)."""
+        """Return whether each point, shape (n, 3), m, in the frame of the tool, lies inside the wedge; shape (n,)."""
         inside = np.full(len(local), not self.opening.removes_nothing)
         for heights, _ in self.compute_face_coordinates(local):
             inside &= heights > 0.0

@@ -14,7 +14,7 @@ from scenes.viewer.bench.sources import RecordRunSource
 def watched(tmp_path):
     page = BenchPage(RecordRunSource(tmp_path / "run"), "127.0.0.1", 0)
     stop = threading.Event()
-    thread = threading.Thread(target=page.run, args=(stop,))
+    thread = threading.Thread(target=page.run_until_stopped, args=(stop,))
     thread.start()
     yield page, tmp_path / "run"
     stop.set()

@@ -139,7 +139,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
     with (folder, _watch_for_stop_request(arguments.json) as stop_request,
           _display_run_status(arguments.json) as show_status, live.publish()):
 
-        def watch(moment: RunProgress) -> None:
+        def publish_and_show_progress(moment: RunProgress) -> None:
             live.show(moment)
             show_status(moment)
 
@@ -149,7 +149,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
                 continue
             try:
                 recorder = Recorder(make_bench_devices(protocol, test), plan, protocol.limits, folder, about=about,
-                                    stop_request=stop_request, on_progress=watch)
+                                    stop_request=stop_request, on_progress=publish_and_show_progress)
                 # Copied before the motion starts, because a file may change or disappear during the run.
                 for path in protocol.referenced_files:
                     folder.copy_file(path)
@@ -231,10 +231,10 @@ def _display_run_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
                   transient=True) as progress:
         task = progress.add_task("starting; press Enter to stop", total=1.0)
 
-        def watch(moment: RunProgress) -> None:
+        def update_status_line(moment: RunProgress) -> None:
             replicate = f" {moment.replicate}" if moment.replicate else ""
             progress.update(task, completed=moment.fraction, description=(
                 f"{moment.test}{replicate} {moment.phase}: {moment.position * 1e3:7.3f} mm {moment.force:7.3f} N; "
                 "press Enter to stop"))
 
-        yield watch
+        yield update_status_line

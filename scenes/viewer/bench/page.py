@@ -41,7 +41,7 @@ class BenchPage:
                        for name, label in (("depth", "depth [mm]"), ("time", "time [s]"))}
 
     def show_view(self, view: BenchView) -> None:
-        """Update texts and plots."""
+        """Update the texts and the plots of the page to a state of the bench."""
         self._status.content = bench_status_html(view)
         finite = np.isfinite(view.displacement)
         order = np.argsort(view.displacement[finite], kind="stable")
@@ -61,7 +61,7 @@ class BenchPage:
                 setattr(plot, key, value)
         plot.data = (x, force)
 
-    def run(self, stop: threading.Event, seconds: float | None = None) -> None:
+    def run_until_stopped(self, stop: threading.Event, seconds: float | None = None) -> None:
         """Read the bench source and update the page at intervals of 0.2 s.
 
         Args:
@@ -81,7 +81,7 @@ class BenchPage:
 
 
 def bench_status_html(view: BenchView) -> str:
-    """Show the title, the progress, a message, and force and depth in large digits as HTML."""
+    """Return HTML with the title, the progress, a message, and force and depth in large digits."""
     def format_value_html(key: str, label: str, value: float | None, decimals: int, unit: str) -> str:
         text = "–" if value is None else f"{round(value, decimals) + 0.0:.{decimals}f}"
         return (f'<div style="flex:1"><div style="font-size:0.75em;opacity:0.7">{label}</div>'
@@ -126,7 +126,7 @@ def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float 
             webbrowser.open_new_tab(address)
         stop = threading.Event()
         with call_stop_at_signals(stop.set):
-            shown.run(stop, seconds)
+            shown.run_until_stopped(stop, seconds)
     finally:
         shown.close()
     return 0

@@ -138,7 +138,7 @@ class Page:
         self.server.stop()
 
     def _update_panels(self, frame: Frame) -> None:
-        """Update texts, controls and plots."""
+        """Update the texts, the controls of all tabs and the plots."""
         for handle, html in ((self._title, scene_title_html(frame.scene)), (self._status, status_html(frame)),
                              (self._readouts, readouts_html(frame))):
             if handle.content != html:

@@ -101,7 +101,7 @@ class CalibrationControls:
 
 
 def recordings_html(state: CalibrationState, scene: Scene) -> str:
-    """Describe each uploaded recording as HTML, with warnings where a recording does not fit the scene."""
+    """Return HTML that describes each uploaded recording, with warnings where a recording does not fit the scene."""
     if not state.recordings:
         title = escape(scene.kind.title.lower())
         return (f'<div style="{_SMALL}" data-testid="recordings">Upload recordings of this test ({title}) that were '
@@ -125,7 +125,7 @@ def _describe_recording_html(uploaded: UploadedRecording, scene: Scene) -> str:
 
 
 def calibration_html(state: CalibrationState) -> str:
-    """Describe the progress of the running fit, the last problem and the last result as HTML."""
+    """Return HTML with the progress of the running fit, the last problem and the last result."""
     parts = []
     if state.status is not None:
         status = state.status
@@ -144,13 +144,13 @@ def calibration_html(state: CalibrationState) -> str:
 
 
 def _format_parameter(name: str, value: float, si_unit: str) -> str:
-    """Name, value and display unit of a parameter that is given in SI."""
+    """Return name, value and display unit of a parameter as text; `value` is in SI."""
     unit, factor = get_display_unit(si_unit)
     return f"{name} {factor * value:.5g} {unit}".rstrip()
 
 
 def _fit_result_html(result: CalibrationResult) -> str:
-    """Table of the fitted parameters with 95 % intervals, then RMSE and warnings."""
+    """Return HTML with a table of the fitted parameters and their 95 % intervals, then RMSE and warnings."""
     rows = []
     for name, found in result.values.items():
         unit, factor = get_display_unit(found.unit)

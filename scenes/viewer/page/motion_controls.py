@@ -67,7 +67,7 @@ class PositionSlider:
         return min(max(value, self.slider.min), self.slider.max)
 
     def display_coordinate(self, value: float) -> None:
-        """Show a coordinate of the tool, mm.
+        """Set the slider to a coordinate of the tool, mm, unless a new entry is being processed.
 
         A typed number outside of the range is not overwritten if the tool stands at the nearest limit, because the
         user may still be typing.
@@ -181,7 +181,7 @@ class MotionControls:
         self._post_aim_command(event, across=(x, y))
 
     def _post_aim_command(self, event: Any, **position: Any) -> None:
-        """Post the command `Session.set_hand_target` with its arguments."""
+        """Post the command "aim", `Session.set_hand_target`, with its arguments; show each refusal once."""
         notify_problem = make_browser_reply(event)
 
         def count_answer_and_notify(problem: str | None) -> None:
@@ -198,7 +198,7 @@ class MotionControls:
         return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
     def _post_button_command(self, button: str, event: viser.GuiEvent) -> None:
-        """Post the command of a button."""
+        """Post the command of a button; Play resumes a paused motion, or starts the chosen motion."""
         reply = make_browser_reply(event)
         if button == "Play" and self._paused:
             self._session.post("resume", reply=reply)

@@ -17,7 +17,7 @@ _MOTIONS = {"hand": "by hand", "protocol": "protocol", "recording": "measured mo
 
 
 def scene_title_html(scene: Scene) -> str:
-    """Describe the scene as HTML in three lines: test and specimen, tool and interface, material and its source."""
+    """Return HTML of three lines: test and specimen, tool and interface, material and its source."""
     experiment = scene.experiment
     specimen, tool, friction = experiment.specimen, experiment.tool, experiment.friction
     body = (f"cylinder \u2300 {2e3 * specimen.radius:g} \u00d7 {1e3 * specimen.height:g} mm"
@@ -36,7 +36,7 @@ def scene_title_html(scene: Scene) -> str:
 
 
 def status_html(frame: Frame) -> str:
-    """Describe the phase of the simulation and the kind of motion as HTML, with the message of the frame in a box."""
+    """Return HTML with the phase of the simulation, the kind of motion, and the message of the frame in a box."""
     words = frame.phase.value
     if frame.phase in (Phase.RUNNING, Phase.PAUSED):
         words += f" · {_MOTIONS[frame.motion]}"
@@ -74,14 +74,14 @@ _NAMED_FRACTION = 0.0005
 
 
 def _highlighted_word_html(word: str, meaning: str, colour: str) -> str:
-    """Highlighted word with a tooltip."""
+    """Return HTML of a highlighted word with a tooltip."""
     return (f'<div data-testid="badge" title="{escape(meaning, quote=True)}" style="display:inline-block;'
             f'margin-top:0.2em;padding:0 0.6em;border-radius:0.3em;color:white;font-weight:600;'
             f'background:{colour}">{escape(word)}</div>')
 
 
 def readouts_html(frame: Frame) -> str:
-    """Show force and depth in large digits and the other read-outs in a table, as HTML."""
+    """Return HTML with force and depth in large digits and the other read-outs in a table."""
     now, stale = frame.readouts, frame.phase is Phase.DIED
     large = [("force", "force", "–" if now is None else _format_decimals(now.force, 3), "N"),
              ("depth", "depth", "–" if now is None else _format_decimals(now.depth * 1e3, 2), "mm")]
@@ -117,7 +117,7 @@ def readouts_html(frame: Frame) -> str:
 
 
 def model_agreement_html(frame: Frame) -> str:
-    """Show the RMSE between model and measurement over the whole test as HTML, or the reason why there is none."""
+    """Return HTML with the RMSE between model and measurement over the whole test, or why there is none."""
     curves = frame.curves
     if curves.measurement is None:
         words = ("This scene has no measurement. Upload recordings in the tab Calibrate, or start the viewer with "
@@ -145,7 +145,7 @@ def model_agreement_html(frame: Frame) -> str:
 
 
 def live_force_gap_html(gap: LiveForceGap | None) -> str:
-    """Show the largest difference between the live force and the model curve as HTML, with its likely causes."""
+    """Return HTML with the largest difference between live force and model curve, and its likely causes."""
     if gap is None:
         return ""
     reasons = []

@@ -348,7 +348,7 @@ class ScenePicture:
 
 @lru_cache(maxsize=8)
 def _make_wedge_opening(degrees: float, segments: int, turn: float = 0.0) -> WedgeOpening:
-    """Return the opening of a cut, cached because an `WedgeOpening` caches its angles."""
+    """Return the opening of a cut, cached because a `WedgeOpening` caches its angles."""
     return WedgeOpening(np.radians(degrees), np.radians(turn - 90.0), segments=segments)
 
 
@@ -375,13 +375,13 @@ def _intersect_ray_with_height(camera: np.ndarray, point: np.ndarray, height: fl
 
 
 def _read_newest_force(frame: Frame) -> np.ndarray:
-    """Newest force on the tool (x, y, z), N, shape (3,); zero before the first tick."""
+    """Return the newest force of the tissue on the tool (x, y, z), N, shape (3,); zero before the first tick."""
     now = frame.readouts
     return np.zeros(3) if now is None else np.array([*now.across, now.force])
 
 
 def _make_undeformed_mesh(scene: Scene) -> Mesh | SolidMesh:
-    """Mesh of the undeformed specimen: a half section for a cylinder, otherwise a mesh in 3D."""
+    """Return the mesh of the undeformed specimen: a half section for a cylinder, otherwise a mesh in 3D."""
     if scene.reduced is not None:
         return scene.reduced.mesh
     if scene.experiment.specimen.is_round:

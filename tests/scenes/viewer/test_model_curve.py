@@ -23,19 +23,19 @@ def test_the_newest_request_is_computed(pool):
     assert not curve.is_busy and curve.recording is None
     curve.request_curve("first")
     assert curve.is_busy and not pool.tasks, "the process of the page does not wait for one to start"
-    curve.poll()
+    curve.store_result_and_start_next()
     for request in ("second", "third", "fourth"):
         curve.request_curve(request)
-        curve.poll()
+        curve.store_result_and_start_next()
     assert [arguments for arguments, _ in pool.tasks] == [("first", "accurate", "axisymmetric", None)]
     pool.tasks[0][1].set_result(CURVE)
-    curve.poll()
+    curve.store_result_and_start_next()
     assert curve.recording is CURVE and curve.number == 1
     assert [arguments[0] for arguments, _ in pool.tasks] == ["first", "fourth"] and curve.is_busy
     pool.tasks[1][1].set_result(OTHER)
-    curve.poll()
+    curve.store_result_and_start_next()
     assert curve.recording is OTHER and curve.number == 2 and not curve.is_busy
-    curve.poll()
+    curve.store_result_and_start_next()
     assert len(pool.tasks) == 2 and curve.number == 2
     curve.close()
     assert pool.stopped
@@ -51,9 +51,9 @@ def test_a_failed_simulation_gives_a_reason(pool, error, left):
     curve = ModelCurveWorker()
     for answer in ("set_result", CURVE), ("set_exception", error), ("set_result", CURVE):
         curve.request_curve("a model")
-        curve.poll()
+        curve.store_result_and_start_next()
         getattr(pool.tasks[-1][1], answer[0])(answer[1])
-        curve.poll()
+        curve.store_result_and_start_next()
         failed = answer[1] is error
         assert curve.recording is (left if failed else CURVE) and curve.problem == (str(error) if failed else "")
     assert curve.number == 3
@@ -62,14 +62,14 @@ def test_a_failed_simulation_gives_a_reason(pool, error, left):
 def test_a_dead_worker_gives_a_message(pool):
     curve = ModelCurveWorker()
     curve.request_curve("a model")
-    curve.poll()
+    curve.store_result_and_start_next()
     pool.tasks[0][1].set_exception(BrokenProcessPool("terminated abruptly"))
-    curve.poll()
+    curve.store_result_and_start_next()
     assert "has died" in curve.problem and not curve.is_busy
     curve.request_curve("another")
-    curve.poll()
+    curve.store_result_and_start_next()
     pool.tasks[1][1].set_result(CURVE)
-    curve.poll()
+    curve.store_result_and_start_next()
     assert curve.recording is CURVE and curve.problem == ""
 
 
@@ -77,16 +77,16 @@ def test_a_result_after_forget_is_dropped(pool):
     """The result of an earlier request belongs to another test."""
     curve = ModelCurveWorker()
     curve.request_curve("compression")
-    curve.poll()
+    curve.store_result_and_start_next()
     curve.request_curve("compression, softer")
-    curve.forget()
+    curve.discard_curve_and_requests()
     assert curve.recording is None
     curve.request_curve("needle")
     pool.tasks[0][1].set_result(CURVE)
-    curve.poll()
+    curve.store_result_and_start_next()
     assert curve.recording is None and [arguments[0] for arguments, _ in pool.tasks] == ["compression", "needle"]
     pool.tasks[1][1].set_result(OTHER)
-    curve.poll()
+    curve.store_result_and_start_next()
     assert curve.recording is OTHER
 
 
@@ -98,13 +98,13 @@ def test_a_killed_worker_is_replaced(monkeypatch, until):
     curve = ModelCurveWorker("fast")
     try:
         curve.request_curve("needle, ")
-        curve.poll()
+        curve.store_result_and_start_next()
         worker, = set(multiprocessing.active_children()) - before
         os.kill(worker.pid, signal.SIGKILL)
-        until(curve.poll, lambda _: not curve.is_busy)
+        until(curve.store_result_and_start_next, lambda _: not curve.is_busy)
         assert "has died" in curve.problem and curve.recording is None
         curve.request_curve("needle, ")
-        until(curve.poll, lambda _: not curve.is_busy)
+        until(curve.store_result_and_start_next, lambda _: not curve.is_busy)
         assert (curve.recording, curve.problem, curve.number) == ("needle, fast, axisymmetric", "", 2)
     finally:
         curve.close()

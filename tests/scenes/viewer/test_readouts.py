@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.frame import Curves, Frame, Phase, SimulationReadouts
+from scenes.viewer.frame import Frame, Phase, PlotCurves, SimulationReadouts
 from scenes.viewer.live_gap import LiveForceGap
 from scenes.viewer.page.readouts import (
     live_force_gap_html,
@@ -22,7 +22,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 NOW = SimulationReadouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84,
                          rate=999.7,
                          late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", unconverged=3)
-FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, Curves(), "protocol", 0.0)
+FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, PlotCurves(), "protocol", 0.0)
 
 
 def texts(html):
@@ -86,15 +86,15 @@ def test_agreement_shows_the_rmse_or_what_is_missing():
     measured = SimpleNamespace(replicate_scatter=0.0172, describe_deviating_tool=lambda tool: "")
     gap = SimpleNamespace(rmse=0.02034, samples=303)
     assert "--measured FILE" in texts(model_agreement_html(FRAME))["agreement"]
-    waiting = replace(FRAME, curves=Curves(measurement=measured))
+    waiting = replace(FRAME, curves=PlotCurves(measurement=measured))
     assert "being computed" in texts(model_agreement_html(waiting))["agreement"]
-    shown = texts(model_agreement_html(replace(frame, curves=Curves(measurement=measured, residual=gap))))
+    shown = texts(model_agreement_html(replace(frame, curves=PlotCurves(measurement=measured, residual=gap))))
     assert shown["rmse"] == "0.020" and "303 samples, noise 0.017 N" in shown["agreement"]
     alone = SimpleNamespace(replicate_scatter=None, describe_deviating_tool=lambda tool: "cone of 3 mm radius")
-    single = texts(model_agreement_html(replace(frame, curves=Curves(measurement=alone, residual=gap))))
+    single = texts(model_agreement_html(replace(frame, curves=PlotCurves(measurement=alone, residual=gap))))
     assert ", noise" not in single["agreement"] and "other-tool" not in shown
     assert single["other-tool"] == "measured with another tool: cone of 3 mm radius"
-    computing = Curves(measurement=measured, residual=gap, computing=True)
+    computing = PlotCurves(measurement=measured, residual=gap, computing=True)
     old = texts(model_agreement_html(replace(frame, curves=computing)))
     assert old["rmse"] == "0.020" and "of the previous model" in old["agreement"] and "old-curve" not in shown
 
