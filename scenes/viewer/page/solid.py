@@ -69,8 +69,8 @@ class ScenePicture:
         self._segments = RESOLUTION.low_graphics_segments if low_graphics else RESOLUTION.segments
         surface_colours = [find_surface_srgb(colour) for colour in PALETTE]
         self.colours = [compute_displayed_srgb(colour) for colour in surface_colours]
-        self._bands = [self._add_hidden_mesh_node(f"/tissue/band_{k}", colour) for k,
-                       colour in enumerate(surface_colours)]
+        self._bands = [self._add_hidden_mesh_node(f"/tissue/band_{k}", colour)
+                       for k, colour in enumerate(surface_colours)]
         self._surface = self._add_hidden_mesh_node("/tissue/surface", COLOURS.tissue)
         #: Frames of the tool, of the force arrow, and of the base, on which the specimen stands.
         self._tool_frame, self._force_frame, self._ground = (self._nodes.add_frame(name, show_axes=False)
@@ -208,13 +208,13 @@ class ScenePicture:
         before = self.levels if self._drawn is not None and options.field == self._drawn[2].field else None
         self.levels = levels = before if before is not None and options.hold else update_band_levels(
             before, *compute_colour_range(at_points * factor, sampled, options.field, factor))
-        for handle, surface in zip(self._bands, body.compute_band_surfaces(positions, values * factor, levels, wedge),
-                                   strict=True):
+        surfaces = body.compute_band_surfaces(positions, values * factor, levels, wedge)
+        for handle, surface in zip(self._bands, surfaces, strict=True):
             self._send_mesh_node(handle, surface)
         _set_node_visibility(self._surface, False)
         self._send_line_node(self._contact, body.find_contact_lines(positions, scene.experiment.tool, wedge))
-        self._send_line_node(self._mesh_lines, body.compute_edge_lines(positions, wedge) if options.mesh_lines
-                             else None)
+        edge_lines = body.compute_edge_lines(positions, wedge) if options.mesh_lines else None
+        self._send_line_node(self._mesh_lines, edge_lines)
 
     def _draw_plain_tissue(self, surface: TriangulatedSurface | None) -> None:
         """Draw the surface of tissue without fields in one colour; hide the tissue if it has no surface."""
@@ -272,13 +272,12 @@ class ScenePicture:
         # A wedge that is moved away from the tool's axis does not cut the tool.
         cut = 0.0 if self._in_space and options.ahead else options.cut
         segments = RESOLUTION.static_segments
-        self._send_mesh_node(self._tool, make_tool_mesh(tool, specimen,
-                                                        _make_wedge_opening(cut, segments, options.turn)))
+        tool_opening = _make_wedge_opening(cut, segments, options.turn)
+        self._send_mesh_node(self._tool, make_tool_mesh(tool, specimen, tool_opening))
         self._send_mesh_node(self._base, make_base_plate(specimen, _make_wedge_opening(0.0, segments)))
         covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
-        wedge = Wedge(opening, Pose.at_depth(0.0))
-        outline = body.make_undeformed_outline(wedge,
-                                               (covered, scene.max_tool_displacement)) if options.outline else None
+        wedge, tool_extent = Wedge(opening, Pose.at_depth(0.0)), (covered, scene.max_tool_displacement)
+        outline = body.make_undeformed_outline(wedge, tool_extent) if options.outline else None
         self._send_line_node(self._outline, outline)
         bar, length = make_scale_bar(specimen)
         self._send_line_node(self._scale_bar, bar)
