@@ -34,7 +34,7 @@ from benchmarks.viewer.client import readouts_in
 from benchmarks.viewer.ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, peak_memory
 from haptics.loop.ring import RingReader
 from scenes.viewer.cut_away import HalfSection
-from scenes.viewer.frame import Frame, NullViewer, Phase, Viewer
+from scenes.viewer.frame import FrameViewer, NullViewer, Phase, SessionFrame
 from scenes.viewer.measurement import build_measurement
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html
@@ -87,13 +87,13 @@ class Stopwatch:
 class Watched:
     """Viewer between the session and another viewer; records the time and CPU time of each frame."""
 
-    def __init__(self, viewer: Viewer, stopwatch: Stopwatch):
+    def __init__(self, viewer: FrameViewer, stopwatch: Stopwatch):
         self._viewer, self._spent = viewer, stopwatch.spent
         self._before = self._sum()
-        self.shown: list[tuple[float, Frame]] = []
+        self.shown: list[tuple[float, SessionFrame]] = []
         self.cpu: list[float] = []
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         began = time.monotonic()
         self._viewer.show(frame)
         now = self._sum()

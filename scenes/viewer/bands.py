@@ -24,7 +24,7 @@ class BandTriangles:
 
 
 @dataclass(frozen=True, eq=False)
-class Triangulation:
+class TriangleConnectivity:
     """Fixed connectivity of triangles whose points and nodal values change from frame to frame.
 
     Attributes:
@@ -169,7 +169,7 @@ def clip_triangles_to_bands(points: np.ndarray, triangles: np.ndarray, values: n
     Returns:
         For each band its vertices, shape (m, 2), and its triangles with the original orientation, shape (k, 3).
     """
-    pieces = Triangulation(np.asarray(triangles)).cut_at_levels(points, values, levels)
+    pieces = TriangleConnectivity(np.asarray(triangles)).cut_at_levels(points, values, levels)
     kept, numbers, slices = split_triangles_by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
     return [(pieces.points[kept[points_of]], numbers[cut]) for points_of, cut in slices]
 

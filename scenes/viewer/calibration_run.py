@@ -181,22 +181,22 @@ class CalibrationRun:
     def _add_upload(self, upload: RecordingUpload) -> None:
         present = self.state.recordings
         if upload.measured is None:
-            number = next((i for i, each in enumerate(present) if each.file.stem == upload.stem), None)
+            number = next((i for i, each in enumerate(present) if each.file.file_stem == upload.file_stem), None)
             if number is None:
-                self._waiting[upload.stem] = upload
+                self._waiting[upload.file_stem] = upload
                 return
             changed = (*present[:number], _add_sidecar_metadata(present[number].file, upload), *present[number + 1:])
             self.state = replace(self.state, recordings=changed)
             return
-        if any(each.file.stem.lower() == upload.stem.lower() for each in present):
+        if any(each.file.file_stem.lower() == upload.file_stem.lower() for each in present):
             raise InputError("A recording of this name was uploaded before. Rename one of the files, or remove all "
                              "recordings.", file=upload.name)
         if len(present) >= LIMITS.max_recordings:
             raise InputError("The recording was not added: a calibration takes at most "
                              f"{LIMITS.max_recordings} recordings.",
                              file=upload.name)
-        new = _add_sidecar_metadata(upload, self._waiting.get(upload.stem))
-        self._waiting.pop(upload.stem, None)
+        new = _add_sidecar_metadata(upload, self._waiting.get(upload.file_stem))
+        self._waiting.pop(upload.file_stem, None)
         self.state = replace(self.state, recordings=(*present, new))
 
     def remove_all_recordings(self) -> None:
@@ -238,7 +238,7 @@ class CalibrationRun:
             for each in self.state.recordings:
                 write_bytes(Path(folder.name) / RECORDINGS / each.file.name, each.file.content)
                 if each.sidecar is not None:
-                    write_bytes(Path(folder.name) / RECORDINGS / f"{each.file.stem}.json", each.sidecar.content)
+                    write_bytes(Path(folder.name) / RECORDINGS / f"{each.file.file_stem}.json", each.sidecar.content)
             self._computed = self._pool.submit(calibrate_uploaded_files, (folder.name, request))
         except WorkerError as error:
             folder.cleanup()

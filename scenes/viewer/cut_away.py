@@ -9,7 +9,7 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from scipy.sparse import csr_array
 
-from scenes.viewer.bands import Triangulation, split_polyline_at_levels
+from scenes.viewer.bands import TriangleConnectivity, split_polyline_at_levels
 from scenes.viewer.revolution import (
     TriangulatedSurface,
     WedgeOpening,
@@ -74,7 +74,7 @@ class HalfSection:
 
     mesh: Mesh
     weights: csr_array
-    triangulation: Triangulation
+    triangulation: TriangleConnectivity
     outline: np.ndarray
     surface: np.ndarray
     gauss_weights: csr_array
@@ -113,7 +113,7 @@ class HalfSection:
         top, side = top[np.argsort(coordinates[top, 0])], side[np.argsort(-coordinates[side, 1])]
         base = base[np.argsort(-coordinates[base, 0])]
         outline = np.concatenate([top, side[1:], base[1:]])
-        return cls(mesh, matrix, Triangulation(triangles), outline, *_find_contact_boundary(mesh), edges)
+        return cls(mesh, matrix, TriangleConnectivity(triangles), outline, *_find_contact_boundary(mesh), edges)
 
     def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
                               opening: WedgeOpening) -> list[TriangulatedSurface]:

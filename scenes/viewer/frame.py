@@ -107,7 +107,7 @@ class PlotCurves:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class SessionFrame:
     """State of a session at one moment, for display.
 
     Attributes:
@@ -137,7 +137,7 @@ class Frame:
     across: tuple[float, float] = (0.0, 0.0)
 
 
-class Commands(Protocol):
+class CommandReceiver(Protocol):
     """Interface of an object that receives commands from a page, such as a `Session`."""
 
     def post(self, command: str, *, reply: Callable[[str | None], None] | None = None, **values: Any) -> None:
@@ -150,10 +150,10 @@ class Commands(Protocol):
         """
 
 
-class Viewer(Protocol):
+class FrameViewer(Protocol):
     """Back-end that displays frames; a session calls `show` about 30 times per second, so `show` must not block."""
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         """Display a frame, or skip it."""
 
     def close(self) -> None:
@@ -170,9 +170,9 @@ class NullViewer:
 
     def __init__(self) -> None:
         self.frames = 0
-        self.latest: Frame | None = None
+        self.latest: SessionFrame | None = None
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         """Count a frame and keep it as `latest`."""
         self.frames, self.latest = self.frames + 1, frame
 

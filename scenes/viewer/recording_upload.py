@@ -45,7 +45,7 @@ class RecordingUpload:
     origin: Mapping[str, str] | None = None
 
     @property
-    def stem(self) -> str:
+    def file_stem(self) -> str:
         """File name without suffix, which a recording and its sidecar share."""
         return Path(self.name).stem
 

@@ -15,7 +15,7 @@ from haptics.devices.motions import HandMotion
 from haptics.loop.loop import LoopSettings
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, apply_finished_calibration
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.frame import FRAMES, Frame, Phase, PlotCurves, Viewer
+from scenes.viewer.frame import FRAMES, FrameViewer, Phase, PlotCurves, SessionFrame
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
 from scenes.viewer.material_files import save_edited_material
 from scenes.viewer.measurement import compute_force_residual_if_possible, make_motion_protocol
@@ -91,7 +91,7 @@ class Session:
             raise ValueError(f"command must be one of {', '.join(COMMANDS)}; got {command!r}.")
         self._requests.queue_command(command, reply, values)
 
-    def frame(self) -> Frame:
+    def frame(self) -> SessionFrame:
         """Execute the queued commands, poll all processes, and return the new state for display."""
         self._requests.execute_queued_commands(lambda command, values: COMMANDS[command](self, **values))
         apply_finished_calibration(self)
@@ -121,10 +121,11 @@ class Session:
             message = self._refused
         elif self._curve.problem:
             message = self._curve.problem
-        return Frame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts, self._curves,
-                     self._motion, self._target, simulation.surface, self.calibration.state, self._across)
+        return SessionFrame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts,
+                            self._curves,
+                            self._motion, self._target, simulation.surface, self.calibration.state, self._across)
 
-    def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
+    def run(self, viewer: FrameViewer, stop: threading.Event, seconds: float | None = None) -> None:
         """Display frames until `stop` is set.
 
         Args:
@@ -332,7 +333,7 @@ class Session:
         return x, y
 
     def _restart_with_device(self, kind: str, device: HapticDevice) -> None:
-        """Reset the tissue and move the tool with a device or motion; `kind` is the value of `Frame.motion`."""
+        """Reset the tissue and move the tool with a device or motion; `kind` is the value of `SessionFrame.motion`."""
         simulation = self._simulation
         if simulation.phase is Phase.PAUSED:
             simulation.send_command("resume")

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from scenes.viewer.bands import Triangulation, split_triangles_by_band
+from scenes.viewer.bands import TriangleConnectivity, split_triangles_by_band
 from scenes.viewer.revolution import EDGE_ANGLE, TriangulatedSurface
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
@@ -167,7 +167,7 @@ class SolidBody:
             all_values.append(face_values)
             before += len(face_points)
         bands = len(levels) - 1
-        pieces = Triangulation(np.concatenate(all_triangles)).cut_at_levels(
+        pieces = TriangleConnectivity(np.concatenate(all_triangles)).cut_at_levels(
             np.concatenate(all_points), np.concatenate(all_values), levels)
         kept, numbers, slices = split_triangles_by_band(pieces.triangles, pieces.band, len(pieces.points), bands)
         space, numbers = pieces.points[kept].astype(np.float32), numbers.astype(np.uint32)

@@ -11,7 +11,7 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.viewer.colours import colour_bar_html
-from scenes.viewer.frame import Commands, Frame, Phase
+from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
 from scenes.viewer.page.calibration_controls import CalibrationControls
 from scenes.viewer.page.curve_plots import CurvePlots
 from scenes.viewer.page.material_controls import MaterialControls
@@ -59,7 +59,7 @@ class Page:
         InputError: The port is in use, the host is invalid, or the folder does not exist.
     """
 
-    def __init__(self, session: Commands, frame: Frame, materials: Path, *, host: str = LOOPBACK,
+    def __init__(self, session: CommandReceiver, frame: SessionFrame, materials: Path, *, host: str = LOOPBACK,
                  port: int = SERVER.port, exposed: bool = False, token: str = "", low_graphics: bool = False,
                  dark: bool = False):
         self._frames = 0
@@ -71,7 +71,8 @@ class Page:
             server.stop()
             raise
 
-    def _add_controls(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
+    def _add_controls(self, session: CommandReceiver, frame: SessionFrame, materials: Path, low_graphics: bool,
+                      dark: bool) -> None:
         server, gui = self.server, self.server.gui
         self._solid = ScenePicture(server, frame.scene, low_graphics=low_graphics)
         self._solid.register_drag_callback(lambda depth, across, reply: session.post(
@@ -113,7 +114,7 @@ class Page:
         def set_camera_on_connect(client: viser.ClientHandle) -> None:
             self._look.move_camera_to_preset(client, "iso")
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         """Send the changes since the last frame to the browsers; without a connected browser, send nothing."""
         while not self._tasks.empty():
             self._tasks.get()()
@@ -137,7 +138,7 @@ class Page:
         """Stop the server and close all connections."""
         self.server.stop()
 
-    def _update_panels(self, frame: Frame) -> None:
+    def _update_panels(self, frame: SessionFrame) -> None:
         """Update the texts, the controls of all tabs and the plots."""
         for handle, html in ((self._title, scene_title_html(frame.scene)), (self._status, status_html(frame)),
                              (self._readouts, readouts_html(frame))):

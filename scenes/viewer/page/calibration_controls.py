@@ -10,7 +10,7 @@ import viser
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationState, UploadedRecording
 from scenes.viewer.calibration_task import CalibrationResult
-from scenes.viewer.frame import Commands, Frame
+from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.material_files import SUFFIX
 from scenes.viewer.page.notices import make_browser_reply, send_download
 from scenes.viewer.recording_upload import read_recording_upload
@@ -30,7 +30,7 @@ class CalibrationControls:
         folder: Folder into which calibrated materials are saved.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame, folder: Path):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame, folder: Path):
         gui = server.gui
         self._shown: tuple[CalibrationState, Scene] | None = None
         self._upload = gui.add_upload_button("Upload recording", icon=viser.Icon.UPLOAD, mime_type="*/*",
@@ -76,12 +76,12 @@ class CalibrationControls:
 
             session.post("save_calibration", reply=notify_and_send_file, folder=folder, name=name)
 
-    def _post_command_on_click(self, session: Commands, button: viser.GuiButtonHandle, command: str) -> None:
+    def _post_command_on_click(self, session: CommandReceiver, button: viser.GuiButtonHandle, command: str) -> None:
         @button.on_click
         def post_command_of_button(event: viser.GuiEvent) -> None:
             session.post(command, reply=make_browser_reply(event))
 
-    def update_controls(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the tab if the calibration or the scene has changed."""
         state, scene = frame.calibration, frame.scene
         if self._shown is not None and self._shown[0] is state and self._shown[1] is scene:

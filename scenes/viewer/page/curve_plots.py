@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from scenes.viewer.frame import Commands, Frame
+from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.live_gap import compute_live_force_gap, select_extrapolated_forces
 from scenes.viewer.measurement import interpolate_branches
 from scenes.viewer.page.notices import make_browser_reply
@@ -36,7 +36,7 @@ class CurvePlots:
         frame: First frame.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame):
         gui = server.gui
         self._dark = False
         self._ranges: dict[str, Any] = {}
@@ -68,7 +68,7 @@ class CurvePlots:
         """Redraw the plots with the colours of a dark or a light page."""
         self._dark, self._ranges, self._drawn = dark, {}, ()
 
-    def update_plots(self, frame: Frame) -> None:
+    def update_plots(self, frame: SessionFrame) -> None:
         """Draw the curves of a frame if they have changed."""
         curves, readouts = frame.curves, frame.readouts
         current = None if readouts is None else (readouts.depth, readouts.force)

@@ -9,7 +9,7 @@ from pathlib import Path
 import viser
 
 import tissue_sim as ts
-from scenes.viewer.frame import Commands, Frame
+from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.material_files import (
     SUFFIX,
     compute_parameter_slider_ranges,
@@ -35,7 +35,7 @@ class MaterialControls:
         folder: Folder from which material files are listed and into which they are saved.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame, folder: Path):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame, folder: Path):
         self._gui, self._session, self._folder = server.gui, session, folder
         gui = server.gui
         self._file = gui.add_dropdown("file", (_NONE,), initial_value=_NONE, hint=f"*{SUFFIX} in {folder}")
@@ -97,7 +97,7 @@ class MaterialControls:
         if self._file.options != (_NONE, *names):
             self._file.options = (_NONE, *names)
 
-    def update_controls(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the sliders if the material has changed, and the list of files at intervals."""
         self._shows += 1
         if self._shows % _LIST_INTERVAL == 0:

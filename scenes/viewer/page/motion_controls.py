@@ -9,7 +9,7 @@ from typing import Any
 
 import viser
 
-from scenes.viewer.frame import Commands, Frame, Phase
+from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
 from scenes.viewer.page.notices import make_browser_reply, set_control_value
 from scenes.viewer.page.solid import DRAGS
 from scenes.viewer.scene import Scene
@@ -89,7 +89,7 @@ class MotionControls:
         on_drag_mode: Called with the chosen key of `scenes.viewer.page.solid.DRAGS`.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame):
         gui, deepest = server.gui, frame.scene.max_tool_displacement
         examples = {name: _make_example_protocol(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
@@ -194,7 +194,7 @@ class MotionControls:
         self._session.post("aim", reply=count_answer_and_notify, **position)
 
     @staticmethod
-    def _list_motion_choices(frame: Frame) -> tuple[str, ...]:
+    def _list_motion_choices(frame: SessionFrame) -> tuple[str, ...]:
         return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
     def _post_button_command(self, button: str, event: viser.GuiEvent) -> None:
@@ -210,7 +210,7 @@ class MotionControls:
         else:
             self._session.post(button.lower(), reply=reply)
 
-    def update_controls(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the sliders to the position of the tool, which another browser, a protocol or a device may move."""
         self._paused = frame.phase is Phase.PAUSED
         self._plays = not self._paused and frame.motion in ("protocol", "recording")

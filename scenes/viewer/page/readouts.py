@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
-from scenes.viewer.frame import Frame, Phase
+from scenes.viewer.frame import Phase, SessionFrame
 from scenes.viewer.live_gap import LiveForceGap
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.tools.tool import tool_sizes
@@ -35,7 +35,7 @@ def scene_title_html(scene: Scene) -> str:
             + "<br/>".join(lines) + "</div>")
 
 
-def status_html(frame: Frame) -> str:
+def status_html(frame: SessionFrame) -> str:
     """Return HTML with the phase of the simulation, the kind of motion, and the message of the frame in a box."""
     words = frame.phase.value
     if frame.phase in (Phase.RUNNING, Phase.PAUSED):
@@ -80,7 +80,7 @@ def _highlighted_word_html(word: str, meaning: str, colour: str) -> str:
             f'background:{colour}">{escape(word)}</div>')
 
 
-def readouts_html(frame: Frame) -> str:
+def readouts_html(frame: SessionFrame) -> str:
     """Return HTML with force and depth in large digits and the other read-outs in a table."""
     now, stale = frame.readouts, frame.phase is Phase.DIED
     large = [("force", "force", "–" if now is None else _format_decimals(now.force, 3), "N"),
@@ -116,7 +116,7 @@ def readouts_html(frame: Frame) -> str:
             f'<table style="font-size:0.8em;margin-top:0.3em;border-collapse:collapse">{rows}</table></div>')
 
 
-def model_agreement_html(frame: Frame) -> str:
+def model_agreement_html(frame: SessionFrame) -> str:
     """Return HTML with the RMSE between model and measurement over the whole test, or why there is none."""
     curves = frame.curves
     if curves.measurement is None:

@@ -13,7 +13,7 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.provenance import describe_provenance
-from scenes.viewer.frame import Frame
+from scenes.viewer.frame import SessionFrame
 from scenes.viewer.measurement import interpolate_branches
 from scenes.viewer.page.notices import FAILED, make_browser_reply, notify_browser, send_download
 from scenes.viewer.page.solid import ScenePicture
@@ -60,7 +60,7 @@ class SaveControls:
                  run_later: Callable[[Callable[[], None]], None]):
         gui = server.gui
         self._server, self._solid, self._view = server, solid, view
-        self._frame: Frame | None = None
+        self._frame: SessionFrame | None = None
         self._recorder: viser.infra.StateSerializer | None = None
         self._recorded, self._last = 0.0, 0.0
         #: HTML page of a finished replay that has not been downloaded yet.
@@ -84,7 +84,7 @@ class SaveControls:
         def start_or_send_replay_on_click(event: viser.GuiEvent) -> None:
             run_later(lambda: self._start_or_send_replay(event))
 
-    def record_frame(self, frame: Frame) -> None:
+    def record_frame(self, frame: SessionFrame) -> None:
         """Keep the frame for saving, and extend a running replay until it is `SavingSettings.longest_replay` long."""
         self._frame = frame
         if self._recorder is None:
@@ -175,7 +175,7 @@ def _request_browser_image(client: viser.ClientHandle, height: int, width: int) 
     return None
 
 
-def _select_drawn_curves(frame: Frame) -> dict[str, Any]:
+def _select_drawn_curves(frame: SessionFrame) -> dict[str, Any]:
     """Return the keyword arguments ``curves`` and ``band`` of `compose_picture_png` for a frame.
 
     ``curves`` holds the mean measurement, the curve kept for comparison, the model curve and the live curve; ``band``

@@ -9,7 +9,7 @@ import viser
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
-from scenes.viewer.frame import Commands, Frame
+from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.page.notices import make_browser_reply, set_control_value
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.interfaces import INTERFACES
@@ -48,7 +48,7 @@ class SceneControls:
         frame: First frame.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame):
         gui = server.gui
         self._titles = {scene.title: name for name, scene in SCENES.items()}
         self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.scene.kind.title)
@@ -130,7 +130,7 @@ class SceneControls:
         except ts.InputError:
             return None
 
-    def update_controls(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the controls if another browser or a command has changed the scene."""
         scene = frame.scene
         if self._shown is not None and self._shown.experiment is scene.experiment:

@@ -12,7 +12,7 @@ import viser
 from scenes.field_labels import LABELS
 from scenes.viewer.bodies import DrawableBody, can_draw_fields, make_drawable_body
 from scenes.viewer.colours import PALETTE, compute_colour_range, update_band_levels
-from scenes.viewer.frame import Frame
+from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import Reply, make_browser_reply
 from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, ViewOptions
 from scenes.viewer.page.scene_updates import send_node_arrays, send_node_position
@@ -159,7 +159,7 @@ class ScenePicture:
             return depth, None
         return depth, (float(tip[0] + lean[0] * tip[2]), float(tip[1] + lean[1] * tip[2]))
 
-    def draw_frame(self, frame: Frame, options: ViewOptions) -> bool:
+    def draw_frame(self, frame: SessionFrame, options: ViewOptions) -> bool:
         """Send the parts of the picture that differ from the last frame.
 
         Returns:
@@ -373,7 +373,7 @@ def _intersect_ray_with_height(camera: np.ndarray, point: np.ndarray, height: fl
     return camera + descent / ray[2] * ray
 
 
-def _read_newest_force(frame: Frame) -> np.ndarray:
+def _read_newest_force(frame: SessionFrame) -> np.ndarray:
     """Return the newest force of the tissue on the tool (x, y, z), N, shape (3,); zero before the first tick."""
     now = frame.readouts
     return np.zeros(3) if now is None else np.array([*now.across, now.force])

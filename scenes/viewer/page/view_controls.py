@@ -9,7 +9,7 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_camera_pose
-from scenes.viewer.frame import Frame
+from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import set_control_value
 from scenes.viewer.page.picture_settings import ViewOptions
 from scenes.viewer.tool_picture import compute_picture_height
@@ -27,7 +27,7 @@ class ViewControls:
         options: The present display options.
     """
 
-    def __init__(self, server: viser.ViserServer, frame: Frame, scale: float):
+    def __init__(self, server: viser.ViserServer, frame: SessionFrame, scale: float):
         gui = server.gui
         self.options, self._frame, self._scale = ViewOptions(), frame, scale
         fields = {label: name for name, (label, _) in LABELS.items()}
@@ -77,7 +77,7 @@ class ViewControls:
         set_control_value(self._dark, dark)
         self.on_dark(dark)
 
-    def update_controls(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the list of fields, and keep the frame for the camera presets."""
         self._frame = frame
         in_space = frame.snapshot is not None and frame.snapshot.in_space

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenes.viewer.bands import Triangulation, clip_triangles_to_bands, split_polyline_at_levels
+from scenes.viewer.bands import TriangleConnectivity, clip_triangles_to_bands, split_polyline_at_levels
 
 LEVELS = np.linspace(-1.0, 1.0, 9)
 
@@ -85,7 +85,7 @@ def test_uniform_fields_and_values_outside_the_levels_fall_into_one_band():
 def test_neighbours_share_the_points_of_their_common_edge():
     points, triangles = sheet()
     values = np.random.default_rng(5).uniform(-1.5, 1.5, len(points))
-    pieces = Triangulation(triangles).cut_at_levels(points, values, LEVELS)
+    pieces = TriangleConnectivity(triangles).cut_at_levels(points, values, LEVELS)
     edges = np.sort(pieces.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, count = np.unique(edges, axis=0, return_counts=True)
     middle = pieces.points[edges].mean(axis=1)
@@ -105,7 +105,7 @@ def test_rising_and_falling_polylines_are_split_at_each_level():
 def test_a_polyline_on_the_boundary_has_the_crossings_of_the_triangles():
     points, triangles = sheet()
     values = np.random.default_rng(6).uniform(-1.5, 1.5, len(points))
-    pieces = Triangulation(triangles).cut_at_levels(points, values, LEVELS)
+    pieces = TriangleConnectivity(triangles).cut_at_levels(points, values, LEVELS)
     new, band = split_polyline_at_levels(points[:13], values[:13], LEVELS)
     on_rim = np.sort(pieces.points[pieces.points[:, 1] == 0.0, 0])
     assert new[:, 0] == pytest.approx(on_rim, abs=1e-14)

@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.frame import Frame, Phase, PlotCurves, SimulationReadouts
+from scenes.viewer.frame import Phase, PlotCurves, SessionFrame, SimulationReadouts
 from scenes.viewer.live_gap import LiveForceGap
 from scenes.viewer.page.readouts import (
     live_force_gap_html,
@@ -22,7 +22,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 NOW = SimulationReadouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84,
                          rate=999.7,
                          late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", unconverged=3)
-FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, PlotCurves(), "protocol", 0.0)
+FRAME = SessionFrame(Phase.RUNNING, "running", None, None, NOW, PlotCurves(), "protocol", 0.0)
 
 
 def texts(html):
