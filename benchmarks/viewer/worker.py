@@ -80,7 +80,7 @@ class Stopwatch:
         bodies.extrapolate = self.timed("fields", bodies.extrapolate)
         solid.compute_colour_range = self.timed("fields", solid.compute_colour_range)
         HalfSection.compute_band_surfaces = self.timed("bands", HalfSection.compute_band_surfaces)
-        page._update_panels = self.timed("words", page._update_panels)
+        page._update_texts_and_controls = self.timed("words", page._update_texts_and_controls)
         page.show, session.frame = self.timed("show", page.show), self.timed("frame", session.frame)
 
 

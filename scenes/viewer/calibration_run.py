@@ -30,7 +30,7 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class RecordingLimits:
+class UploadedRecordingLimits:
     """Limits of the recordings of a calibration.
 
     Attributes:
@@ -44,7 +44,7 @@ class RecordingLimits:
 
 
 #: Limits of every calibration.
-LIMITS = RecordingLimits()
+LIMITS = UploadedRecordingLimits()
 
 
 @dataclass(frozen=True, eq=False)

@@ -233,13 +233,13 @@ class LiveSimulation:
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
             float(np.median(compute_time[recent])), float(iterations[recent].mean()), rate,
             float((last["late"] + last["missed"]) / max(deadlines, 1)), _describe_force_status(status, last),
-            _describe_mesh(self._loop.resolution, self._loop.force_error),
-            _describe_warning(status, last),
+            _describe_mesh_resolution(self._loop.resolution, self._loop.force_error),
+            _describe_force_warning(status, last),
             int(np.count_nonzero(statuses != ForceStatus.CONVERGED)),
             (float(last["tissue_wrench"][0]), float(last["tissue_wrench"][1])))
 
 
-def _describe_mesh(resolution: str, force_error: float | None) -> str:
+def _describe_mesh_resolution(resolution: str, force_error: float | None) -> str:
     """Return the resolution of the mesh, with the relative error of its force if it is known."""
     return resolution if force_error is None else f"{resolution}, force within {100 * force_error:.2g} %"
 
@@ -251,7 +251,7 @@ def _describe_force_status(status: ForceStatus, last: np.void) -> str:
     return "inaccurate" if _is_equilibrium_force_inaccurate(status, last) else status.name.lower()
 
 
-def _describe_warning(status: ForceStatus, last: np.void) -> str:
+def _describe_force_warning(status: ForceStatus, last: np.void) -> str:
     """Return cause and remedy of a status; empty for an accurate equilibrium."""
     if _is_equilibrium_force_inaccurate(status, last):
         return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. "

@@ -147,7 +147,7 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
     """
     recordings = tuple(recordings)
     if not recordings:
-        raise InputError("must contain at least one recording", field="measurement")
+        raise InputError("must contain at least one recording; got none. Name a recording file.", field="measurement")
     kinds: dict[Any, Any] = {}
     for recording in recordings:
         file = recording.metadata.get("source")
@@ -186,7 +186,7 @@ def _compute_replicate_statistics(recordings: Sequence[Recording], branches: Seq
     return ReplicateStatistics(forces.mean(axis=0), forces.min(axis=0), forces.max(axis=0), spread)
 
 
-def interpolate_branches(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def interpolate_loading_and_unloading(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate loading and unloading of a recording to a grid of depths.
 
     The interpolant is a monotone cubic (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300), because a
@@ -228,7 +228,7 @@ def compute_force_residual(model: Recording, measured: Measurement) -> ForceResi
     Raises:
         InputError: The model reaches no sample of the measurement.
     """
-    load, unload = interpolate_branches(model, measured.depth)
+    load, unload = interpolate_loading_and_unloading(model, measured.depth)
     model_branches = dict(zip((1, -1), find_loading_and_unloading(model), strict=True))
     differences = []
     for recording, branches in zip(measured.recordings, measured.branches, strict=True):

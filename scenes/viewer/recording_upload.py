@@ -66,7 +66,8 @@ def read_recording_upload(name: str, content: bytes) -> tuple[RecordingUpload, .
     """
     name = re.sub(r"[^\w .()+-]", "_", PureWindowsPath(name).name).strip(" .")[-100:] or "unnamed"
     if len(content) > LARGEST_UPLOAD:
-        raise InputError(f"must be at most {LARGEST_UPLOAD / 1e6:g} MB; got {len(content) / 1e6:.1f} MB", file=name)
+        raise InputError(f"must be at most {LARGEST_UPLOAD / 1e6:g} MB; got {len(content) / 1e6:.1f} MB. Upload a "
+                         "shorter recording.", file=name)
     with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
         path = Path(folder) / name
         path.write_bytes(content)
@@ -86,7 +87,8 @@ def read_recording_upload(name: str, content: bytes) -> tuple[RecordingUpload, .
 def _read_sidecar(path: Path, content: bytes) -> RecordingUpload:
     metadata = read_json(path, "the sidecar of a recording (JSON)")
     if not isinstance(metadata, dict):
-        raise InputError("must be a JSON object {...} with the metadata of a recording")
+        raise InputError("must be a JSON object {...} with the metadata of a recording. Upload the file that was "
+                         "written next to the recording.")
     return RecordingUpload(path.name, content, sidecar=metadata)
 
 

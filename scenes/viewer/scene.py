@@ -120,7 +120,8 @@ class Scene:
         if tool is None:
             tool = before.tool if kind.fits(before.tool) else kind.require_tool()
         if not kind.fits(tool):
-            raise ts.InputError(f"must fit the scene {kind.title.lower()}; got a {tool.shape!r} tool", field="tool")
+            raise ts.InputError(f"must fit the scene {kind.title.lower()}; got a {tool.shape!r} tool. Choose another "
+                                "tool or scene.", field="tool")
         changes: dict[str, Any] = kind.interfaces(tool)
         if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}

@@ -352,7 +352,7 @@ class Session:
                 self._refused = f"{str(error).removesuffix('.')}. Press Restart to try again."
 
     def _clear_trace(self) -> None:
-        self._trace.clear()
+        self._trace.delete_all_points()
         self._replayed = None
         self._trace_version += 1
 

@@ -124,9 +124,9 @@ class Trace:
 
     def __init__(self, max_points: int = SETTINGS.max_points):
         self._max_points = max_points
-        self.clear()
+        self.delete_all_points()
 
-    def clear(self) -> None:
+    def delete_all_points(self) -> None:
         """Delete all points."""
         # The array has twice the necessary length, so that points are moved to its start only once per `max_points`.
         self._points = np.empty((TraceRow.COUNT, 2 * self._max_points))
@@ -151,7 +151,7 @@ class Trace:
         time = records["time"]
         restarts = np.flatnonzero(np.diff(time, prepend=self._last[0]) < 0)
         if restarts.size:
-            self.clear()
+            self.delete_all_points()
             records, time = records[restarts[-1]:], time[restarts[-1]:]
         bins = np.floor(time / SETTINGS.shortest).astype(np.int64)
         chosen = np.diff(bins, prepend=self._bin) != 0
@@ -161,11 +161,11 @@ class Trace:
         for point in np.column_stack([records[name] for name in (
                 "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
                 "inertial")]).tolist():
-            if self._is_new_point(*point[:3]):
+            if self._differs_from_last_point(*point[:3]):
                 self._append_point(point)
         return self._dropped + self._end - before
 
-    def _is_new_point(self, time: float, depth: float, force: float) -> bool:
+    def _differs_from_last_point(self, time: float, depth: float, force: float) -> bool:
         last_time, last_depth, last_force = self._last
         self._largest = max(self._largest, abs(force))
         return (time - last_time >= SETTINGS.longest or abs(depth - last_depth) >= SETTINGS.depth_step
@@ -229,7 +229,7 @@ class Trace:
         """Return the newest loading and the newest unloading; None instead of a branch that does not exist."""
         newest: dict[int, TraceBranch] = {}
         for direction, first, last in reversed(self._list_branch_limits()):
-            newest.setdefault(direction, self._make_branch(first, last))
+            newest.setdefault(direction, self._make_trace_branch(first, last))
             if len(newest) == 2:
                 break
         return newest.get(1), newest.get(-1)
@@ -252,7 +252,7 @@ class Trace:
             low, high = sorted((self.depth[first], self.depth[last]))
             missing = np.isnan(passes[direction]) & (grid >= low - _ROUNDING) & (grid <= high + _ROUNDING)
             if missing.any():
-                branch = self._make_branch(first, last)
+                branch = self._make_trace_branch(first, last)
                 passes[direction][missing] = interpolate_branch_force(branch.depth, branch.force, direction,
                                                                       grid[missing])
         return passes[1], passes[-1]
@@ -288,7 +288,7 @@ class Trace:
         return [(direction, first - dropped, last - dropped)
                 for direction, first, last in self._reversals.branches(dropped + len(self) - 1)]
 
-    def _make_branch(self, first: int, last: int) -> TraceBranch:
+    def _make_trace_branch(self, first: int, last: int) -> TraceBranch:
         part = slice(first, last + 1)
         return TraceBranch(self.time[part], self.depth[part], self.force[part], self.is_late[part],
                            self.includes_inertia[part])

@@ -28,7 +28,7 @@ def _convert_path_for_json(value: Any) -> str:
     """Convert a path to a string for JSON."""
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"{type(value).__name__} has no JSON form")
+    raise TypeError(f"value must be a JSON type or a path; got {value!r}. Convert it before printing.")
 
 
 def make_results_console(*, quiet: bool = False) -> Console:

@@ -26,7 +26,7 @@ from scenes.viewer.web_server import LOOPBACK, SERVER, open_viewer_server
 
 
 @dataclass(frozen=True)
-class PageSettings:
+class PageUpdateSettings:
     """Rate of updates and width of the page.
 
     Attributes:
@@ -38,7 +38,7 @@ class PageSettings:
     panel_width: int = 380
 
 
-_SETTINGS = PageSettings()
+_SETTINGS = PageUpdateSettings()
 
 
 class Page:
@@ -130,7 +130,7 @@ class Page:
                 self._bar.content = colour_bar_html(self._solid.levels, self._solid.colours, label)
             self._saving.record_frame(frame)
             if self._frames % _SETTINGS.update_interval == 0:
-                self._update_panels(frame)
+                self._update_texts_and_controls(frame)
         # Without the flush viser waits 1/60 s, and longer if the next frame is then incomplete.
         self.server.flush()
 
@@ -138,7 +138,7 @@ class Page:
         """Stop the server and close all connections."""
         self.server.stop()
 
-    def _update_panels(self, frame: SessionFrame) -> None:
+    def _update_texts_and_controls(self, frame: SessionFrame) -> None:
         """Update the texts, the controls of all tabs and the plots."""
         for handle, html in ((self._title, scene_title_html(frame.scene)), (self._status, status_html(frame)),
                              (self._readouts, readouts_html(frame))):

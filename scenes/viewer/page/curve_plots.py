@@ -9,7 +9,7 @@ import viser
 
 from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.live_gap import compute_live_force_gap, select_extrapolated_forces
-from scenes.viewer.measurement import interpolate_branches
+from scenes.viewer.measurement import interpolate_loading_and_unloading
 from scenes.viewer.page.notices import make_browser_reply
 from scenes.viewer.page.readouts import live_force_gap_html, model_agreement_html
 from scenes.viewer.plots import (
@@ -85,19 +85,21 @@ class CurvePlots:
         late = None if trace is None else select_extrapolated_forces(trace, grid)
         columns, extent = make_force_depth_data(grid, measured=measured, model=model, compared=compared, live=live,
                                                 late=late, now=current)
-        self._send_if_changed(self._force, columns, ("force", x, round_axis_range(extent, self._ranges.get("force"))),
-                              lambda y: make_force_depth_options(x, y, dark=self._dark))
+        self._send_plot_if_changed(self._force, columns,
+                                   ("force", x, round_axis_range(extent, self._ranges.get("force"))),
+                                   lambda y: make_force_depth_options(x, y, dark=self._dark))
         columns, extent = make_residual_depth_data(curves.residual, measured, grid)
         self._residual.visible = measured is not None
-        self._send_if_changed(self._residual, columns,
-                              ("residual", x, round_axis_range(extent, self._ranges.get("residual"), about_zero=True)),
-                              lambda y: make_residual_depth_options(x, y, dark=self._dark))
+        self._send_plot_if_changed(self._residual, columns,
+                                   ("residual", x,
+                                    round_axis_range(extent, self._ranges.get("residual"), about_zero=True)),
+                                   lambda y: make_residual_depth_options(x, y, dark=self._dark))
         time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
         hand = trace.rendered_force if trace is not None and curves.has_hand_force else None
         columns, extent = make_force_time_data(time, force, now, measured=curves.replayed, hand=hand)
-        self._send_if_changed(self._time, columns, ("time", x, round_axis_range(extent, self._ranges.get("time"))),
-                              lambda y: make_force_time_options(y, dark=self._dark))
+        self._send_plot_if_changed(self._time, columns, ("time", x, round_axis_range(extent, self._ranges.get("time"))),
+                                   lambda y: make_force_time_options(y, dark=self._dark))
         _assign_if_changed(self._legend, "content", plot_legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
             compared=None if curves.compared is None else curves.compared[0], live=live is not None,
@@ -109,16 +111,19 @@ class CurvePlots:
         _assign_if_changed(self._live_gap, "content", live_force_gap_html(gap))
 
     def _get_cached_branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
-        """Return `interpolate_branches` of a curve, from the cache if neither the curve nor the grid has changed."""
+        """Return the loading and unloading force of a curve on the grid, N; None without a curve.
+
+        The result is cached until the curve or the grid changes.
+        """
         if recording is None:
             return None
         cached = self._branch_cache.get(name)
         if cached is None or cached[0] is not recording or not np.array_equal(cached[1], grid):
-            self._branch_cache[name] = cached = (recording, grid, interpolate_branches(recording, grid))
+            self._branch_cache[name] = cached = (recording, grid, interpolate_loading_and_unloading(recording, grid))
         return cached[2]
 
-    def _send_if_changed(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple,
-                         options) -> None:
+    def _send_plot_if_changed(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple,
+                              options) -> None:
         """Send the options if a range, (name, x range, y range), has changed, and the data if they have changed."""
         name, x, y = ranges
         if self._ranges.get(name) != y or self._written.get(name) != (x, self._dark):

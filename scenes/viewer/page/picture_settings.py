@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class ViewOptions:
+class PictureOptions:
     """Display options of the picture.
 
     Attributes:

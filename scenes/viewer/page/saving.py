@@ -14,7 +14,7 @@ import viser
 from scenes.field_labels import LABELS
 from scenes.provenance import describe_provenance
 from scenes.viewer.frame import SessionFrame
-from scenes.viewer.measurement import interpolate_branches
+from scenes.viewer.measurement import interpolate_loading_and_unloading
 from scenes.viewer.page.notices import FAILED, make_browser_reply, notify_browser, send_download
 from scenes.viewer.page.solid import ScenePicture
 from scenes.viewer.page.view_controls import ViewControls
@@ -26,7 +26,7 @@ from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class SavingSettings:
+class SavedFileLimits:
     """Limits of saved pictures and replays.
 
     Attributes:
@@ -43,7 +43,7 @@ class SavingSettings:
 
 
 #: Limits of every page.
-SAVING = SavingSettings()
+SAVING = SavedFileLimits()
 
 
 class SaveControls:
@@ -85,7 +85,10 @@ class SaveControls:
             run_later(lambda: self._start_or_send_replay(event))
 
     def record_frame(self, frame: SessionFrame) -> None:
-        """Keep the frame for saving, and extend a running replay until it is `SavingSettings.longest_replay` long."""
+        """Store the newest frame for saving, and add it to a replay that is being recorded.
+
+        A replay of `SavedFileLimits.longest_replay` ends.
+        """
         self._frame = frame
         if self._recorder is None:
             return
@@ -189,9 +192,10 @@ def _select_drawn_curves(frame: SessionFrame) -> dict[str, Any]:
         pairs.append(("measured", "measured", measured.depth,
                       (measured.load.mean, None if measured.unload is None else measured.unload.mean)))
     if curves.compared is not None:
-        pairs.append(("compared", curves.compared[0], grid, interpolate_branches(curves.compared[1], grid)))
+        pairs.append(("compared", curves.compared[0], grid,
+                      interpolate_loading_and_unloading(curves.compared[1], grid)))
     if curves.model is not None:
-        pairs.append(("model", "model", grid, interpolate_branches(curves.model, grid)))
+        pairs.append(("model", "model", grid, interpolate_loading_and_unloading(curves.model, grid)))
     if curves.trace is not None and len(curves.trace):
         pairs.append(("live", "live", grid, curves.trace.interpolate_newest_passes(grid)))
     shown = [DrawnForceCurve(depth, force, name if force is branches[0] else "", LIGHT[role],

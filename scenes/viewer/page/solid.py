@@ -14,7 +14,7 @@ from scenes.viewer.bodies import DrawableBody, can_draw_fields, make_drawable_bo
 from scenes.viewer.colours import PALETTE, compute_colour_range, update_band_levels
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import Reply, make_browser_reply
-from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, ViewOptions
+from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, PictureOptions
 from scenes.viewer.page.scene_updates import send_node_arrays, send_node_position
 from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening
 from scenes.viewer.scene import Scene
@@ -159,7 +159,7 @@ class ScenePicture:
             return depth, None
         return depth, (float(tip[0] + lean[0] * tip[2]), float(tip[1] + lean[1] * tip[2]))
 
-    def draw_frame(self, frame: SessionFrame, options: ViewOptions) -> bool:
+    def draw_frame(self, frame: SessionFrame, options: PictureOptions) -> bool:
         """Send the parts of the picture that differ from the last frame.
 
         Returns:
@@ -199,7 +199,7 @@ class ScenePicture:
         return self._update_force_arrow(_read_newest_force(frame), frame.scene) or changed
 
     def _draw_coloured_tissue(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: WedgeOpening,
-                              options: ViewOptions) -> None:
+                              options: PictureOptions) -> None:
         """Draw the tissue in the colours of a field, with contact lines and element edges."""
         body, positions = self._get_drawable_body(fields.mesh), snapshot.node_positions
         wedge = Wedge(opening, snapshot.pose, 1e-3 * options.ahead)
@@ -243,7 +243,7 @@ class ScenePicture:
             self._body, self._mesh_drawn, self._drawn = make_drawable_body(mesh), mesh, None
         return self._body
 
-    def _draw_undeformed_specimen(self, scene: Scene, opening: WedgeOpening, options: ViewOptions) -> None:
+    def _draw_undeformed_specimen(self, scene: Scene, opening: WedgeOpening, options: PictureOptions) -> None:
         """Draw the undeformed specimen while the simulation starts."""
         mesh = _make_undeformed_mesh(scene)
         body, positions = self._get_drawable_body(mesh), mesh.nodes
@@ -258,7 +258,8 @@ class ScenePicture:
         self._move_tool_arrow_and_base(Snapshot(scene.experiment.tool_pose(0.0), 0.0, None), scene)
         self._draw_static_parts(body, scene, opening, options)
 
-    def _draw_static_parts(self, body: DrawableBody, scene: Scene, opening: WedgeOpening, options: ViewOptions) -> None:
+    def _draw_static_parts(self, body: DrawableBody, scene: Scene, opening: WedgeOpening,
+                           options: PictureOptions) -> None:
         """Draw the parts that do not move with the tissue: light, tool shape, base, outline and scale bar."""
         specimen, tool = scene.experiment.specimen, scene.experiment.tool
         light = np.array([LIGHTS.horizontal * np.cos(opening.facing), LIGHTS.horizontal * np.sin(opening.facing),
@@ -270,8 +271,7 @@ class ScenePicture:
             incidence = max(0.0, float(light[:2] @ opening.section_face_vectors[0][1]))
             self._ambient_light.intensity = LIGHTS.full - LIGHTS.directional * incidence
         # A wedge that is moved away from the tool's axis does not cut the tool.
-        cut = 0.0 if self._in_space and options.ahead else options.cut
-        segments = RESOLUTION.static_segments
+        cut, segments = 0.0 if self._in_space and options.ahead else options.cut, RESOLUTION.static_segments
         tool_opening = _make_wedge_opening(cut, segments, options.turn)
         self._send_mesh_node(self._tool, make_tool_mesh(tool, specimen, tool_opening))
         self._send_mesh_node(self._base, make_base_plate(specimen, _make_wedge_opening(0.0, segments)))

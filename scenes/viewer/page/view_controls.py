@@ -11,7 +11,7 @@ from scenes.field_labels import LABELS
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_camera_pose
 from scenes.viewer.frame import SessionFrame
 from scenes.viewer.page.notices import set_control_value
-from scenes.viewer.page.picture_settings import ViewOptions
+from scenes.viewer.page.picture_settings import PictureOptions
 from scenes.viewer.tool_picture import compute_picture_height
 
 
@@ -29,7 +29,7 @@ class ViewControls:
 
     def __init__(self, server: viser.ViserServer, frame: SessionFrame, scale: float):
         gui = server.gui
-        self.options, self._frame, self._scale = ViewOptions(), frame, scale
+        self.options, self._frame, self._scale = PictureOptions(), frame, scale
         fields = {label: name for name, (label, _) in LABELS.items()}
         self._field = field = gui.add_dropdown("colour", tuple(fields), initial_value=LABELS[self.options.field][0])
         hold = gui.add_checkbox("keep colour range", False)
@@ -49,8 +49,8 @@ class ViewControls:
         def update_options(_: viser.GuiEvent) -> None:
             # A browser may request a field from an outdated list.
             name = fields[field.value] if field.value in field.options else self.options.field
-            self.options = ViewOptions(name, float(cut.value), float(turn.value), float(ahead.value),
-                                       mesh_lines.value, outline.value, hold.value)
+            self.options = PictureOptions(name, float(cut.value), float(turn.value), float(ahead.value),
+                                          mesh_lines.value, outline.value, hold.value)
 
         for handle in (field, hold, cut, turn, ahead, mesh_lines, outline):
             handle.on_update(update_options)

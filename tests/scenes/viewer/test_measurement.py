@@ -11,7 +11,7 @@ import tissue_sim as ts
 from scenes.viewer.measurement import (
     build_measurement,
     compute_force_residual,
-    interpolate_branches,
+    interpolate_loading_and_unloading,
     make_motion_protocol,
     read_measurement_files,
 )
@@ -201,7 +201,7 @@ def test_files_are_read_and_invalid_files_are_named(tmp_path):
         read_measurement_files([tmp_path / "pull.csv"])
     with pytest.raises(ts.InputError, match=r"gone\.csv"):
         read_measurement_files([tmp_path / "gone.csv"])
-    with pytest.raises(ts.InputError, match="must contain at least one recording"):
+    with pytest.raises(ts.InputError, match="must contain at least one recording; got none"):
         read_measurement_files([])
 
 
@@ -225,11 +225,11 @@ def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
 def test_monotone_depth_in_gives_the_same_force_out(steps, seed):
     depth = np.cumsum(steps)
     force = np.random.default_rng(seed).normal(size=depth.size)
-    load, unload = interpolate_branches(ts.Recording({"displacement": depth, "force": force}), depth)
+    load, unload = interpolate_loading_and_unloading(ts.Recording({"displacement": depth, "force": force}), depth)
     np.testing.assert_allclose(load, force, rtol=1e-9, atol=1e-12)
     assert np.isnan(unload).all()
     back = ts.Recording({"displacement": np.append(depth, depth[-2::-1]), "force": np.append(force, 2 * force[-2::-1])})
-    load, unload = interpolate_branches(back, depth)
+    load, unload = interpolate_loading_and_unloading(back, depth)
     np.testing.assert_allclose(load, force, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(unload[:-1], 2 * force[:-1], rtol=1e-9, atol=1e-12)
 

@@ -58,8 +58,10 @@ def test_another_scene_resets_the_interfaces(needle):
 
 @pytest.mark.parametrize(("name", "changes", "expected"), [
     ("needle", {}, "scene: must be one of lubricated_compression"),
-    ("bonded_compression", {"tool": PUNCH}, "tool: must fit the scene bonded compression; got a 'flat' tool"),
-    ("needle_indentation", {"tool": ts.Tool()}, "tool: must fit the scene needle indentation; got a 'plate' tool"),
+    ("bonded_compression", {"tool": PUNCH},
+     "tool: must fit the scene bonded compression; got a 'flat' tool. Choose another tool or scene."),
+    ("needle_indentation", {"tool": ts.Tool()},
+     "tool: must fit the scene needle indentation; got a 'plate' tool. Choose another tool or scene."),
     ("needle_indentation", {"friction": "sticky"}, "friction"),
     ("needle_indentation", {"friction": 0.3}, "give the tool an edge radius"),
     ("needle_indentation", {"tool": ts.Tool("sphere", radius=0.005)}, "no flat face to be bonded to"),

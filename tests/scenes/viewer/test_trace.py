@@ -124,7 +124,7 @@ def test_a_new_loop_clears_the_trace():
     trace = fed(played(CYCLE, 14))
     trace.append_ticks(played([(0, 1e-3), (1, 2e-3)], 1))
     assert trace.time[-1] < 1.0 and trace.depth.min() == pytest.approx(1e-3)
-    trace.clear()
+    trace.delete_all_points()
     assert len(trace) == 0 and trace.branches() == (None, None)
 
 
