@@ -24,8 +24,8 @@ from PIL import Image
 import tissue_sim as ts
 from calibration import ColumnHints, ImportOptions, calibrate, import_files
 from scenes import SCENES, draw_simulation, run_demo, run_hidden_demo
-from scenes.colour_scale import colour_scale
-from scenes.figures import draw_section, save_figure
+from scenes.colour_scale import choose_colour_scale
+from scenes.figures import draw_section, write_figure_file
 
 PICTURES = Path(__file__).parent / "pictures"
 CURVES = Path(__file__).parents[1] / "tests" / "reference"
@@ -104,7 +104,7 @@ def draw_needle_movie(material: ts.Material) -> None:
     recording = ts.simulate(ts.Model(experiment, tissue), resolution="accurate", fields=True)
     times = np.arange(0.0, recording.time[-1] + 0.5 * FRAME_TIME, FRAME_TIME)
     samples = np.abs(recording.time[:, None] - times).argmin(axis=0)
-    largest = colour_scale(recording.fields, "von_mises", int(np.argmax(recording.force))).high
+    largest = choose_colour_scale(recording.fields, "von_mises", int(np.argmax(recording.force))).high
     frames = [_needle_frame(recording, int(sample), largest, experiment.tool) for sample in samples]
     frames[0].save(PICTURES / "needle.gif", save_all=True, append_images=frames[1:], duration=round(1e3 * FRAME_TIME),
                    loop=0, optimize=True)
@@ -155,7 +155,7 @@ def draw_cycles(material: ts.Material) -> None:
             panel.grid(alpha=0.3)
             panel.spines[["top", "right"]].set_visible(False)
     axes[0, 0].legend(frameon=False)
-    save_figure(figure, PICTURES / "cycles.png")
+    write_figure_file(figure, PICTURES / "cycles.png")
 
 
 def draw_inverse_calibration(material: ts.Material) -> None:

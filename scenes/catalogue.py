@@ -5,8 +5,8 @@ from collections.abc import Iterator, Mapping
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
 
 
-class _Scenes(Mapping[str, TestKind]):
-    """Read-only view of `KINDS` without tests of gripped specimens; it contains kinds of installed packages."""
+class _SceneCatalogue(Mapping[str, TestKind]):
+    """Read-only mapping, name -> kind of test, of all `KINDS` with a tool; kinds of installed packages are included."""
 
     def __getitem__(self, name: str) -> TestKind:
         kind = KINDS[name]
@@ -22,4 +22,4 @@ class _Scenes(Mapping[str, TestKind]):
 
 
 #: Scenes by name.
-SCENES: Mapping[str, TestKind] = _Scenes()
+SCENES: Mapping[str, TestKind] = _SceneCatalogue()

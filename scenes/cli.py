@@ -29,7 +29,7 @@ from scenes.commands import (
     view,
 )
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, describe_planned
+from scenes.commands.shared.parsing import CommandParser, describe_planned_feature
 from tissue_sim import __version__
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError, nearest, sentence
 
@@ -57,20 +57,20 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code, a value of `ExitCode`.
 
     Args:
-        argv: arguments after ``tissue-sim``; None takes the arguments of the process.
+        argv: arguments after ``tissue-sim``; None: ``sys.argv[1:]``.
     """
-    _print_utf8()
+    _set_utf8_output()
     words = list(sys.argv[1:] if argv is None else argv)
     arguments = None
     try:
-        arguments = _parse_arguments(words)
+        arguments = _parse_command_line(words)
         code = ExitCode.DONE if arguments is None else arguments.run(arguments)
         sys.stdout.flush()  # raises BrokenPipeError inside this block instead of at exit
         return code
     except InputError as error:
-        return _print_error(str(error), ExitCode.BAD_INPUT)
+        return _report_error(str(error), ExitCode.BAD_INPUT)
     except (ConvergenceError, MissingBackendError, WorkerError) as error:
-        return _print_error(str(error), ExitCode.GOAL_MISSED)
+        return _report_error(str(error), ExitCode.GOAL_MISSED)
     except BrokenPipeError:
         # A program such as head closed the pipe early, which is no error. The buffered rest goes to the null device,
         # so that the interpreter does not fail when it flushes stdout at exit.
@@ -78,20 +78,20 @@ def main(argv: Sequence[str] | None = None) -> int:
         return ExitCode.DONE
     except OSError as error:
         text = f"{error.filename}: {error.strerror}" if error.filename else str(error)
-        return _print_error(text, ExitCode.BAD_INPUT)
+        return _report_error(text, ExitCode.BAD_INPUT)
     except KeyboardInterrupt:
         hint = getattr(arguments, "resume_hint", "nothing was written")
-        return _print_error(f"stopped by Ctrl-C; {hint}", ExitCode.INTERRUPTED)
+        return _report_error(f"stopped by Ctrl-C; {hint}", ExitCode.INTERRUPTED)
 
 
-def _parse_arguments(words: list[str]) -> Namespace | None:
+def _parse_command_line(words: list[str]) -> Namespace | None:
     """Parse the arguments; return None after argparse printed the help or the version.
 
     Raises:
         InputError: unknown command, action or option, or a bad value.
     """
-    _refuse_unknown_names(words)
-    parser = make_parser()
+    _require_known_command(words)
+    parser = make_command_line_parser()
     if not words:
         parser.print_help()
         return None
@@ -100,23 +100,23 @@ def _parse_arguments(words: list[str]) -> Namespace | None:
     except SystemExit:  # argparse exits after --help and --version; its errors are raised as InputError
         return None
     if rest:
-        options = list(arguments.parser.option_names())
+        options = list(arguments.parser.list_option_names())
         hint = nearest(rest[0].split("=")[0], options) if rest[0].startswith("-") else ""
         command = arguments.parser.prog.removeprefix("tissue-sim ")
         raise InputError(f"{command}: unexpected argument {rest[0]!r}{hint}")
     return arguments
 
 
-def make_parser() -> Parser:
+def make_command_line_parser() -> CommandParser:
     """Return the parser of all commands.
 
     It imports no numerical package, so that ``--help`` answers at once.
     """
-    parser = Parser(prog="tissue-sim",
-                    description="Calibrate soft-tissue finite-element models from measured force curves, and simulate "
-                                "tests with them, also in real time.",
-                    epilog="first steps:\n  tissue-sim doctor\n  tissue-sim demo\n\n"
-                           "tissue-sim COMMAND --help explains a command")
+    parser = CommandParser(prog="tissue-sim",
+                           description="Calibrate soft-tissue finite-element models from measured force curves, and "
+                                       "simulate tests with them, also in real time.",
+                           epilog="first steps:\n  tissue-sim doctor\n  tissue-sim demo\n\n"
+                                  "tissue-sim COMMAND --help explains a command")
     parser.add_argument("--version", action="version", version=f"tissue-sim {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND", required=True)
     for name, command in COMMANDS.items():
@@ -125,8 +125,8 @@ def make_parser() -> Parser:
     return parser
 
 
-def _refuse_unknown_names(words: list[str]) -> None:
-    """Refuse an unknown command or action with the nearest known name, which argparse does not give.
+def _require_known_command(words: list[str]) -> None:
+    """Raise an error for an unknown command or action; the message names the nearest one, unlike that of argparse.
 
     Raises:
         InputError: unknown or planned command.
@@ -139,12 +139,12 @@ def _refuse_unknown_names(words: list[str]) -> None:
     actions = getattr(COMMANDS[name], "ACTIONS", ())
     if actions and len(words) > 1 and not words[1].startswith("-"):
         if words[1] in COMMANDS[name].LATER:
-            raise InputError(describe_planned(f"command {f'{name} {words[1]}'!r}"))
+            raise InputError(describe_planned_feature(f"command {f'{name} {words[1]}'!r}"))
         if words[1] not in actions:
             raise InputError(f"unknown command {f'{name} {words[1]}'!r}{nearest(words[1], actions)}")
 
 
-def _print_utf8() -> None:
+def _set_utf8_output() -> None:
     """Set the encoding of stdout and stderr to UTF-8.
 
     On Windows the encoding of a redirected stream lacks characters such as the plus-minus sign. File names may contain
@@ -155,8 +155,8 @@ def _print_utf8() -> None:
             stream.reconfigure(encoding="utf-8", errors="backslashreplace")
 
 
-def _print_error(text: str, code: int) -> int:
-    """Print an error on stderr and return the exit code."""
+def _report_error(text: str, code: int) -> int:
+    """Print an error on stderr and return `code`, the exit code of the process."""
     print(f"tissue-sim: {sentence(text)}", file=sys.stderr)
     return code
 

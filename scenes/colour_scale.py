@@ -29,13 +29,13 @@ class ColourScale(NamedTuple):
     uniform: bool
 
     @property
-    def extend(self) -> str:
-        """Argument `extend` of matplotlib's colour bar: "both" where values may lie beyond the ends, or "neither"."""
+    def colour_bar_extension(self) -> str:
+        """Argument `extend` of matplotlib's colour bar: "both" if values may lie beyond them, else "neither"."""
         return "neither" if self.uniform else "both"
 
 
-def colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale:
-    """Return the colour scale of a field: its range without 1 % of the volume at either end.
+def choose_colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale:
+    """Return the colour scale of a field: from its 1 % quantile to its 99 % quantile by volume.
 
     Stresses are singular at edges, so that the full range would show the edges only.
 
@@ -46,7 +46,7 @@ def colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale:
         sample: index of the sample.
     """
     label, factor = LABELS[name]
-    low, high = volume_range(fields.at_points(name, sample) * factor, fields.weights)
+    low, high = compute_volume_quantiles(fields.at_points(name, sample) * factor, fields.weights)
     least = _ROUNDING * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     uniform = high - low <= max(_ROUNDING * max(abs(low), abs(high)), least)
     if uniform:
@@ -57,13 +57,13 @@ def colour_scale(fields: Any, name: str, sample: int = -1) -> ColourScale:
     return ColourScale(label, low, high, uniform)
 
 
-def volume_range(values: np.ndarray, weights: np.ndarray, left_out: float = 0.01) -> tuple[float, float]:
-    """Return two quantiles of a field by volume: its range without a fraction of the volume at either end.
+def compute_volume_quantiles(values: np.ndarray, weights: np.ndarray, left_out: float = 0.01) -> tuple[float, float]:
+    """Return the lower and the upper quantile of a field, weighted by volume.
 
     Args:
         values: field at the quadrature points, any shape.
         weights: volumes of the points, m3, of the same shape.
-        left_out: fraction of the volume that is left out at the lower end, and the same at the upper end.
+        left_out: fraction of the volume below the lower quantile, and above the upper quantile.
 
     Returns:
         Lower and upper end, in the unit of the values.

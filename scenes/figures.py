@@ -10,9 +10,15 @@ from typing import Any
 import numpy as np
 
 from calibration.report.png import render_png
-from scenes.colour_scale import colour_scale
+from scenes.colour_scale import choose_colour_scale
 from scenes.field_labels import LABELS
-from scenes.solid_figures import RIGID, draw_cut, draw_surface, label_axes, tool_pose
+from scenes.solid_figures import (
+    RIGID,
+    choose_drawn_tool_pose,
+    draw_deformed_section,
+    draw_deformed_surface,
+    set_axis_scales_and_labels,
+)
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.tools.tool import Tool
@@ -52,14 +58,15 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
         raise InputError(f"unknown field {field!r}; known: {', '.join(LABELS)}", field="field")
     if recording.fields is None:
         raise InputError("the recording has no fields. Simulate with fields=True", field="fields")
-    sample = _find_drawn_sample(recording, segment)
+    sample = _find_sample_to_draw(recording, segment)
     tool, fields = model.experiment.tool, recording.fields
     figure = Figure(layout="constrained")
     if fields.mesh.nodes.shape[1] == 3:
-        axes = _draw_solid(figure, fields, field, sample, model.experiment.tool_pose(recording.displacement[sample]),
-                           tool)
+        axes = _draw_solid_section_and_surface(figure, fields, field, sample,
+                                               model.experiment.tool_pose(recording.displacement[sample]),
+                                               tool)
     else:
-        axes = _draw_axisymmetric(figure, fields, field, sample, tool)
+        axes = _draw_section_and_fold(figure, fields, field, sample, tool)
     curve = axes["curve"]
     if reference is not None:
         curve.plot(reference.displacement * 1e3, reference.force, color="0.25", linewidth=1, label=reference.name)
@@ -82,21 +89,30 @@ def draw_simulation(recording: Recording, model: Model, path: Path, field: str =
     warnings = recording.metadata.get("solver", {}).get("warnings", [])
     if warnings:
         curve.set_title("\n".join(textwrap.wrap("; ".join(warnings), 60)), fontsize=8, color="#a33c00")
-    save_figure(figure, path)
+    write_figure_file(figure, path)
 
 
-def _draw_solid(figure, fields: SolidFields, field: str, sample: int, pose: Pose, tool: Tool) -> dict[str, Any]:
-    """Draw section and surface of a three-dimensional simulation; return the axes by name, the empty "curve" too."""
-    pose = tool_pose(fields, sample, pose, tool)
+def _draw_solid_section_and_surface(figure, fields: SolidFields, field: str, sample: int, pose: Pose,
+                                    tool: Tool) -> dict[str, Any]:
+    """Draw section and surface of a three-dimensional simulation.
+
+    Returns:
+        Axes by name; the axes "curve" are still empty.
+    """
+    pose = choose_drawn_tool_pose(fields, sample, pose, tool)
     figure.set_size_inches(14.5, 4.8)
     axes = figure.subplot_mosaic([["cut", "surface", "curve"]], width_ratios=[1.25, 1.1, 0.85])
-    draw_cut(axes["cut"], fields, field, sample, pose, tool)
-    draw_surface(axes["surface"], fields, field, sample, pose, tool)
+    draw_deformed_section(axes["cut"], fields, field, sample, pose, tool)
+    draw_deformed_surface(axes["surface"], fields, field, sample, pose, tool)
     return axes
 
 
-def _draw_axisymmetric(figure, fields: Fields, field: str, sample: int, tool: Tool) -> dict[str, Any]:
-    """Draw the section and, of an indentation, the fold; return the axes by name, the empty "curve" too."""
+def _draw_section_and_fold(figure, fields: Fields, field: str, sample: int, tool: Tool) -> dict[str, Any]:
+    """Draw the section of an axisymmetric simulation and, for an indentation, the fold at the tool's edge.
+
+    Returns:
+        Axes by name; the axes "curve" are still empty.
+    """
     panels = {"section": 1.25} | ({"fold": 0.75} if not tool.is_plate else {}) | {"curve": 1.0}
     radius, height = fields.mesh.nodes[:, 0].max(), np.ptp(fields.mesh.nodes[:, 1])
     if radius > 1.5 * height:
@@ -112,8 +128,8 @@ def _draw_axisymmetric(figure, fields: Fields, field: str, sample: int, tool: To
     return axes
 
 
-def _find_drawn_sample(recording: Recording, segment: str | None) -> int:
-    """Return the index of the deepest sample, or of the last sample of a segment."""
+def _find_sample_to_draw(recording: Recording, segment: str | None) -> int:
+    """Return the index of the last sample of the named segment; None as the name gives the deepest sample."""
     if segment is None:
         return int(np.argmax(recording.displacement))
     samples = np.flatnonzero(recording.labels.get("segment", np.empty(0, str)) == segment)
@@ -127,7 +143,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     """Draw the deformed section of an axisymmetric simulation, mirrored at the axis.
 
     The panel also shows the undeformed outline (dashed), the element edges, the base, the tool and the colour bar.
-    Colours follow `scenes.colour_scale.colour_scale`.
+    Colours follow `scenes.colour_scale.choose_colour_scale`.
 
     Args:
         axes: matplotlib axes.
@@ -138,7 +154,7 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     """
     mesh = fields.mesh
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
-    picture, scale = _draw_field(axes, fields, name, sample, (1, -1))
+    picture, scale = _draw_field_in_colour(axes, fields, name, sample, (1, -1))
     radius, height = mesh.nodes[:, 0].max() * 1e3, -mesh.nodes[:, 1].min() * 1e3
     axes.plot(radius * np.array([-1, 1, 1, -1, -1]), height * np.array([-1, -1, 0, 0, -1]), color="0.4", linewidth=0.9,
               linestyle=(0, (4, 3)))
@@ -146,18 +162,18 @@ def draw_section(axes, fields: Fields, name: str, sample: int = -1, *, tool: Too
     base, plate = nodes[:, 1][mesh.sets["base"]].min(), 0.05 * max(height, 0.5 * radius)
     axes.fill_between([-width, width], base, base - plate, color=RIGID, linewidth=0)
     if tool.is_plate:
-        tip = _find_face_height(mesh, nodes, tool)
+        tip = _find_flat_face_height(mesh, nodes, tool)
         axes.fill_between([-width, width], tip, tip + plate, color=RIGID, linewidth=0)
     else:
-        _draw_needle(axes, mesh, nodes, tool, max(nodes[:, 1].max(), 0.0) + plate)
-    label_axes(axes, "r [mm]")
-    axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.extend, shrink=0.85)
+        _draw_needle_outline(axes, mesh, nodes, tool, max(nodes[:, 1].max(), 0.0) + plate)
+    set_axis_scales_and_labels(axes, "r [mm]")
+    axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.colour_bar_extension, shrink=0.85)
 
 
 def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> None:
     """Draw the tissue near the edge of a needle, where the free surface folds onto the shaft.
 
-    Of a needle without a flat face the panel shows the tip. The colours are those of `draw_section`.
+    For a needle without a flat face, the panel shows the tip. The colours are those of `draw_section`.
 
     Args:
         axes: matplotlib axes.
@@ -168,26 +184,30 @@ def draw_fold(axes, fields: Fields, name: str, tool: Tool, sample: int = -1) -> 
     """
     mesh = fields.mesh
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
-    _draw_field(axes, fields, name, sample, (1,))
-    radius, tip = tool.require_radius() * 1e3, _find_face_height(mesh, nodes, tool)
+    _draw_field_in_colour(axes, fields, name, sample, (1,))
+    radius, tip = tool.require_radius() * 1e3, _find_flat_face_height(mesh, nodes, tool)
     top = max(nodes[mesh.sets["top"], 1].max(), tip) + 0.3 * radius
-    _draw_needle(axes, mesh, nodes, tool, top + radius)
+    _draw_needle_outline(axes, mesh, nodes, tool, top + radius)
     top_nodes = mesh.sets["top"][np.argsort(mesh.nodes[mesh.sets["top"], 0])]
     axes.plot(*nodes[top_nodes].T, color="0.15", linewidth=1.1)
     part, left, below = ("edge", 0.45, 0.7) if tool.face_radius else ("tip", 0.0, 0.4)
     axes.set_xlim(left * radius, (left + 1.75) * radius)
     axes.set_ylim(tip - below * radius, top)
-    label_axes(axes, "r [mm]")
+    set_axis_scales_and_labels(axes, "r [mm]")
     axes.set_title(f"{part} of the tool", loc="left", fontsize=10)
 
 
-def _draw_field(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
-    """Colour the section on sides of the axis (1: right, -1: left); return the artist and the colour scale."""
+def _draw_field_in_colour(axes, fields: Fields, name: str, sample: int, sides: tuple[int, ...]):
+    """Colour the section on the given sides of the axis (1: right, -1: left).
+
+    Returns:
+        The matplotlib artist for the colour bar, and the colour scale.
+    """
     from matplotlib.collections import LineCollection
     from matplotlib.tri import Triangulation
 
     _, factor = LABELS[name]
-    mesh, scale = fields.mesh, colour_scale(fields, name, sample)
+    mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
     nodes = (mesh.nodes + fields.displacement(sample)) * 1e3
     values = fields.at_nodes(name, sample) * factor
     triangles = _split_into_triangles(mesh)
@@ -203,15 +223,15 @@ def _draw_field(axes, fields: Fields, name: str, sample: int, sides: tuple[int, 
     return picture, scale
 
 
-def _draw_needle(axes, mesh: Mesh, nodes: np.ndarray, tool: Tool, top: float) -> None:
+def _draw_needle_outline(axes, mesh: Mesh, nodes: np.ndarray, tool: Tool, top: float) -> None:
     """Draw the outline of a needle from its contact with the tissue up to the height `top`, mm."""
-    tip = _find_face_height(mesh, nodes, tool)
+    tip = _find_flat_face_height(mesh, nodes, tool)
     r, z = (tool.profile.sample_outline((top - tip) * 1e-3) * 1e3).T
     axes.fill(np.concatenate([r, -r[::-1]]), tip + np.concatenate([z, z[::-1]]), color=RIGID, edgecolor="0.4",
               linewidth=0.6)
 
 
-def _find_face_height(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
+def _find_flat_face_height(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
     """Return the height of the tool's flat face, mm: the highest deformed surface node below the face.
 
     Args:
@@ -225,7 +245,7 @@ def _find_face_height(mesh: Mesh, nodes: np.ndarray, tool: Tool) -> float:
     return float(surface[below, 1].max())
 
 
-def save_figure(figure, path: Path) -> None:
+def write_figure_file(figure, path: Path) -> None:
     """Write a matplotlib figure atomically, in the format of the file's suffix (png without a suffix)."""
     kind = Path(path).suffix.lstrip(".").lower() or "png"
     if kind == "png":
@@ -237,7 +257,11 @@ def save_figure(figure, path: Path) -> None:
 
 
 def _split_into_triangles(mesh: Mesh) -> np.ndarray:
-    """Split each element into triangles between its nodes; node numbers, shape (triangles, 3)."""
+    """Split each element into triangles between its nodes.
+
+    Returns:
+        Node numbers of the triangles, shape (triangles, 3).
+    """
     square = [(0, 1, 2), (0, 2, 3)]
     nine = [(0, 4, 8), (0, 8, 7), (4, 1, 5), (4, 5, 8), (8, 5, 2), (8, 2, 6), (7, 8, 6), (7, 6, 3)]
     return np.concatenate([mesh.connectivity[:, list(corners)]

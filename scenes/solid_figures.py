@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from scenes.colour_scale import colour_scale
+from scenes.colour_scale import choose_colour_scale
 from scenes.field_labels import LABELS
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.solid.fields import SolidFields
@@ -27,7 +27,7 @@ class SurfaceViewSettings:
     Attributes:
         azimuth_deg: direction of the camera about z, from +x.
         elevation_deg: angle of the camera above the horizontal plane.
-        light: vector towards the light; its length does not matter.
+        light: vector from the scene towards the light, of any length.
         shadow_brightness: fraction of a colour that remains on faces turned away from the light; 1 switches shading
             off.
         edge_angle_deg: faces that meet at a larger angle form a sharp edge and are shaded separately.
@@ -45,7 +45,7 @@ class SurfaceViewSettings:
 _VIEW = SurfaceViewSettings()
 
 
-def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
+def draw_deformed_section(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
     """Draw the deformed section in the plane through the tool's axis and the x axis.
 
     The panel also shows the element edges, the undeformed outline (dashed), the base, the tool and the colour bar.
@@ -61,7 +61,7 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     from matplotlib.collections import LineCollection
     from matplotlib.tri import Triangulation
 
-    mesh, scale = fields.mesh, colour_scale(fields, name, sample)
+    mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
     nodes = compute_deformed_nodes(fields, sample)
     heights = compute_distance_from_plane(nodes, pose)
     crossings, triangles = cut_tetrahedra(mesh.connectivity[:, subdivide_into_tetrahedra(mesh.element)].reshape(-1, 4),
@@ -74,15 +74,16 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
     picture.set_in_layout(False)  # faster: the layout would measure each triangle
     sides = triangulate_surface_faces(mesh.element, mesh.connectivity[:, mesh.element.face_nodes].reshape(
         -1, mesh.element.face_nodes.shape[1]))
-    edges = _project_lines(intersect_triangles(sides, heights).interpolate_nodal_values(nodes))
+    edges = _project_lines_to_xz_plane(intersect_triangles(sides, heights).interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="white", linewidths=0.3, alpha=0.4))
     outside = triangulate_surface_faces(mesh.element, np.concatenate(list(mesh.faces.values())))
-    edges = _project_lines(intersect_triangles(outside, heights).interpolate_nodal_values(nodes))
+    edges = _project_lines_to_xz_plane(intersect_triangles(outside, heights).interpolate_nodal_values(nodes))
     axes.add_collection(LineCollection(edges, colors="0.15", linewidths=1.0))
     undeformed = mesh.nodes - [0.0, 0.0, fields.datum]
     outline = intersect_triangles(outside,
                                   compute_distance_from_plane(undeformed, pose)).interpolate_nodal_values(undeformed)
-    axes.add_collection(LineCollection(_project_lines(outline), colors="0.4", linewidths=0.9, linestyles=[_DASHED]))
+    axes.add_collection(LineCollection(_project_lines_to_xz_plane(outline), colors="0.4", linewidths=0.9,
+                                       linestyles=[_DASHED]))
     low, high = 1e3 * nodes.min(axis=0), 1e3 * np.maximum(nodes.max(axis=0), undeformed.max(axis=0))
     width, plate = 0.59 * np.ptp(1e3 * nodes[:, 0]), 0.04 * (high - low).max()
     middle = 0.5 * (low[0] + high[0])
@@ -91,40 +92,40 @@ def draw_cut(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool
         height = 1e3 * pose.position[2]
         axes.fill_between([middle - width, middle + width], height, height + plate, color=RIGID, linewidth=0)
     else:
-        outline = tool_outline(tool, nodes, pose)
+        outline = compute_needle_profile(tool, nodes, pose)
         both = np.concatenate([outline, (outline * [-1.0, 1.0])[::-1]])
         tip, rotation = np.array(pose.position), np.array(pose.rotation)
         drawn = 1e3 * (tip + np.column_stack([both[:, 0], np.zeros(len(both)), both[:, 1]]) @ rotation.T)
         axes.fill(drawn[:, 0], drawn[:, 2], color=RIGID, edgecolor="0.4", linewidth=0.6)
-    label_axes(axes, "x [mm]")
-    axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.extend, shrink=0.85)
+    set_axis_scales_and_labels(axes, "x [mm]")
+    axes.figure.colorbar(picture, ax=axes, label=scale.label, extend=scale.colour_bar_extension, shrink=0.85)
 
 
-def draw_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
+def draw_deformed_surface(axes, fields: SolidFields, name: str, sample: int, pose: Pose, tool: Tool) -> None:
     """Draw the deformed surface with its element edges, and the tool, in an oblique view from above.
 
-    Arguments and colours are those of `draw_cut`.
+    Arguments and colours are those of `draw_deformed_section`.
     """
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
 
-    mesh, scale = fields.mesh, colour_scale(fields, name, sample)
+    mesh, scale = fields.mesh, choose_colour_scale(fields, name, sample)
     nodes = compute_deformed_nodes(fields, sample)
     sides = np.concatenate(list(mesh.faces.values()))
-    points, triangles = _split_at_edges(nodes, triangulate_surface_faces(mesh.element, sides))
+    points, triangles = _split_at_sharp_edges(nodes, triangulate_surface_faces(mesh.element, sides))
     values = fields.at_nodes(name, sample)[points] * LABELS[name][1]
     colour = (values - scale.low) / (scale.high - scale.low) if scale.high > scale.low else np.zeros_like(values)
     bodies = [(nodes[points], triangles, colormaps["viridis"](np.clip(colour, 0.0, 1.0))[:, :3])]
     if not tool.is_plate:
-        outline = tool_outline(tool, nodes, pose)
-        vertices, faces = revolve_profile(outline)
+        outline = compute_needle_profile(tool, nodes, pose)
+        vertices, faces = make_surface_of_revolution(outline)
         vertices = np.array(pose.position) + vertices @ np.array(pose.rotation).T
-        split, faces = _split_at_edges(vertices, faces)
+        split, faces = _split_at_sharp_edges(vertices, faces)
         bodies.append((vertices[split], faces, np.full((len(split), 3), float(RIGID))))
-    _draw_bodies(axes, bodies)
+    _draw_shaded_bodies(axes, bodies)
     # Only edges of element faces that are turned towards the viewer are drawn.
     lines = nodes[sides[:, find_face_edges(mesh.element)].reshape(-1, 2)]
-    normals = _vertex_normals(nodes, triangulate_surface_faces(mesh.element, sides), len(nodes))
+    normals = _sum_vertex_normals(nodes, triangulate_surface_faces(mesh.element, sides), len(nodes))
     ends = normals[sides[:, find_face_edges(mesh.element)].reshape(-1, 2)]
     lines = lines[(ends @ _compute_view_direction() > 0.0).all(axis=1)]
     if not tool.is_plate:
@@ -154,7 +155,7 @@ def compute_distance_from_plane(points: np.ndarray, pose: Pose) -> np.ndarray:
     return heights
 
 
-def tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: Tool) -> Pose:
+def choose_drawn_tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: Tool) -> Pose:
     """Return the pose at which the tool is drawn: the commanded pose, or a pose on the tissue surface above it.
 
     A compliant load train keeps the tool above its commanded pose; there the tool would be drawn inside the tissue.
@@ -177,7 +178,7 @@ def tool_pose(fields: SolidFields, sample: int, pose: Pose, tool: Tool) -> Pose:
     return Pose((float(x), float(y), float(z)), pose.orientation)
 
 
-def tool_outline(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndarray:
+def compute_needle_profile(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndarray:
     """Return the profile of a needle from its tip to the axis above the tissue.
 
     Args:
@@ -193,7 +194,7 @@ def tool_outline(tool: Tool, nodes: np.ndarray, pose: Pose) -> np.ndarray:
     return np.concatenate([outline, [[0.0, outline[-1, 1]]]])
 
 
-def revolve_profile(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray, np.ndarray]:
+def make_surface_of_revolution(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray, np.ndarray]:
     """Return the surface of revolution of a profile.
 
     Args:
@@ -216,7 +217,7 @@ def revolve_profile(outline: np.ndarray, segments: int = 40) -> tuple[np.ndarray
     return vertices, np.concatenate(faces)
 
 
-def label_axes(axes, across: str) -> None:
+def set_axis_scales_and_labels(axes, across: str) -> None:
     """Set equal scales and the axis labels: `across` on the horizontal axis, z on the vertical axis."""
     axes.set_aspect("equal")
     axes.set_xlabel(across)
@@ -224,7 +225,7 @@ def label_axes(axes, across: str) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _project_lines(points: np.ndarray) -> list[np.ndarray]:
+def _project_lines_to_xz_plane(points: np.ndarray) -> list[np.ndarray]:
     """Project end points (x, y, z) of k lines, m, shape (2 k, 3), to k arrays of (x, z), mm, shape (2, 2)."""
     return list(1e3 * points[:, [0, 2]].reshape(-1, 2, 2))
 
@@ -245,7 +246,7 @@ def _rotate_to_camera_axes(points: np.ndarray) -> np.ndarray:
     return points @ np.stack([right, np.cross(direction, right), direction]).T
 
 
-def _draw_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
+def _draw_shaded_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:
     """Draw shaded bodies with the painter's algorithm: the triangle farthest from the camera first.
 
     Args:
@@ -259,7 +260,7 @@ def _draw_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) 
     light = np.array(_VIEW.light) / np.linalg.norm(_VIEW.light)
     positions, triangles, colours, offset = [], [], [], 0
     for vertices, faces, colour in bodies:
-        normals = _vertex_normals(vertices, faces, len(vertices))
+        normals = _sum_vertex_normals(vertices, faces, len(vertices))
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
         shadow = _VIEW.shadow_brightness
         brightness = shadow + (1.0 - shadow) * np.clip(normals @ light, 0.0, 1.0)
@@ -280,7 +281,7 @@ def _draw_bodies(axes, bodies: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) 
 
 
 def _find_hidden_points(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Tell for each point, shape (n, 3), whether a triangle lies between the point and the camera; bool, shape (n,)."""
+    """Return for each point, shape (n, 3), whether a triangle lies between it and the camera, bool, shape (n,)."""
     seen, corners = _rotate_to_camera_axes(points), _rotate_to_camera_axes(vertices)[faces]
     hidden = np.zeros(len(points), dtype=bool)
     for a, b, c in corners:
@@ -295,14 +296,14 @@ def _find_hidden_points(points: np.ndarray, vertices: np.ndarray, faces: np.ndar
     return hidden
 
 
-def _vertex_normals(vertices: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
+def _sum_vertex_normals(vertices: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
     """Return the sum of the triangle normals, weighted by area, at each of `count` vertices, shape (count, 3)."""
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)
     return np.column_stack([np.bincount(faces.ravel(), normals[:, axis], count) for axis in range(3)])
 
 
-def _split_at_edges(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _split_at_sharp_edges(vertices: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Duplicate the vertices along sharp edges, so that smooth shading stops there.
 
     Connected components of triangles that meet at less than `SurfaceViewSettings.edge_angle_deg` share vertices.

@@ -9,7 +9,7 @@ from typing import Any
 
 
 @contextmanager
-def stopped_by_signals(stop: Callable[[], None], *, ignore_repeats: bool = False) -> Iterator[None]:
+def call_stop_at_signals(stop: Callable[[], None], *, ignore_repeats: bool = False) -> Iterator[None]:
     """Call `stop` at Ctrl-C (SIGINT) and SIGTERM inside the block, and restore the previous handlers after it.
 
     By default the second signal has its usual effect, so that a program that hangs can still be ended.
@@ -21,14 +21,14 @@ def stopped_by_signals(stop: Callable[[], None], *, ignore_repeats: bool = False
     """
     previous: dict[int, Any] = {}
 
-    def handle(number: int, _: Any) -> None:
+    def stop_at_first_signal(number: int, _: Any) -> None:
         stop()
         if not ignore_repeats:
             signal.signal(number, previous[number])
 
     hang_up = [signal.SIGHUP] if ignore_repeats and hasattr(signal, "SIGHUP") else []
     for number in (signal.SIGINT, signal.SIGTERM, *hang_up):
-        previous[number] = signal.signal(number, handle)
+        previous[number] = signal.signal(number, stop_at_first_signal)
     try:
         yield
     finally:

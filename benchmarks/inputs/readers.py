@@ -20,7 +20,7 @@ from haptics.protocols.ati_calibration import read_calibration
 from haptics.server import wire
 from haptics.server.commands import ConfigurationCommands
 from scenes.commands.record.protocol_file import read_protocol_file
-from scenes.viewer.material_files import read_upload
+from scenes.viewer.material_files import read_uploaded_material
 from tissue_sim.experiment.protocol_text import parse_protocol
 
 #: How an input is refused: files in one sentence, packets and lines of devices by the errors that their callers know.
@@ -183,7 +183,8 @@ def _of_settings(folder: Path) -> dict[str, tuple[bytes, Reader]]:
         "sidecar": (sidecar.encode(), _of_file(folder / "sided.json",
                                                lambda path: ts.read_recording(path.with_suffix(".csv")))),
         "material": (sound["gel.material.json"], _of_file(folder / "gel.material.json", ts.load_material)),
-        "upload of a material": (sound["gel.material.json"], lambda content: read_upload("gel.material.json", content)),
+        "upload of a material": (sound["gel.material.json"],
+                                 lambda content: read_uploaded_material("gel.material.json", content)),
         "rig": (sound["frame.rig.json"], _of_file(folder / "frame.rig.json", ts.load_rig)),
         "profile": (b"r [mm],z [mm]\n0,0\n4,1\n8,4\n8.5,9\n", _of_file(
             folder / "tool.csv", lambda path: ts.Tool("profile", profile_file=path))),

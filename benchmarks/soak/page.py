@@ -22,7 +22,7 @@ import scenes.viewer.live_simulation
 from benchmarks import child_environment
 from benchmarks.soak.scenes import HIGHEST, LAW, draw, model_of
 from benchmarks.soak.tissue import LoggedSimulator, calls_in
-from scenes.viewer.frame import FRAMES, Frame, Phase
+from scenes.viewer.frame import FRAMES, Phase, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
@@ -118,7 +118,7 @@ class _Player:
         self._session.frame()  # obeys what was asked last
         self._played.unanswered = len(self._waiting)
 
-    def _see(self, frame: Frame) -> None:
+    def _see(self, frame: SessionFrame) -> None:
         self._page.show(frame)
         self._played.frames += 1
         now = time.monotonic()

@@ -34,7 +34,7 @@ from haptics.devices.motions import SpatialWalk
 from haptics.loop.bulk_link import DelayedBulk
 from haptics.loop.multirate import ERROR_FLOOR, ERROR_SHARE, MultiRateTissue
 from haptics.loop.ring import TICK, RingReader
-from scenes.viewer.frame import Frame, Phase, Viewer
+from scenes.viewer.frame import FrameViewer, Phase, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
@@ -103,7 +103,7 @@ CASES = {
 
 
 @dataclass
-class Watched(Viewer):
+class Watched(FrameViewer):
     """Viewer that shows frames on a page and stores the ticks."""
 
     page: Page
@@ -113,7 +113,7 @@ class Watched(Viewer):
     frames: int = 0
     records: list[np.ndarray] = field(default_factory=list)
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         self.page.show(frame)
         self.frames += 1
         if frame.phase is Phase.DIED:
@@ -191,10 +191,10 @@ def stepped(case: Case, seconds: float, seed: int) -> tuple[np.ndarray, SolidMes
     return ticks, mesh
 
 
-def _running(session: Session) -> Frame:
+def _running(session: Session) -> SessionFrame:
     """Return the first frame of a running loop that has the curve of the whole test."""
     until = time.monotonic() + PATIENCE
-    while (frame := session.frame()).readouts is None or frame.snapshot is None or session.waits_for_curve:
+    while (frame := session.frame()).readouts is None or frame.snapshot is None or session.is_waiting_for_curve:
         if frame.phase is Phase.DIED or time.monotonic() > until:
             raise SystemExit(f"the simulation does not start: {frame.message}")
         time.sleep(0.05)

@@ -27,7 +27,7 @@ import tissue_sim as ts
 from benchmarks.measure import about, option_parser, show, table
 from benchmarks.viewer.processes import reading
 from haptics.loop.snapshot_board import SnapshotBoard, SnapshotReader
-from scenes.viewer.frame import Curves, Frame, Phase
+from scenes.viewer.frame import Phase, PlotCurves, SessionFrame
 from scenes.viewer.page import Page
 from scenes.viewer.scene import Scene
 from scenes.viewer.solid_body import SolidBody
@@ -82,7 +82,7 @@ def measure(element: Hexahedron, frames: int) -> dict:
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.5 * EDGE, EDGE), protocol=ts.Protocol.ramp(8e-3), tool=tool,
                                    friction=0.3)
     scene = Scene(NEEDLE, experiment, MATERIAL, solver="solid")
-    first = Frame(Phase.RUNNING, "running", scene, state(fields, 0), None, Curves(), "hand", 0.0)
+    first = SessionFrame(Phase.RUNNING, "running", scene, state(fields, 0), None, PlotCurves(), "hand", 0.0)
     with tempfile.TemporaryDirectory() as folder:
         page = Page(NoSession(), first, Path(folder), port=0)
         try:
@@ -94,7 +94,7 @@ def measure(element: Hexahedron, frames: int) -> dict:
                 states = [state(fields, number) for number in range(1, frames + 1)]
                 for snapshot in states:
                     began = time.process_time()
-                    page.show(Frame(Phase.RUNNING, "running", scene, snapshot, None, Curves(), "hand", 0.0))
+                    page.show(SessionFrame(Phase.RUNNING, "running", scene, snapshot, None, PlotCurves(), "hand", 0.0))
                     due += 1.0 / RATE
                     time.sleep(max(0.0, due - time.monotonic()))  # meanwhile threads send
                     spent.append(time.process_time() - began)

@@ -33,8 +33,8 @@ import tissue_sim as ts
 from benchmarks.viewer.client import readouts_in
 from benchmarks.viewer.ticks import MOTION, SETTLING, SPEED, STANDING, TEST, TickCount, peak_memory
 from haptics.loop.ring import RingReader
-from scenes.viewer.cut_away import CutAway
-from scenes.viewer.frame import Frame, NullViewer, Phase, Viewer
+from scenes.viewer.cut_away import HalfSection
+from scenes.viewer.frame import FrameViewer, NullViewer, Phase, SessionFrame
 from scenes.viewer.measurement import build_measurement
 from scenes.viewer.page import Page
 from scenes.viewer.page.readouts import readouts_html
@@ -78,22 +78,22 @@ class Stopwatch:
         Fields.at_points = self.timed("fields", Fields.at_points)
         bodies = scenes.viewer.bodies
         bodies.extrapolate = self.timed("fields", bodies.extrapolate)
-        solid.field_range = self.timed("fields", solid.field_range)
-        CutAway.bands = self.timed("bands", CutAway.bands)
-        page._update_panels = self.timed("words", page._update_panels)
+        solid.compute_colour_range = self.timed("fields", solid.compute_colour_range)
+        HalfSection.compute_band_surfaces = self.timed("bands", HalfSection.compute_band_surfaces)
+        page._update_texts_and_controls = self.timed("words", page._update_texts_and_controls)
         page.show, session.frame = self.timed("show", page.show), self.timed("frame", session.frame)
 
 
 class Watched:
     """Viewer between the session and another viewer; records the time and CPU time of each frame."""
 
-    def __init__(self, viewer: Viewer, stopwatch: Stopwatch):
+    def __init__(self, viewer: FrameViewer, stopwatch: Stopwatch):
         self._viewer, self._spent = viewer, stopwatch.spent
         self._before = self._sum()
-        self.shown: list[tuple[float, Frame]] = []
+        self.shown: list[tuple[float, SessionFrame]] = []
         self.cpu: list[float] = []
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         began = time.monotonic()
         self._viewer.show(frame)
         now = self._sum()

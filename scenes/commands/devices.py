@@ -2,38 +2,38 @@
 
 from __future__ import annotations
 
-from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, add_json
+from scenes.commands.shared.parsing import CommandParser, add_json_flag
 
 SUMMARY = "list force sensors, stages and haptic devices, and report which can be opened and why others cannot"
 EXAMPLE = "tissue-sim devices --json"
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim devices`."""
     parser.add_argument("names", nargs="*", metavar="NAME",
                         help="devices to try, such as rdt://192.168.1.1 or tic:/dev/ttyACM0 (default: the devices that "
                              "are found)")
-    add_json(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
     """Print the devices; `ExitCode.DONE` even if no device can be opened."""
     from haptics.devices.discovery import find_devices
-    from scenes.commands.shared.text_table import print_sentence, text_table
+    from scenes.commands.shared.text_table import make_text_table, print_sentence
 
     found = find_devices(arguments.names)
     if arguments.json:
         print_json({"devices": [{"name": each.name, "kind": each.kind, "opens": each.opens, "says": each.details}
                                 for each in found]})
         return ExitCode.DONE
-    table = text_table("device", "kind", "opens", "message", text=4)
+    table = make_text_table("device", "kind", "opens", "message", text=4)
     table.columns[3].no_wrap = False
     for each in found:
         table.add_row(each.name, each.kind, "yes" if each.opens else "no", each.details)
-    console = results_console()
+    console = make_results_console()
     console.print(table)
     if not arguments.names:
         console.print()

@@ -7,19 +7,23 @@ import sys
 from pathlib import Path
 
 from scenes.catalogue import SCENES
-from scenes.commands.shared.console import print_json, progress_console
+from scenes.commands.shared.console import make_progress_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment
-from scenes.commands.shared.log_lines import show_status
-from scenes.commands.shared.parsing import (
-    Parser,
-    add_json,
-    make_integer_type,
-    make_range_type,
-    parse_non_negative,
-    parse_positive,
+from scenes.commands.shared.experiment_flags import (
+    add_experiment_flags,
+    make_experiment_from_flags,
+    require_known_scene,
 )
-from scenes.commands.shared.tissue_flags import read_material
+from scenes.commands.shared.log_lines import display_task
+from scenes.commands.shared.parsing import (
+    CommandParser,
+    add_json_flag,
+    make_integer_parser,
+    make_number_parser,
+    parse_non_negative_number,
+    parse_positive_number,
+)
+from scenes.commands.shared.tissue_flags import load_material_or_default
 from tissue_sim.errors import InputError
 
 SUMMARY = "make a reduced model of a three-dimensional test for 1000 steps per second, for tool poses inside a box"
@@ -29,7 +33,7 @@ EXAMPLE = ("tissue-sim reduce needle_indentation --material m.material.json --to
 _ACCEPTABLE_ERROR = 0.03
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim reduce`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to reduce: {', '.join(SCENES)} (default: %(default)s)")
@@ -43,33 +47,33 @@ def add_arguments(parser: Parser) -> None:
                         help="file of the reduced model, NAME.reduced.npz")
     parser.add_argument("--overwrite", action="store_true", help="replace existing output")
     box = parser.add_argument_group("box of tool poses")
-    box.add_argument("--depth-mm", type=parse_positive, metavar="N", default=4.0,
+    box.add_argument("--depth-mm", type=parse_positive_number, metavar="N", default=4.0,
                      help="largest depth of the tool (default: %(default)g)")
-    box.add_argument("--sideways-mm", type=parse_non_negative, metavar="N", default=0.0,
+    box.add_argument("--sideways-mm", type=parse_non_negative_number, metavar="N", default=0.0,
                      help="largest lateral displacement, along x and y in both directions (default: 0)")
-    box.add_argument("--turn-deg", type=make_range_type(0.0, 45.0), metavar="N", default=0.0,
+    box.add_argument("--turn-deg", type=make_number_parser(0.0, 45.0), metavar="N", default=0.0,
                      help="largest rotation of the tool, about any axis (default: 0)")
     effort = parser.add_argument_group("accuracy and effort")
     effort.add_argument("--resolution", choices=("realtime", "fast", "accurate"), default="realtime",
                         help="mesh of the full model (default: %(default)s)")
-    effort.add_argument("--strokes", type=make_integer_type(2, 4000), metavar="N",
+    effort.add_argument("--strokes", type=make_integer_parser(2, 4000), metavar="N",
                         help="number of training paths, motions of the tool that the full model simulates (default: 24 "
                              "for a bonded tool, 60 for other contact; for a cylinder under an upright tool on its "
                              "axis 6 and 30, because mirror images are used too; the same number again for each "
                              "--also)")
-    effort.add_argument("--modes", type=make_integer_type(2, 400), metavar="N",
+    effort.add_argument("--modes", type=make_integer_parser(2, 400), metavar="N",
                         help="number of displacement modes (default: 24 for a bonded tool, 64 for other contact)")
-    effort.add_argument("--bulk-ratio", type=make_range_type(1.0, 1000.0), metavar="N",
+    effort.add_argument("--bulk-ratio", type=make_number_parser(1.0, 1000.0), metavar="N",
                         help="upper limit of bulk modulus over shear modulus; a larger value needs more modes and "
                              "training paths (default: 300; 50 for a tool that slides on the tissue)")
-    effort.add_argument("--sampling", type=parse_positive, metavar="N", default=6e-3,
+    effort.add_argument("--sampling", type=parse_positive_number, metavar="N", default=6e-3,
                         help="relative error of the internal forces of the sampled elements (hyper-reduction; default: "
                              "%(default)g)")
-    effort.add_argument("--tried", type=make_integer_type(1, 1000), metavar="N", default=3,
+    effort.add_argument("--tried", type=make_integer_parser(1, 1000), metavar="N", default=3,
                         help="number of test paths, not used in training, for the error of the reduced model; at least "
                              "one path for each material (default: %(default)s)")
     add_experiment_flags(parser, motion=False)
-    add_json(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
@@ -79,7 +83,7 @@ def run(arguments) -> int:
     Raises:
         InputError: an output file that cannot be written, or values that the reduction does not accept.
     """
-    check_scene(arguments.scene)
+    require_known_scene(arguments.scene)
     output: Path = arguments.output
     if output.exists() and not arguments.overwrite:
         raise InputError("exists already. Choose another name, or replace it with --overwrite", file=output)
@@ -90,21 +94,22 @@ def run(arguments) -> int:
     from tissue_sim.fem.reduced.file import POINTS
     from tissue_sim.fem.reduced.reduction import remove_training_path_files
 
-    material, also = read_material(arguments.material), [read_material(path) for path in arguments.also]
+    material, also = load_material_or_default(arguments.material), [load_material_or_default(path)
+                                                                    for path in arguments.also]
     depth = arguments.depth_mm * 1e-3
-    experiment = make_experiment(arguments, ts.Protocol.ramp(depth, points=POINTS), material)
+    experiment = make_experiment_from_flags(arguments, ts.Protocol.ramp(depth, points=POINTS), material)
     box = ts.PoseBox(arguments.sideways_mm * 1e-3, depth, math.radians(arguments.turn_deg))
     folder = output.with_name(f"{output.name}.strokes")
     arguments.resume_hint = "finished training paths are kept. Run the same command to resume"
-    console = progress_console(quiet=arguments.json)
-    with show_status(console, "generating the mesh", quiet=arguments.json) as status:
-        def show_stage(stage: str, done: int, of: int, *, note: str = "") -> None:
+    console = make_progress_console(quiet=arguments.json)
+    with display_task(console, "generating the mesh", quiet=arguments.json) as status:
+        def show_reduction_progress(stage: str, done: int, of: int, *, note: str = "") -> None:
             status.update(f"{stage}: {done} of {of}{f', {note}' if note else ''}")
 
         reduced = ts.reduce_solid(
             ts.Model(experiment, material), box, resolution=arguments.resolution, strokes=arguments.strokes,
             modes=arguments.modes, sampling=arguments.sampling, bulk_ratio=arguments.bulk_ratio,
-            also=also, tried=arguments.tried, folder=folder, progress=show_stage)
+            also=also, tried=arguments.tried, folder=folder, progress=show_reduction_progress)
     ts.write_reduced(reduced, output)
     remove_training_path_files(folder)
     report = reduced.report

@@ -11,17 +11,28 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
-from scenes.commands.shared.console import progress_console
+from scenes.commands.shared.console import make_progress_console
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
-    check_scene,
-    make_experiment,
-    make_protocol,
-    refuse_corrections,
+    make_experiment_from_flags,
+    make_protocol_from_flags,
+    refuse_curve_corrections,
+    require_known_scene,
 )
-from scenes.commands.shared.parsing import Parser, add_json, make_integer_type, parse_non_negative, parse_positive
-from scenes.commands.shared.tissue_flags import add_reduced_flag, add_solver_flags, check_solver, read_reduced
-from scenes.stop_signals import stopped_by_signals
+from scenes.commands.shared.parsing import (
+    CommandParser,
+    add_json_flag,
+    make_integer_parser,
+    parse_non_negative_number,
+    parse_positive_number,
+)
+from scenes.commands.shared.tissue_flags import (
+    add_reduced_flag,
+    add_solver_flags,
+    load_reduced_model,
+    require_known_solver,
+)
+from scenes.stop_signals import call_stop_at_signals
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -33,7 +44,7 @@ EXAMPLE = "tissue-sim serve --scene needle_indentation --material m.material.jso
 
 
 @dataclass(frozen=True)
-class ServerSettings:
+class ServeFlagDefaults:
     """Default values of the flags, and fixed limits of the server.
 
     Attributes:
@@ -57,10 +68,10 @@ class ServerSettings:
     max_session: int = 2**64 - 1
 
 
-SETTINGS = ServerSettings()
+SETTINGS = ServeFlagDefaults()
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim serve`."""
     parser.add_argument("--scene", metavar="SCENE", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
@@ -69,29 +80,29 @@ def add_arguments(parser: Parser) -> None:
     add_solver_flags(parser)
     add_reduced_flag(parser)
     network = parser.add_argument_group("network")
-    network.add_argument("--port", type=make_integer_type(0, SETTINGS.max_port), metavar="N", default=SETTINGS.port,
+    network.add_argument("--port", type=make_integer_parser(0, SETTINGS.max_port), metavar="N", default=SETTINGS.port,
                          help=f"UDP port of the poses; 0 selects a free port (default: {SETTINGS.port})")
-    network.add_argument("--configuration-port", type=make_integer_type(0, SETTINGS.max_port), metavar="N",
+    network.add_argument("--configuration-port", type=make_integer_parser(0, SETTINGS.max_port), metavar="N",
                          help="TCP port of the configuration; 0 selects a free port (default: value of --port)")
     network.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
                          help="address of the network interface (default: 127.0.0.1, this computer only)")
     network.add_argument("--expose", action="store_true",
                          help="allow a --host that other computers can reach; they need no password")
-    network.add_argument("--session", type=make_integer_type(1, SETTINGS.max_session), metavar="N",
+    network.add_argument("--session", type=make_integer_parser(1, SETTINGS.max_session), metavar="N",
                          help="serve only clients whose packets carry this session number (default: the first client)")
-    network.add_argument("--silence-s", type=parse_positive, metavar="T", default=SETTINGS.silence_s,
+    network.add_argument("--silence-s", type=parse_positive_number, metavar="T", default=SETTINGS.silence_s,
                          help="time without packets after which another client may take over (default: %(default)g)")
     safety = parser.add_argument_group("safety")
-    safety.add_argument("--largest-force-N", type=parse_positive, metavar="F", default=SETTINGS.max_force,
+    safety.add_argument("--largest-force-N", type=parse_positive_number, metavar="F", default=SETTINGS.max_force,
                         help=f"largest force of a reply, at most {SETTINGS.max_force:g} (default: %(default)g)")
     timing = parser.add_argument_group("timing")
-    timing.add_argument("--budget-us", type=parse_non_negative, metavar="N",
+    timing.add_argument("--budget-us", type=parse_non_negative_number, metavar="N",
                         help="time limit of a simulation step; a step that reaches it returns the force of the last "
                              "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
                              f"{SETTINGS.budget_us:g}; with --resolution accurate 0)")
     timing.add_argument("--inertia", choices=("auto", "on", "off"), default="auto",
                         help="inertia of the tissue; auto: on where the tool is fast (default: auto)")
-    timing.add_argument("--spin-us", type=parse_non_negative, metavar="N",
+    timing.add_argument("--spin-us", type=parse_non_negative_number, metavar="N",
                         help="busy-wait this long for the next packet before sleeping; occupies one processor while a "
                              f"client is active (default: {SETTINGS.spin_us:g}; 0 on a single processor and with "
                              "--real-time)")
@@ -99,7 +110,7 @@ def add_arguments(parser: Parser) -> None:
                         help="request real-time scheduling (SCHED_FIFO) and locked memory; useful where other programs "
                              "load the computer")
     add_experiment_flags(parser)
-    add_json(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
@@ -109,10 +120,10 @@ def run(arguments) -> int:
     Raises:
         InputError: missing material, unknown scene or solver, or values that scene or server do not accept.
     """
-    check_scene(arguments.scene)
-    refuse_corrections(arguments)
-    check_solver(arguments.solver)
-    reduced = read_reduced(arguments)
+    require_known_scene(arguments.scene)
+    refuse_curve_corrections(arguments)
+    require_known_solver(arguments.solver)
+    reduced = load_reduced_model(arguments)
     if arguments.material is None and reduced is None:
         raise InputError("is required without --reduced. Give a material file NAME.material.json", field="--material")
     # This must precede the import of numpy: waiting for helper threads of BLAS would make steps late.
@@ -135,15 +146,16 @@ def run(arguments) -> int:
     else:
         material_file = ts.read_material_file(arguments.material)
     material = material_file.material
-    experiment = reduced.model.experiment if reduced else make_experiment(arguments, make_protocol(arguments), material)
+    experiment = (reduced.model.experiment if reduced else
+                  make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), material))
     port = arguments.port if arguments.configuration_port is None else arguments.configuration_port
-    progress = progress_console(quiet=arguments.json)
+    progress = make_progress_console(quiet=arguments.json)
 
     build = make_real_time_tissue_factory(ts.Model(experiment, material), resolution=arguments.resolution,
-                                          budget=choose_step_budget(arguments), inertia=arguments.inertia,
+                                          budget=get_step_budget(arguments), inertia=arguments.inertia,
                                           solver=arguments.solver, mesh=reduced)
 
-    def rebuild() -> ServedTissue:
+    def rebuild_served_tissue() -> ServedTissue:
         simulator = build()
         simulator.warm_up()
         return simulator
@@ -153,30 +165,32 @@ def run(arguments) -> int:
     limits = SceneLimits(deepest=SETTINGS.max_depth * experiment.specimen.height, force=arguments.largest_force_N)
     # The ports are opened before the compilation, so that a port in use is reported at once.
     with TissueServer(simulator, host=arguments.host, port=arguments.port, configuration_port=port,
-                      description=lambda: describe_scene(arguments, experiment, material_file, simulator, reduced),
+                      description=lambda: describe_served_scene(arguments, experiment, material_file, simulator,
+                                                                reduced),
                       parameters={} if reduced and reduced.rest else parameter_values(material),
                       silence=arguments.silence_s, limits=limits,
-                      rebuild=rebuild, session=arguments.session, spin=choose_spin_time(arguments),
+                      rebuild=rebuild_served_tissue, session=arguments.session,
+                      spin=get_busy_wait_time(arguments),
                       expose=arguments.expose) as server:
         with progress.status("loading the solver (the first run on a computer compiles it)"):
             simulator.warm_up()
         gc.collect()
         gc.freeze()  # keeps existing objects out of garbage collections between two steps
-        with request_real_time_features(arguments.real_time) as features, stopped_by_signals(server.stop):
+        with request_real_time_features(arguments.real_time) as features, call_stop_at_signals(server.stop):
             print_ready_line(arguments, server, features)
             server.run()
-    print_counters(server, sys.stderr if arguments.json else sys.stdout)
+    print_packet_counters(server, sys.stderr if arguments.json else sys.stdout)
     return 0
 
 
-def choose_step_budget(arguments) -> float | None:
+def get_step_budget(arguments) -> float | None:
     """Return the time limit of a simulation step, s; None for no limit."""
     default = 0.0 if arguments.resolution == "accurate" else SETTINGS.budget_us
     return (default if arguments.budget_us is None else arguments.budget_us) * 1e-6 or None
 
 
-def choose_spin_time(arguments) -> float:
-    """Return how long the server busy-waits for the next packet before it sleeps, s."""
+def get_busy_wait_time(arguments) -> float:
+    """Return the time for which the server busy-waits for the next packet before it sleeps, s."""
     if arguments.spin_us is not None:
         return arguments.spin_us * 1e-6
     processors = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
@@ -184,7 +198,7 @@ def choose_spin_time(arguments) -> float:
     return 0.0 if processors == 1 or arguments.real_time else SETTINGS.spin_us * 1e-6
 
 
-def describe_scene(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
+def describe_served_scene(arguments, experiment: Experiment, material_file, simulator, reduced=None) -> dict[str, Any]:
     """Return the answer to the configuration command ``describe``: scene, specimen, tool, material and solver.
 
     Args:
@@ -199,7 +213,7 @@ def describe_scene(arguments, experiment: Experiment, material_file, simulator, 
     """
     import numpy as np
 
-    from scenes.commands.material.summary import summarise
+    from scenes.commands.material.summary import summarise_material_file
     from tissue_sim.parameters import declared
 
     specimen, tool, mesh = experiment.specimen, experiment.tool, simulator.mesh
@@ -216,7 +230,7 @@ def describe_scene(arguments, experiment: Experiment, material_file, simulator, 
                         "way": np.subtract(deeper.position, touch.position).tolist()},
         "box": box,
         "material_file": arguments.material,
-        "material": summarise(material_file),
+        "material": summarise_material_file(material_file),
         "resolution": simulator.resolution,
         "force_error": simulator.force_error if reduced is None else reduced.report.get("force_rms_error"),
         "inertia": arguments.inertia,
@@ -245,7 +259,7 @@ def print_ready_line(arguments, server: TissueServer, features) -> None:
             print(f"tissue-sim: warning: {feature.message}", file=sys.stderr)
 
 
-def print_counters(server: TissueServer, stream) -> None:
+def print_packet_counters(server: TissueServer, stream) -> None:
     """Print the packet counters of the server in two sentences."""
     counters = server.counters
     print(f"answered {counters.steps} poses of {counters.clients} clients: {counters.converged} converged, "

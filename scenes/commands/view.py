@@ -13,18 +13,18 @@ from scenes.commands.shared.console import print_json
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import (
     add_experiment_flags,
-    check_scene,
-    make_experiment,
-    make_protocol,
-    refuse_corrections,
+    make_experiment_from_flags,
+    make_protocol_from_flags,
+    refuse_curve_corrections,
+    require_known_scene,
 )
-from scenes.commands.shared.parsing import Parser, add_json, make_integer_type, parse_positive
+from scenes.commands.shared.parsing import CommandParser, add_json_flag, make_integer_parser, parse_positive_number
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
     add_solver_flags,
-    check_solver,
-    read_material,
-    read_reduced,
+    load_material_or_default,
+    load_reduced_model,
+    require_known_solver,
 )
 from scenes.doctor.platform_services import VIEWER_PORT
 from tissue_sim.errors import InputError
@@ -33,7 +33,7 @@ SUMMARY = "simulate a test interactively on a page in the browser, and compare i
 EXAMPLE = "tissue-sim view needle_indentation --material m.material.json --measured needle_1.csv needle_2.csv"
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim view`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
@@ -63,17 +63,17 @@ def add_arguments(parser: Parser) -> None:
     headless = parser.add_argument_group("without a browser")
     headless.add_argument("--headless", action="store_true",
                           help="run --protocol without a page and print a summary; requires --seconds")
-    headless.add_argument("--seconds", type=parse_positive, metavar="N",
+    headless.add_argument("--seconds", type=parse_positive_number, metavar="N",
                           help="end after this time (default: at Ctrl-C)")
     add_experiment_flags(parser)
-    add_json(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
-def add_page_flags(parser: Parser) -> None:
+def add_page_flags(parser: CommandParser) -> None:
     """Add the flags of the page: address, access and graphics."""
     page = parser.add_argument_group("page")
-    page.add_argument("--port", type=make_integer_type(0, 65535), metavar="N", default=VIEWER_PORT,
+    page.add_argument("--port", type=make_integer_parser(0, 65535), metavar="N", default=VIEWER_PORT,
                       help=f"port of the page; 0 selects a free port (default: {VIEWER_PORT})")
     page.add_argument("--host", metavar="ADDRESS", default="127.0.0.1",
                       help="network address of the page (default: 127.0.0.1, this computer only)")
@@ -95,24 +95,28 @@ def run(arguments) -> int:
     Raises:
         InputError: flags that contradict each other, or values that scene, page or device do not accept.
     """
-    check_scene(arguments.scene)
+    require_known_scene(arguments.scene)
     if arguments.headless and arguments.seconds is None:
         raise InputError("is required with --headless. Give the duration in s", field="--seconds")
-    refuse_corrections(arguments)
+    refuse_curve_corrections(arguments)
     if arguments.run_folder or arguments.sensor or arguments.stage:
-        return _show_bench(arguments)
-    check_solver(arguments.solver)
-    reduced = read_reduced(arguments)
+        return _serve_bench_page(arguments)
+    require_known_solver(arguments.solver)
+    reduced = load_reduced_model(arguments)
 
     from scenes.viewer.live_simulation import PATIENT, SETTINGS
-    from scenes.viewer.run import run_headless, run_page
-    from scenes.viewer.scene import BUILT_IN, Scene, read_measurements
+    from scenes.viewer.run import run_viewer_page, run_without_browser
+    from scenes.viewer.scene import BUILT_IN, Scene, read_measurements_by_kind
 
-    material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
-    experiment = reduced.model.experiment if reduced else make_experiment(arguments, make_protocol(arguments), material)
+    if reduced and not arguments.material:
+        material = reduced.model.material
+    else:
+        material = load_material_or_default(arguments.material)
+    experiment = (reduced.model.experiment if reduced else
+                  make_experiment_from_flags(arguments, make_protocol_from_flags(arguments), material))
     source = arguments.material or arguments.reduced
     scene = Scene(SCENES[arguments.scene], experiment, material, source.name if source else BUILT_IN,
-                  read_measurements(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
+                  read_measurements_by_kind(arguments.measured, arguments.scene), arguments.solver, reduced=reduced)
     # Other solvers may need more than a tick for a step. The page can wait for them; a haptic device cannot.
     other = arguments.solver not in (Scene.solver, "reduced")
     settings = PATIENT if other and not arguments.device else SETTINGS
@@ -123,8 +127,8 @@ def run(arguments) -> int:
     if arguments.device:
         options["device"] = open_haptic(arguments.device)
     if arguments.headless:
-        answer = run_headless(scene, arguments.seconds, protocol=arguments.protocol,
-                              speed=arguments.speed_mm_s * 1e-3, **options)
+        answer = run_without_browser(scene, arguments.seconds, protocol=arguments.protocol,
+                                     speed=arguments.speed_mm_s * 1e-3, **options)
         if arguments.json:
             print_json(answer)
         elif answer["phase"] == "stopped":
@@ -134,11 +138,11 @@ def run(arguments) -> int:
                   f"largest force {answer['largest_force_N']:.3f} N", file=sys.stdout)
         return ExitCode.DONE if answer["phase"] != "stopped" else ExitCode.GOAL_MISSED
     folder = arguments.materials or (arguments.material.parent if arguments.material else Path())
-    return run_page(scene, folder, read_page_options(arguments), seconds=arguments.seconds, json=arguments.json,
-                    **options)
+    return run_viewer_page(scene, folder, make_page_options(arguments), seconds=arguments.seconds, json=arguments.json,
+                           **options)
 
 
-def _show_bench(arguments) -> int:
+def _serve_bench_page(arguments) -> int:
     """Serve the page of a test bench.
 
     Raises:
@@ -147,25 +151,25 @@ def _show_bench(arguments) -> int:
     from haptics.devices.back_ends import open_sensor, open_stage
     from haptics.devices.contracts import DeviceError
     from scenes.viewer.bench.page import run_bench_page
-    from scenes.viewer.bench.sources import DevicesSource, RunSource
+    from scenes.viewer.bench.sources import ConnectedDevicesSource, RecordRunSource
 
     if arguments.run_folder and (arguments.sensor or arguments.stage):
         raise InputError("cannot be combined with --sensor and --stage. Give --run, or the devices", field="--run")
     if not arguments.run_folder and not arguments.sensor:
         raise InputError("requires a force sensor. Add --sensor", field="--stage")
     try:
-        source = RunSource(arguments.run_folder) if arguments.run_folder else DevicesSource(
+        source = RecordRunSource(arguments.run_folder) if arguments.run_folder else ConnectedDevicesSource(
             open_sensor(arguments.sensor), open_stage(arguments.stage) if arguments.stage else None)
     except DeviceError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return ExitCode.GOAL_MISSED
-    return run_bench_page(source, read_page_options(arguments), seconds=arguments.seconds, json=arguments.json)
+    return run_bench_page(source, make_page_options(arguments), seconds=arguments.seconds, json=arguments.json)
 
 
-def read_page_options(arguments) -> dict:
-    """Return the options of the page for `scenes.viewer.run.run_page`."""
-    from scenes.viewer.page_token import make_token
+def make_page_options(arguments) -> dict:
+    """Return the options of the page for `scenes.viewer.run.run_viewer_page`."""
+    from scenes.viewer.page_token import make_access_token
 
     return {"host": arguments.host, "port": arguments.port, "exposed": arguments.expose,
-            "token": "" if arguments.no_token else make_token(), "open": arguments.open,
+            "token": "" if arguments.no_token else make_access_token(), "open": arguments.open,
             "low_graphics": arguments.low_graphics, "dark": arguments.dark}

@@ -11,7 +11,7 @@ from tissue_sim.experiment.kinds.kind import TestKind
 
 
 @dataclass(frozen=True, eq=False)
-class Comparison:
+class PredictedAndMeasuredForce:
     """Predicted force curve of a test and its measured replicates.
 
     Attributes:
@@ -25,16 +25,16 @@ class Comparison:
     predicted: ts.Recording
 
     @property
-    def mean(self) -> np.ndarray:
+    def mean_measured_force(self) -> np.ndarray:
         """Mean measured force, N, shape (samples,)."""
         return np.mean([recording.force for recording in self.measured], axis=0)
 
     @property
-    def error(self) -> np.ndarray:
+    def prediction_error(self) -> np.ndarray:
         """Predicted force less mean measured force, N, shape (samples,)."""
-        return self.predicted.force - self.mean
+        return self.predicted.force - self.mean_measured_force
 
     @property
-    def rmse(self) -> float:
-        """Root mean square of `error` over the curve, N."""
-        return float(np.sqrt(np.mean(self.error**2)))
+    def prediction_rmse(self) -> float:
+        """Root mean square of `prediction_error` over the curve, N."""
+        return float(np.sqrt(np.mean(self.prediction_error**2)))

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from scenes.demo.comparison import Comparison
-from scenes.figures import draw_fold, draw_section, save_figure
+from scenes.demo.comparison import PredictedAndMeasuredForce
+from scenes.figures import draw_fold, draw_section, write_figure_file
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.material.material import Material
 from tissue_sim.recording.recording import Recording
@@ -21,8 +21,9 @@ MODEL = "#0072B2"
 SECOND = "#D55E00"
 
 
-def draw_demo(calibrated_on: list[Recording], material: Material, needle: Comparison, bonded: Comparison, path: Path, *,
-              noise: float, specimen: Specimen) -> None:
+def draw_demo_figure(calibrated_on: list[Recording], material: Material, needle: PredictedAndMeasuredForce,
+                     bonded: PredictedAndMeasuredForce, path: Path, *,
+                     noise: float, specimen: Specimen) -> None:
     """Draw calibration, predictions, errors and the deformed section into six panels of an image file.
 
     Args:
@@ -42,7 +43,7 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
 
     depth = calibrated_on[0].displacement
     fitted = -law.nominal_stress(1 - depth / specimen.height, material.parameters) * specimen.area
-    _draw_points(calibration, calibrated_on)
+    _draw_measured_samples(calibration, calibrated_on)
     values = ", ".join(f"{name} {value:.4g}{' Pa' if law.units[name] == 'Pa' else ''}"
                        for name, value in material.parameters.items())
     calibration.plot(depth * 1e3, fitted, color=MODEL, linewidth=1.8, label=f"{law.title}\n{values}")
@@ -53,13 +54,13 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
                   label=f"± 2 standard errors of the mean of {len(needle.measured)}")
     error.axhline(0, color="0.3", linewidth=0.8)
     for axes, test, colour in zip(predictions, (needle, bonded), (MODEL, SECOND), strict=True):
-        _draw_points(axes, test.measured)
+        _draw_measured_samples(axes, test.measured)
         axes.plot(test.predicted.displacement * 1e3, test.predicted.force, color=colour, linewidth=1.8,
                   label="predicted by finite elements")
         axes.set_title(f"Prediction: {test.kind.title.lower()}", loc="left", fontweight="bold")
-        error.plot(test.predicted.displacement * 1e3, test.error, color=colour, linewidth=1.2,
-                   label=f"{test.kind.title.lower()}, RMSE {test.rmse:.3f} N")
-    limit = 2.2 * max(3 * standard_error, abs(needle.error).max(), abs(bonded.error).max())
+        error.plot(test.predicted.displacement * 1e3, test.prediction_error, color=colour, linewidth=1.2,
+                   label=f"{test.kind.title.lower()}, RMSE {test.prediction_rmse:.3f} N")
+    limit = 2.2 * max(3 * standard_error, abs(needle.prediction_error).max(), abs(bonded.prediction_error).max())
     error.set_ylim(-limit, limit)
     error.set_title("Predicted − measured", loc="left", fontweight="bold")
     for axes in (calibration, *predictions, error):
@@ -72,10 +73,10 @@ def draw_demo(calibrated_on: list[Recording], material: Material, needle: Compar
     tool = NEEDLE.require_tool()
     draw_section(section, needle.predicted.fields, "von_mises", tool=tool)
     draw_fold(fold, needle.predicted.fields, "von_mises", tool)
-    save_figure(figure, path)
+    write_figure_file(figure, path)
 
 
-def _draw_points(axes, recordings: list[Recording]) -> None:
+def _draw_measured_samples(axes, recordings: list[Recording]) -> None:
     """Draw the samples of replicates as grey points."""
     for number, recording in enumerate(recordings):
         axes.plot(recording.displacement * 1e3, recording.force, ".", color=MEASURED, markersize=3, alpha=0.7,

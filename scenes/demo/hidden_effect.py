@@ -34,16 +34,16 @@ class HiddenEffect:
     values: Mapping[str, float] = field(default_factory=dict)
     tests: tuple[str, ...] = ()
 
-    def apply_to(self, test: str, model: ts.Model) -> ts.Model:
+    def make_test_model(self, test: str, model: ts.Model) -> ts.Model:
         """Return the model of a test with the effect, or the unchanged model if the test does not contain the effect.
 
         Args:
             test: name of the test.
             model: model of the test without the effect.
         """
-        return add_effect(self.name, self.values, model) if test in self.tests else model
+        return make_model_with_effect(self.name, self.values, model) if test in self.tests else model
 
-    def describe(self, models: Mapping[str, ts.Model]) -> str:
+    def describe_values(self, models: Mapping[str, ts.Model]) -> str:
         """Return title and values of the effect, such as ``viscoelasticity (g1 = 0.12, tau1 = 14.1 s)``.
 
         Args:
@@ -52,14 +52,14 @@ class HiddenEffect:
         if not self.name:
             return "nothing"
         known = {path.removeprefix("material."): each
-                 for path, each in parameters(self.apply_to(self.tests[0], models[self.tests[0]])).items()}
+                 for path, each in parameters(self.make_test_model(self.tests[0], models[self.tests[0]])).items()}
         numbers = [describe_parameter(EffectParameter(path=path, symbol=known[path].symbol, value=value,
                                                       unit=known[path].declaration.unit))
                    for path, value in self.values.items()]
         return f"{CATALOGUE[self.name].title} ({', '.join(numbers)})"
 
 
-def add_effect(name: str, values: Mapping[str, float], model: ts.Model) -> ts.Model:
+def make_model_with_effect(name: str, values: Mapping[str, float], model: ts.Model) -> ts.Model:
     """Return a copy of a model with an effect of the catalogue; friction is applied to both plates.
 
     Args:
@@ -74,7 +74,7 @@ def add_effect(name: str, values: Mapping[str, float], model: ts.Model) -> ts.Mo
 
 
 @dataclass(frozen=True)
-class HideableEffect:
+class HideableEffectRange:
     """Effect that the two tests of the demonstration can reveal, with the range of its size.
 
     Attributes:
@@ -87,7 +87,7 @@ class HideableEffect:
     sizes: Mapping[str, tuple[float, float]]
     tests: tuple[str, ...] = (PLATES, NEEDLE)
 
-    def draw(self, random: np.random.Generator) -> HiddenEffect:
+    def draw_values(self, random: np.random.Generator) -> HiddenEffect:
         """Draw the values of the effect from a log-uniform distribution, rounded to three digits.
 
         Args:
@@ -99,17 +99,17 @@ class HideableEffect:
 
 #: Effects that can be hidden.
 HIDEABLE_EFFECTS = (
-    HideableEffect("viscoelasticity",
-                   {"viscoelastic.terms[0].g": (0.05, 0.2), "viscoelastic.terms[0].tau": (5.0, 30.0)}),
-    HideableEffect("softening", {"softening.loss": (0.05, 0.25), "softening.share": (0.7, 1.5)}),
-    HideableEffect("plate_friction", {"experiment.friction": (0.02, 0.1)}, (PLATES,)),
-    HideableEffect("machine_compliance", {"rig.compliance": (7e-5, 1.5e-4)}),
-    HideableEffect("sensor_drift", {"rig.sensor_drift": (3e-4, 1.5e-3)}),
-    HideableEffect("edge_rounding", {"experiment.tool.edge_radius": (1e-3, 2.5e-3)}, (NEEDLE,)),
-    HideableEffect("backlash", {"rig.backlash": (5e-5, 2e-4)}))
+    HideableEffectRange("viscoelasticity",
+                        {"viscoelastic.terms[0].g": (0.05, 0.2), "viscoelastic.terms[0].tau": (5.0, 30.0)}),
+    HideableEffectRange("softening", {"softening.loss": (0.05, 0.25), "softening.share": (0.7, 1.5)}),
+    HideableEffectRange("plate_friction", {"experiment.friction": (0.02, 0.1)}, (PLATES,)),
+    HideableEffectRange("machine_compliance", {"rig.compliance": (7e-5, 1.5e-4)}),
+    HideableEffectRange("sensor_drift", {"rig.sensor_drift": (3e-4, 1.5e-3)}),
+    HideableEffectRange("edge_rounding", {"experiment.tool.edge_radius": (1e-3, 2.5e-3)}, (NEEDLE,)),
+    HideableEffectRange("backlash", {"rig.backlash": (5e-5, 2e-4)}))
 
 
-def draw_hidden_effect(seed: int) -> HiddenEffect:
+def choose_hidden_effect(seed: int) -> HiddenEffect:
     """Draw one of `HIDEABLE_EFFECTS`, or no effect, with equal probability; equal seeds draw the same effect.
 
     Args:
@@ -117,11 +117,11 @@ def draw_hidden_effect(seed: int) -> HiddenEffect:
     """
     random = np.random.default_rng(seed)
     number = int(random.integers(len(HIDEABLE_EFFECTS) + 1))
-    return HIDEABLE_EFFECTS[number].draw(random) if number < len(HIDEABLE_EFFECTS) else HiddenEffect()
+    return HIDEABLE_EFFECTS[number].draw_values(random) if number < len(HIDEABLE_EFFECTS) else HiddenEffect()
 
 
-def judge_diagnosis(hidden: HiddenEffect, diagnosis: Diagnosis) -> tuple[bool, str]:
-    """Decide whether a diagnosis found the hidden effect.
+def evaluate_diagnosis_success(hidden: HiddenEffect, diagnosis: Diagnosis) -> tuple[bool, str]:
+    """Return whether a diagnosis found the hidden effect, and a sentence on it.
 
     Args:
         hidden: hidden effect, or no effect.

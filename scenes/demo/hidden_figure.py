@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.figures import save_figure
+from scenes.figures import write_figure_file
 
 if TYPE_CHECKING:
     from calibration import DiagnosisResult
@@ -23,7 +23,7 @@ AFTER = "#0072B2"
 _BINS = 40
 
 
-def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
+def draw_fits_before_and_after(result: DiagnosisResult, path: Path) -> None:
     """Draw force and residuals of every test over time into an image file.
 
     Args:
@@ -54,7 +54,7 @@ def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
             first = recordings[0]
             force.plot(first["time_s"], first[column], color=colour, ls=dashes, lw=1.8, label=label)
             misfit = rows_of_test["measured_N"] - rows_of_test[column]
-            residual.plot(*_average_in_bins(rows_of_test["time_s"], misfit), color=colour, ls=dashes, lw=1.8)
+            residual.plot(*_average_in_time_bins(rows_of_test["time_s"], misfit), color=colour, ls=dashes, lw=1.8)
         force.set_title(test, loc="left", fontweight="bold")
         force.set_ylabel("force [N]")
         residual.set(xlabel="time [s]", ylabel="data − model [N]")
@@ -69,10 +69,10 @@ def draw_before_and_after(result: DiagnosisResult, path: Path) -> None:
     sentences = diagnosis.message.replace(". ", ".\n").splitlines()
     figure.suptitle("\n".join(line for each in sentences for line in textwrap.wrap(each, 62 * len(tests))),
                     fontsize=11)
-    save_figure(figure, path)
+    write_figure_file(figure, path)
 
 
-def _average_in_bins(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _average_in_time_bins(time: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Average samples of all recordings in equal time bins.
 
     Args:

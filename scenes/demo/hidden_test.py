@@ -13,9 +13,9 @@ import numpy as np
 
 import tissue_sim as ts
 from calibration.effects.catalogue import CATALOGUE
-from scenes.demo.hidden_effect import NEEDLE, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
-from scenes.demo.hidden_figure import draw_before_and_after
-from scenes.demo.measurement_settings import MeasurementSettings
+from scenes.demo.hidden_effect import NEEDLE, PLATES, HiddenEffect, choose_hidden_effect, evaluate_diagnosis_success
+from scenes.demo.hidden_figure import draw_fits_before_and_after
+from scenes.demo.measurement_settings import VirtualMeasurementSettings
 from scenes.demo.specimen import BULK_RATIO, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 #: Motion of both tests.
 PROTOCOL = "ramp 10mm @0.248mm/s; hold 60s; unload"
 #: Recordings and errors of the virtual measurements.
-MEASUREMENT = MeasurementSettings(replicates=3, samples=140, force_noise=0.02, contact_jitter=0.03e-3,
-                                  zero_jitter=0.01)
+MEASUREMENT = VirtualMeasurementSettings(replicates=3, samples=140, force_noise=0.02, contact_jitter=0.03e-3,
+                                         zero_jitter=0.01)
 #: Name of each test -> its kind.
 KINDS = {PLATES: "lubricated_compression", NEEDLE: "needle_indentation"}
 
@@ -91,7 +91,7 @@ class HiddenDemoResult:
     seed: int
     wall_s: float
 
-    def to_json(self) -> dict[str, Any]:
+    def make_json_object(self) -> dict[str, Any]:
         """Return the object for ``--json``: parameters in SI units, gaps in N."""
         diagnosis = self.result.diagnosis
         return {
@@ -106,7 +106,7 @@ class HiddenDemoResult:
 
 
 def build_plain_models() -> dict[str, ts.Model]:
-    """Return the model of each test without a hidden effect; the protocol has points at its corners."""
+    """Return the model of each test without a hidden effect; its protocol has samples at the corners of the motion."""
     material = ts.Material("reduced_polynomial_2", PHANTOM, ts.Bulk("bulk_ratio", BULK_RATIO), name="virtual phantom")
     protocol = ts.Protocol.parse(PROTOCOL, points=41)
     return {test: ts.Model(ts.KINDS[kind].experiment(specimen=SPECIMEN, protocol=protocol), material)
@@ -138,11 +138,11 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
     if output.exists() and (not output.is_dir() or any(output.iterdir())) and not overwrite:
         raise ts.InputError("the folder must be empty; choose another folder or add --overwrite", file=output)
     say = console.print if console else lambda *_, **__: None
-    hidden, models = draw_hidden_effect(seed), build_plain_models()
+    hidden, models = choose_hidden_effect(seed), build_plain_models()
     say("1 measuring a virtual specimen with a possible hidden effect ...")
     random = np.random.default_rng([seed, 1])
     for test, model in models.items():
-        write_measurements(hidden.apply_to(test, model), test, output / "measured", random)
+        simulate_and_write_replicates(hidden.make_test_model(test, model), test, output / "measured", random)
     campaign = output / "campaign.toml"
     write_text(campaign, CAMPAIGN)
     say(f"2 diagnosing: searching the misfit of the plain model for one of {len(CATALOGUE)} effects ...")
@@ -151,10 +151,10 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
                                          workers=workers)
     diagnosis, report = result.diagnosis, result.output / "report.html"
     figure = output / "before_and_after.png"
-    draw_before_and_after(result, figure)
+    draw_fits_before_and_after(result, figure)
     say(f"\n{diagnosis.message}", markup=False, soft_wrap=True)
-    found, sentence = judge_diagnosis(hidden, diagnosis)
-    truth = hidden.describe(models)
+    found, sentence = evaluate_diagnosis_success(hidden, diagnosis)
+    truth = hidden.describe_values(models)
     say(f"{'gap':>10}: {diagnosis.gap_before_N:.2g} N before, "
         + ("nothing was added" if diagnosis.gap_after_N is None else f"{diagnosis.gap_after_N:.2g} N after")
         + f"; sensor noise {diagnosis.noise_N:.2g} N", markup=False, soft_wrap=True)
@@ -165,7 +165,8 @@ def run_hidden_demo(output: Path, *, seed: int, overwrite: bool = False, console
                         time.perf_counter() - began)
 
 
-def write_measurements(model: ts.Model, test: str, folder: Path, random: np.random.Generator) -> Sequence[Path]:
+def simulate_and_write_replicates(model: ts.Model, test: str, folder: Path,
+                                  random: np.random.Generator) -> Sequence[Path]:
     """Simulate a test, and write replicates with different noise, contact point and zero.
 
     Args:

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import tissue_sim as ts
-from scenes.demo.comparison import Comparison
-from scenes.demo.figure import draw_demo
-from scenes.demo.measurement_settings import MeasurementSettings
+from scenes.demo.comparison import PredictedAndMeasuredForce
+from scenes.demo.figure import draw_demo_figure
+from scenes.demo.measurement_settings import VirtualMeasurementSettings
 from scenes.demo.specimen import BULK_RATIO, DEPTH, PHANTOM, SPECIMEN
 from tissue_sim.atomic_write import write_text
 from tissue_sim.experiment.kinds.compression import BONDED, LUBRICATED
@@ -19,7 +19,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.experiment.kinds.kind import TestKind
 
 #: Recordings and errors of the virtual measurements.
-MEASUREMENT = MeasurementSettings(replicates=3, samples=101, force_noise=0.02)
+MEASUREMENT = VirtualMeasurementSettings(replicates=3, samples=101, force_noise=0.02)
 #: Material laws that are calibrated.
 LAWS = ("neo_hooke", "mooney_rivlin", "reduced_polynomial_2", "ogden_1")
 
@@ -75,7 +75,8 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
     seeds = iter(np.random.SeedSequence(seed).generate_state(3 * MEASUREMENT.replicates).tolist())
 
     say("1 measuring the virtual specimen (the first run on a computer compiles the solver, about 10 s) ...")
-    measured = {kind: _simulate_measurements(kind, output / "measured", seeds) for kind in (LUBRICATED, BONDED, NEEDLE)}
+    measured = {kind: _simulate_and_write_replicates(kind, output / "measured", seeds)
+                for kind in (LUBRICATED, BONDED, NEEDLE)}
 
     say(f"2 calibrating {len(LAWS)} laws on the lubricated test ...")
     campaign = output / "campaign.toml"
@@ -86,30 +87,34 @@ def run_demo(output: Path, *, overwrite: bool = False, console=None, seed: int =
 
     say("3 predicting the needle test and the bonded test, which the calibration did not use ...")
     material = ts.load_material(material_file)
-    needle, bonded = (_predict_recording(kind, measured[kind], material, output) for kind in (NEEDLE, BONDED))
+    needle, bonded = (_simulate_and_write_prediction(kind, measured[kind], material, output)
+                      for kind in (NEEDLE, BONDED))
 
     figure = output / "prediction.png"
-    draw_demo(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise, specimen=SPECIMEN)
+    draw_demo_figure(measured[LUBRICATED], material, needle, bonded, figure, noise=MEASUREMENT.force_noise,
+                     specimen=SPECIMEN)
     answer = {
         "figure": str(figure), "report": str(output / "calibration" / "report.html"), "campaign": str(campaign),
         "material_file": str(material_file), "law": material.law, "parameters": dict(material.parameters),
-        "prediction_rmse_N": needle.rmse, "prediction_error_N": float(needle.error[-1]),
+        "prediction_rmse_N": needle.prediction_rmse, "prediction_error_N": float(needle.prediction_error[-1]),
         "predictions": [{"test": one.kind.name, "predicted_N": float(one.predicted.force[-1]),
-                         "measured_N": float(one.mean[-1]), "error_N": float(one.error[-1]), "RMSE_N": one.rmse}
+                         "measured_N": float(one.mean_measured_force[-1]), "error_N": float(one.prediction_error[-1]),
+                         "RMSE_N": one.prediction_rmse}
                         for one in (needle, bonded)],
         "noise_N": MEASUREMENT.force_noise, "wall_s": time.perf_counter() - started,
     }
     say(f"\nBest law: {material.energy_law.title}. At {DEPTH * 1e3:.0f} mm, with a sensor noise of "
         f"{MEASUREMENT.force_noise} N:", markup=False)
     for one in (needle, bonded):
-        say(f"{one.kind.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, measured {one.mean[-1]:.3f} N; "
-            f"RMSE over the curve {one.rmse:.3f} N", markup=False, soft_wrap=True)
+        say(f"{one.kind.title.lower():>20}: predicted {one.predicted.force[-1]:.3f} N, "
+            f"measured {one.mean_measured_force[-1]:.3f} N; "
+            f"RMSE over the curve {one.prediction_rmse:.3f} N", markup=False, soft_wrap=True)
     for name in ("figure", "report", "material_file"):
         say(f"{name.replace('_', ' '):>20}: {answer[name]}", markup=False, soft_wrap=True)
     return answer
 
 
-def _simulate_measurements(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
+def _simulate_and_write_replicates(kind: TestKind, folder: Path, seeds) -> list[ts.Recording]:
     """Simulate a test, and write its replicates as recordings of the virtual rig.
 
     Args:
@@ -132,7 +137,8 @@ def _simulate_measurements(kind: TestKind, folder: Path, seeds) -> list[ts.Recor
     return replicates
 
 
-def _predict_recording(kind: TestKind, measured: list[ts.Recording], material: ts.Material, output: Path) -> Comparison:
+def _simulate_and_write_prediction(kind: TestKind, measured: list[ts.Recording], material: ts.Material,
+                                   output: Path) -> PredictedAndMeasuredForce:
     """Simulate the measured motion with the calibrated material, and write the recording.
 
     Args:
@@ -146,4 +152,4 @@ def _predict_recording(kind: TestKind, measured: list[ts.Recording], material: t
     predicted = ts.simulate(ts.Model(experiment, material), resolution="accurate", fields=kind is NEEDLE,
                             estimate_error=False)
     ts.write_recording(predicted, output / f"predicted_{kind.name}.csv")
-    return Comparison(kind, measured, predicted)
+    return PredictedAndMeasuredForce(kind, measured, predicted)

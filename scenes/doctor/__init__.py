@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from scenes.doctor.check import Check
+from scenes.doctor.check import CheckResult
 
 
-def run_checks(*, clock_seconds: float = 2.0) -> Iterator[Check]:
+def run_checks(*, clock_seconds: float = 2.0) -> Iterator[CheckResult]:
     """Run all checks one after the other, basic requirements first; each check runs when the iterator reaches it.
 
     Args:
@@ -18,15 +18,15 @@ def run_checks(*, clock_seconds: float = 2.0) -> Iterator[Check]:
     """
     from scenes.doctor import clock, installation, platform_services, realtime_mesh, taichi_backend
 
-    yield installation.check_python()
-    yield from installation.check_packages()
-    yield installation.check_package_folders()
-    yield taichi_backend.check_kernel()
-    yield taichi_backend.check_kernel_cache()
+    yield installation.check_python_version()
+    yield from installation.check_required_packages()
+    yield installation.check_common_package_folder()
+    yield taichi_backend.check_taichi_kernel()
+    yield taichi_backend.check_taichi_kernel_cache()
     yield realtime_mesh.check_realtime_mesh()
-    yield clock.check_clock(clock_seconds)
+    yield clock.check_clock_lateness(clock_seconds)
     yield clock.check_real_time_priority()
-    yield platform_services.check_matplotlib_cache()
+    yield platform_services.check_matplotlib_font_cache()
     yield platform_services.check_viewer_port()
 
 

@@ -11,7 +11,7 @@ Status = Literal["ok", "warn", "fail"]
 
 
 @dataclass(frozen=True)
-class Check:
+class CheckResult:
     """Result of one check of the computer.
 
     Attributes:
@@ -28,12 +28,12 @@ class Check:
     remedy: str = ""
     values: Mapping[str, object] | None = None
 
-    def as_json(self) -> dict:
+    def make_json_object(self) -> dict:
         """Return the fields as a JSON object."""
         return asdict(self)
 
 
-def get_folder_size(folder: Path) -> int:
+def compute_folder_size(folder: Path) -> int:
     """Return the size of all files below a folder, bytes; 0 if the folder does not exist."""
     return sum(file.stat().st_size for file in folder.rglob("*") if file.is_file()) if folder.is_dir() else 0
 

@@ -10,11 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from haptics.loop.real_time import PRIORITY, request_fifo_scheduling
-from scenes.doctor.check import Check
+from scenes.doctor.check import CheckResult
 
 
 @dataclass(frozen=True)
-class ClockSettings:
+class ClockCheckSettings:
     """Settings of the clock measurement.
 
     Attributes:
@@ -34,10 +34,10 @@ class ClockSettings:
 
 
 #: Settings of every measurement.
-_SETTINGS = ClockSettings()
+_SETTINGS = ClockCheckSettings()
 
 
-def check_clock(seconds: float) -> Check:
+def check_clock_lateness(seconds: float) -> CheckResult:
     """Measure the lateness of the ticks of a 1 kHz clock in this process, with real-time priority if allowed.
 
     Args:
@@ -45,7 +45,7 @@ def check_clock(seconds: float) -> Check:
     """
     with ExitStack() as undo:
         scheduler = "ordinary priority" if request_fifo_scheduling(undo, PRIORITY) else "SCHED_FIFO"
-        lateness = measure_lateness(seconds)
+        lateness = measure_tick_lateness(seconds)
     late, very_late = (
         float((lateness > limit).mean()) for limit in (_SETTINGS.late, _SETTINGS.very_late))
     p50, p99, longest = (float(x) for x in np.quantile(lateness, (0.5, 0.99, 1.0)) * 1e6)
@@ -54,15 +54,15 @@ def check_clock(seconds: float) -> Check:
     values = {"ticks": lateness.size, "scheduler": scheduler, "later_than_0.1_ms": late, "later_than_1_ms": very_late,
               "p50_us": p50, "p99_us": p99, "max_us": longest}
     if p50 > _SETTINGS.very_late * 1e6:
-        return Check("1 kHz clock", "fail", finding, "more than half of the ticks miss their period: close other "
-                     "programs, or use a computer with a free core", values)
+        return CheckResult("1 kHz clock", "fail", finding, "more than half of the ticks miss their period: close other "
+                           "programs, or use a computer with a free core", values)
     if very_late > _SETTINGS.tolerated:
-        return Check("1 kHz clock", "warn", finding, "haptic loops will miss ticks: close other programs, use "
-                     "real-time priority and mains power; simulation and calibration are not affected", values)
-    return Check("1 kHz clock", "ok", finding, values=values)
+        return CheckResult("1 kHz clock", "warn", finding, "haptic loops will miss ticks: close other programs, use "
+                           "real-time priority and mains power; simulation and calibration are not affected", values)
+    return CheckResult("1 kHz clock", "ok", finding, values=values)
 
 
-def measure_lateness(seconds: float) -> np.ndarray:
+def measure_tick_lateness(seconds: float) -> np.ndarray:
     """Measure the lateness of each tick.
 
     The deadlines are fixed in advance: a tick that is several periods late also delays the following ticks, as in a
@@ -90,16 +90,17 @@ def measure_lateness(seconds: float) -> np.ndarray:
     return lateness
 
 
-def check_real_time_priority() -> Check:
+def check_real_time_priority() -> CheckResult:
     """Check whether this user may use the real-time scheduler SCHED_FIFO."""
     with ExitStack() as undo:
         allowed = not request_fifo_scheduling(undo, PRIORITY)
     values = {"allowed": allowed}
     if allowed:
-        return Check("real-time priority", "ok", "SCHED_FIFO is allowed", values=values)
+        return CheckResult("real-time priority", "ok", "SCHED_FIFO is allowed", values=values)
     if not hasattr(os, "sched_setscheduler"):
-        return Check("real-time priority", "warn", "this platform has no SCHED_FIFO",
-                     "no action is possible: the 1 kHz loop runs with ordinary priority, and ticks may be late", values)
-    return Check("real-time priority", "warn", "SCHED_FIFO is not allowed for this user",
-                 "for haptics add 'USER - rtprio 20' to /etc/security/limits.d/rtprio.conf and log in again "
-                 "(in a container: --cap-add=SYS_NICE)", values)
+        return CheckResult("real-time priority", "warn", "this platform has no SCHED_FIFO",
+                           "no action is possible: the 1 kHz loop runs with ordinary priority, and ticks may be late",
+                           values)
+    return CheckResult("real-time priority", "warn", "SCHED_FIFO is not allowed for this user",
+                       "for haptics add 'USER - rtprio 20' to /etc/security/limits.d/rtprio.conf and log in again "
+                       "(in a container: --cap-add=SYS_NICE)", values)

@@ -9,7 +9,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from scenes.doctor.check import Check, Status
+from scenes.doctor.check import CheckResult, Status
 
 #: Packages of this program.
 OWN_PACKAGES = ("tissue_sim", "calibration", "haptics", "scenes")
@@ -21,18 +21,19 @@ TAICHI_PLATFORMS = (("linux", "x86_64"), ("win32", "amd64"), ("darwin", "arm64")
 PYTHON_RANGE = ((3, 11), (3, 13))
 
 
-def check_python() -> Check:
+def check_python_version() -> CheckResult:
     """Check the version of Python and the platform."""
     version = ".".join(str(part) for part in sys.version_info[:3])
     finding = f"{version} on {platform.platform()}, {platform.machine()}"
     values = {"version": version, "platform": platform.platform(), "machine": platform.machine()}
     low, high = PYTHON_RANGE
     if not low <= sys.version_info[:2] <= high:
-        return Check("Python", "fail", finding, "use Python 3.11, 3.12 or 3.13, for which Taichi has wheels", values)
+        return CheckResult("Python", "fail", finding, "use Python 3.11, 3.12 or 3.13, for which Taichi has wheels",
+                           values)
     if not has_taichi_wheel():
-        return Check("Python", "warn", finding, "Taichi has no wheel for this platform: analytical calibration "
-                     "works, finite elements need Linux x86-64, Windows or a Mac with Apple silicon", values)
-    return Check("Python", "ok", finding, values=values)
+        return CheckResult("Python", "warn", finding, "Taichi has no wheel for this platform: analytical calibration "
+                           "works, finite elements need Linux x86-64, Windows or a Mac with Apple silicon", values)
+    return CheckResult("Python", "ok", finding, values=values)
 
 
 def has_taichi_wheel() -> bool:
@@ -40,20 +41,20 @@ def has_taichi_wheel() -> bool:
     return (sys.platform, platform.machine().lower()) in TAICHI_PLATFORMS
 
 
-def check_packages() -> Iterator[Check]:
+def check_required_packages() -> Iterator[CheckResult]:
     """Check whether each required package is installed; yield one result per package."""
     for name in REQUIRED_PACKAGES:
         try:
             version = importlib.metadata.version(name)
         except importlib.metadata.PackageNotFoundError:
             status: Status = "warn" if name == "taichi" and not has_taichi_wheel() else "fail"
-            yield Check(name, status, "not installed", f"python -m pip install {name}" if status == "fail" else
-                        "finite elements need a platform with a Taichi wheel")
+            yield CheckResult(name, status, "not installed", f"python -m pip install {name}" if status == "fail" else
+                              "finite elements need a platform with a Taichi wheel")
         else:
-            yield Check(name, "ok", version, values={"version": version})
+            yield CheckResult(name, "ok", version, values={"version": version})
 
 
-def check_package_folders() -> Check:
+def check_common_package_folder() -> CheckResult:
     """Check whether the four packages of this program are imported from the same folder.
 
     Another distribution with a package `calibration`, or a file `calibration.py` in the current folder, would replace
@@ -64,11 +65,11 @@ def check_package_folders() -> Check:
     own_folder = folders["scenes"]
     foreign = [name for name, folder in folders.items() if folder != own_folder]
     if not foreign:
-        return Check("the four packages", "ok", f"all from {own_folder}", values=values)
+        return CheckResult("the four packages", "ok", f"all from {own_folder}", values=values)
     listed = ", ".join(f"{name} from {folders[name]}" if folders[name] else f"{name} not found" for name in foreign)
-    return Check("the four packages", "fail", f"{listed}, the others from {own_folder}",
-                 "rename or uninstall the package with the same name, or start from another folder; "
-                 "then: python -m pip install --force-reinstall --no-deps tissue-sim", values)
+    return CheckResult("the four packages", "fail", f"{listed}, the others from {own_folder}",
+                       "rename or uninstall the package with the same name, or start from another folder; "
+                       "then: python -m pip install --force-reinstall --no-deps tissue-sim", values)
 
 
 def _find_package_folder(name: str) -> Path | None:

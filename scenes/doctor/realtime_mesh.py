@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 
-from scenes.doctor.check import Check
+from scenes.doctor.check import CheckResult
 from tissue_sim.errors import MissingBackendError
 
 #: Name of the check.
@@ -13,8 +13,8 @@ _NAME = "real-time mesh"
 COARSEST = "realtime_20"
 
 
-def check_realtime_mesh() -> Check:
-    """Determine the mesh that `resolution="realtime"` selects for the needle of the study, with inertia."""
+def check_realtime_mesh() -> CheckResult:
+    """Report the mesh that `resolution="realtime"` selects here for the needle of the reference study, with inertia."""
     import numpy as np
 
     import tissue_sim as ts
@@ -27,8 +27,8 @@ def check_realtime_mesh() -> Check:
         simulator = ts.Simulator(ts.Model(experiment, material), budget=STEP_BUDGET, inertia="on")
         simulator.warm_up()
     except MissingBackendError as error:
-        return Check(_NAME, "warn", str(error),
-                     "use Linux x86-64, Windows or a Mac with Apple silicon for finite elements")
+        return CheckResult(_NAME, "warn", str(error),
+                           "use Linux x86-64, Windows or a Mac with Apple silicon for finite elements")
     elements, percent = len(simulator.mesh.connectivity), 100 * float(simulator.force_error or np.nan)
     finding = (f"{simulator.resolution}, {elements} elements for the needle of the study with inertia, in "
                f"{STEP_BUDGET * 1e3:g} ms per step: force error at most {percent:.2g} %; selected in "
@@ -36,6 +36,6 @@ def check_realtime_mesh() -> Check:
     values = {"resolution": simulator.resolution, "elements": elements, "force_error_percent": percent,
               "budget_us": STEP_BUDGET * 1e6}
     if simulator.resolution == COARSEST:
-        return Check(_NAME, "warn", finding, "a finer mesh needs a faster or less busy processor: close other "
-                     "programs and run the check again; offline simulation is not affected", values)
-    return Check(_NAME, "ok", finding, values=values)
+        return CheckResult(_NAME, "warn", finding, "a finer mesh needs a faster or less busy processor: close other "
+                           "programs and run the check again; offline simulation is not affected", values)
+    return CheckResult(_NAME, "ok", finding, values=values)

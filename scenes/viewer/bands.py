@@ -24,7 +24,7 @@ class BandTriangles:
 
 
 @dataclass(frozen=True, eq=False)
-class Triangulation:
+class TriangleConnectivity:
     """Fixed connectivity of triangles whose points and nodal values change from frame to frame.
 
     Attributes:
@@ -34,7 +34,7 @@ class Triangulation:
     triangles: np.ndarray
 
     @cached_property
-    def _edges(self) -> tuple[np.ndarray, np.ndarray]:
+    def _unique_edges(self) -> tuple[np.ndarray, np.ndarray]:
         """Edges of the triangles, each edge listed once.
 
         Returns:
@@ -46,7 +46,7 @@ class Triangulation:
         keys, number = np.unique(ends[:, 0] * points + ends[:, 1], return_inverse=True)
         return np.stack([keys // points, keys % points], axis=-1), number.reshape(-1, 3)
 
-    def cut(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> BandTriangles:
+    def cut_at_levels(self, points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> BandTriangles:
         """Cut the triangles where the linear interpolant of the values crosses the levels.
 
         Args:
@@ -56,7 +56,7 @@ class Triangulation:
                 above the last level to the last band.
         """
         inner = np.asarray(levels, dtype=float)[1:-1]
-        edges, edges_of = self._edges
+        edges, edges_of = self._unique_edges
         at_ends = values[edges]
         # For each point: the number of levels < value, and the number of levels <= value.
         below, reached = np.searchsorted(inner, values, "left"), np.searchsorted(inner, values, "right")
@@ -76,14 +76,15 @@ class Triangulation:
         highest = np.maximum(below[self.triangles].max(axis=1), lowest)
         whole = lowest == highest
         split = np.flatnonzero(~whole)
-        pieces, band = self._cut_triangles(split, values, below, reached, of_edge, edges_of, lowest[split],
-                                           highest[split])
+        pieces, band = self._cut_triangles_across_levels(split, values, below, reached, of_edge, edges_of,
+                                                         lowest[split],
+                                                         highest[split])
         triangles = np.concatenate([self.triangles[whole], pieces])
         band = np.concatenate([lowest[whole], band])
         order = np.argsort(band, kind="stable")
         return BandTriangles(all_points, triangles[order], band[order])
 
-    def _cut_triangles(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
+    def _cut_triangles_across_levels(self, split, values, below, reached, of_edge, edges_of, lowest, highest):
         """Cut the triangles numbered `split` into pieces.
 
         The long edge of a triangle connects the corners with the lowest and the highest value; the two short edges
@@ -110,12 +111,13 @@ class Triangulation:
         on_long, on_low, on_high = of_edge[long[of]], of_edge[short_low[of]], of_edge[short_high[of]]
         under, reach = below[middle], reached[middle]
 
-        def on_short(level):
+        def find_crossing_on_short_edges(level):
             return np.where(level < under, on_low + level, np.where(level >= reach, on_high + level, middle))
 
         bottom, top = band == lowest[of], band == highest[of]
         long_below, long_above = np.where(bottom, low, on_long + band - 1), np.where(top, high, on_long + band)
-        short_below, short_above = np.where(bottom, low, on_short(band - 1)), np.where(top, high, on_short(band))
+        short_below = np.where(bottom, low, find_crossing_on_short_edges(band - 1))
+        short_above = np.where(top, high, find_crossing_on_short_edges(band))
         inside = (bottom | (band - 1 < under)) & (top | (band >= reach))
         between = np.where(inside, middle, short_below)
         pieces = np.stack([np.stack([long_below, short_below, between], axis=-1),
@@ -127,8 +129,8 @@ class Triangulation:
         return pieces[real], np.repeat(band, 3).reshape(-1, 3)[real]
 
 
-def split_by_band(triangles: np.ndarray, band: np.ndarray, points: int,
-                  bands: int) -> tuple[np.ndarray, np.ndarray, list]:
+def split_triangles_by_band(triangles: np.ndarray, band: np.ndarray, points: int,
+                            bands: int) -> tuple[np.ndarray, np.ndarray, list]:
     """Split triangles into one mesh per band, each with its own point numbers.
 
     Args:
@@ -153,8 +155,8 @@ def split_by_band(triangles: np.ndarray, band: np.ndarray, points: int,
     return kept % points, new[shifted] - first_point[band][:, None], slices
 
 
-def fill_bands(points: np.ndarray, triangles: np.ndarray, values: np.ndarray,
-               levels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+def clip_triangles_to_bands(points: np.ndarray, triangles: np.ndarray, values: np.ndarray,
+                            levels: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
     """Clip triangles to each band between two levels.
 
     Args:
@@ -167,12 +169,13 @@ def fill_bands(points: np.ndarray, triangles: np.ndarray, values: np.ndarray,
     Returns:
         For each band its vertices, shape (m, 2), and its triangles with the original orientation, shape (k, 3).
     """
-    pieces = Triangulation(np.asarray(triangles)).cut(points, values, levels)
-    kept, numbers, slices = split_by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
+    pieces = TriangleConnectivity(np.asarray(triangles)).cut_at_levels(points, values, levels)
+    kept, numbers, slices = split_triangles_by_band(pieces.triangles, pieces.band, len(pieces.points), len(levels) - 1)
     return [(pieces.points[kept[points_of]], numbers[cut]) for points_of, cut in slices]
 
 
-def split_polyline(points: np.ndarray, values: np.ndarray, levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def split_polyline_at_levels(points: np.ndarray, values: np.ndarray,
+                             levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Insert points into a polyline where its values, interpolated linearly along each line, cross a level.
 
     Args:

@@ -7,10 +7,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from scenes.viewer.cut_away import CutAway
-from scenes.viewer.revolution import Surface
+from scenes.viewer.cut_away import HalfSection
+from scenes.viewer.revolution import TriangulatedSurface
 from scenes.viewer.solid_body import SolidBody
-from scenes.viewer.tool_picture import find_contact
+from scenes.viewer.tool_picture import find_tool_contact
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.axisymmetric.fields import Fields
@@ -18,15 +18,15 @@ from tissue_sim.fem.fields import extrapolate_to_nodes
 from tissue_sim.fem.solid.fields import SolidFields
 
 
-class Body(Protocol):
+class DrawableBody(Protocol):
     """Interface of tissue that the page can draw, from an axisymmetric or a 3D mesh.
 
     In all methods, `positions` are the deformed positions of the nodes as `Snapshot.node_positions` gives them, and
     `wedge` is the wedge that is removed from the picture. Lengths are in m.
     """
 
-    def values(self, fields: Any, name: str, positions: np.ndarray,
-               wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Any]:
+    def evaluate_field(self, fields: Any, name: str, positions: np.ndarray,
+                       wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Any]:
         """Evaluate a field for the picture.
 
         Returns:
@@ -34,16 +34,17 @@ class Body(Protocol):
             represent the whole body, shape (elements, q); and the fields to which these points belong.
         """
 
-    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
+    def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
+                              wedge: Wedge) -> list[TriangulatedSurface]:
         """Return the visible surface of each band between two levels."""
 
-    def mesh_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+    def compute_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
         """Return the visible element edges, shape (lines, 2, 3)."""
 
-    def contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+    def find_contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
         """Return lines along the contact with the tool, shape (lines, 2, 3); None without contact."""
 
-    def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
+    def make_undeformed_outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
         """Return a dashed outline of the undeformed tissue, shape (lines, 2, 3).
 
         Args:
@@ -60,38 +61,40 @@ class RevolvedBody:
         cut_away: Half section of the body.
     """
 
-    cut_away: CutAway
+    cut_away: HalfSection
 
-    def values(self, fields: Fields, name: str, positions: np.ndarray,
-               wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
-        """Return nodal values, values at integration points, and the fields that contain them."""
+    def evaluate_field(self, fields: Fields, name: str, positions: np.ndarray,
+                       wedge: Wedge) -> tuple[np.ndarray, np.ndarray, Fields]:
+        """Return nodal values, values at the quadrature points, and `fields`; shapes as in `DrawableBody`."""
         at_points = fields.at_points(name)
         nodal = fields.at_nodes(name) if name == "displacement" else extrapolate_to_nodes(fields.mesh, at_points)
         return nodal, at_points, fields
 
-    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
-        """Return the surfaces of the colour bands between the levels."""
-        return self.cut_away.bands(positions, values, levels, wedge.opening)
+    def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
+                              wedge: Wedge) -> list[TriangulatedSurface]:
+        """Return the surface of each colour band between two levels: section faces and outer surface."""
+        return self.cut_away.compute_band_surfaces(positions, values, levels, wedge.opening)
 
-    def mesh_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
-        """Return the line segments of the mesh on the cut faces."""
-        return self.cut_away.mesh_lines(positions, wedge.opening)
+    def compute_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+        """Return the element edges on both section faces, shape (lines, 2, 3)."""
+        return self.cut_away.compute_edge_lines(positions, wedge.opening)
 
-    def contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
-        """Return the line segments that bound the contact area; None without contact."""
-        contact = find_contact(self.cut_away.surface_line(positions), tool, wedge.pose.depth, wedge.opening)
+    def find_contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+        """Return lines along the contact on both section faces and around its rim; None without contact."""
+        contact = find_tool_contact(self.cut_away.compute_contact_boundary(positions), tool, wedge.pose.depth,
+                                    wedge.opening)
         return None if contact is None else contact.lines
 
-    def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
-        """Return the outline of the undeformed body."""
-        return self.cut_away.undeformed_outline(wedge.opening, tool=tool)
+    def make_undeformed_outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
+        """Return the dashed outline of the undeformed body, shape (lines, 2, 3)."""
+        return self.cut_away.make_undeformed_outline(wedge.opening, tool=tool)
 
 
-def make_body(mesh: Any) -> Body:
+def make_drawable_body(mesh: Any) -> DrawableBody:
     """Return the drawable body of a mesh in 3D or of an axisymmetric mesh."""
-    return SolidBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 else RevolvedBody(CutAway.from_mesh(mesh))
+    return SolidBody.from_mesh(mesh) if mesh.nodes.shape[1] == 3 else RevolvedBody(HalfSection.from_mesh(mesh))
 
 
-def is_drawable(fields: Any) -> bool:
+def can_draw_fields(fields: Any) -> bool:
     """Return whether the viewer can draw fields of this type."""
     return isinstance(fields, Fields | SolidFields)

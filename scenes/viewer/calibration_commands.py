@@ -10,7 +10,7 @@ from typing import Protocol
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationRun
 from scenes.viewer.material_files import choose_new_material_path
-from scenes.viewer.recording_upload import Upload
+from scenes.viewer.recording_upload import RecordingUpload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.errors import InputError
@@ -30,11 +30,11 @@ class CalibrationHost(Protocol):
     scene: Scene
     calibration: CalibrationRun
 
-    def use_material(self, material: ts.Material, source: str) -> None:
+    def replace_material(self, material: ts.Material, source: str) -> None:
         """Replace the material of the scene."""
 
 
-def take_result(session: CalibrationHost) -> None:
+def apply_finished_calibration(session: CalibrationHost) -> None:
     """Use a finished calibration in the scene: its material, and its recordings as the measurement.
 
     The scene is unchanged, and the calibration state gets a message, if the fit is unusable, if the scene has changed
@@ -42,26 +42,27 @@ def take_result(session: CalibrationHost) -> None:
     function does nothing.
     """
     run = session.calibration
-    result = run.poll()
+    result = run.poll_fit()
     if result is None or run.scene is None:
         return
     if result.unusable:
-        run.set_problem("The fit is unusable for the reason given below. The material of the scene is unchanged.")
+        run.set_problem_message("The fit is unusable for the reason given below. The material of the scene is "
+                                "unchanged.")
         return
     before = session.scene
     if before.kind is not run.scene.kind or before.experiment != run.scene.experiment:
-        run.set_problem("The scene changed during the calibration, so the calibrated material is not in use. Save the "
-                        "material, or return to the previous scene and calibrate again.")
+        run.set_problem_message("The scene changed during the calibration, so the calibrated material is not in use. "
+                                "Save the material, or return to the previous scene and calibrate again.")
         return
-    session.scene = replace(before, measurements={**before.measurements, before.kind.name: run.measured})
+    session.scene = replace(before, measurements={**before.measurements, before.kind.name: run.combined_measurement})
     try:
-        session.use_material(result.material, CALIBRATED)
+        session.replace_material(result.material, CALIBRATED)
     except InputError as error:
         session.scene = before
-        run.set_problem(f"{error} The material is unchanged.")
+        run.set_problem_message(f"{error} The material is unchanged.")
 
 
-def _save_material(session: CalibrationHost, folder: Path, name: str) -> None:
+def _save_calibrated_material(session: CalibrationHost, folder: Path, name: str) -> None:
     """Write the material file of the newest result into a new file of a folder.
 
     Raises:
@@ -76,20 +77,20 @@ def _save_material(session: CalibrationHost, folder: Path, name: str) -> None:
         session.scene = replace(session.scene, source=path.name)
 
 
-def _add_recordings(session: CalibrationHost, uploads: Sequence[Upload]) -> None:
-    session.calibration.add(uploads)
+def _add_recordings(session: CalibrationHost, uploads: Sequence[RecordingUpload]) -> None:
+    session.calibration.add_uploads(uploads)
 
 
 def _remove_recordings(session: CalibrationHost) -> None:
-    session.calibration.remove_all()
+    session.calibration.remove_all_recordings()
 
 
 def _begin_fit(session: CalibrationHost) -> None:
-    session.calibration.begin(session.scene)
+    session.calibration.start_fit(session.scene)
 
 
 def _cancel_fit(session: CalibrationHost) -> None:
-    session.calibration.cancel()
+    session.calibration.cancel_fit()
 
 
 #: Calibration commands by name; the reply of a command contains the message of its InputError.
@@ -98,5 +99,5 @@ CALIBRATION_COMMANDS: dict[str, Callable[..., None]] = {
     "remove_recordings": _remove_recordings,
     "calibrate": _begin_fit,
     "cancel_calibration": _cancel_fit,
-    "save_calibration": _save_material,
+    "save_calibration": _save_calibrated_material,
 }

@@ -16,10 +16,10 @@ from scenes.viewer.calibration_task import (
     RECORDINGS,
     CalibrationRequest,
     CalibrationResult,
-    calibrate_files,
+    calibrate_uploaded_files,
 )
 from scenes.viewer.measurement import Measurement, build_measurement
-from scenes.viewer.recording_upload import Upload
+from scenes.viewer.recording_upload import RecordingUpload
 from scenes.viewer.scene import Scene
 from tissue_sim.atomic_write import write_bytes
 from tissue_sim.decode import read_json
@@ -30,7 +30,7 @@ _logger = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class RecordingLimits:
+class UploadedRecordingLimits:
     """Limits of the recordings of a calibration.
 
     Attributes:
@@ -44,7 +44,7 @@ class RecordingLimits:
 
 
 #: Limits of every calibration.
-LIMITS = RecordingLimits()
+LIMITS = UploadedRecordingLimits()
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,9 +57,9 @@ class UploadedRecording:
         sidecar: The uploaded sidecar; None if there is none.
     """
 
-    file: Upload
+    file: RecordingUpload
     measured: Measurement
-    sidecar: Upload | None = None
+    sidecar: RecordingUpload | None = None
 
     @property
     def recording(self) -> Recording:
@@ -67,17 +67,17 @@ class UploadedRecording:
         return self.measured.recordings[0]
 
     @property
-    def depth(self) -> float:
-        """Largest displacement, m."""
+    def max_displacement(self) -> float:
+        """Largest displacement of the recording, m."""
         return float(self.recording.displacement.max())
 
     @property
-    def duration(self) -> float | None:
-        """Duration, s; None if the recording has no time."""
+    def recording_duration(self) -> float | None:
+        """Duration of the recording, s; None if it has no time."""
         return float(self.recording.time[-1] - self.recording.time[0]) if "time" in self.recording else None
 
     @property
-    def speed(self) -> float | None:
+    def mean_loading_speed(self) -> float | None:
         """Mean speed of the first loading, m/s; None if the recording has no time."""
         loading, _ = self.measured.branches[0]
         if "time" not in self.recording:
@@ -87,7 +87,7 @@ class UploadedRecording:
         return travel / duration if duration > 0 else None
 
     @property
-    def tool(self) -> str:
+    def stated_tool(self) -> str:
         """Tool that the sidecar states, such as "flat, radius 8 mm"; empty if it states none."""
         stated = self.recording.metadata.get("tool")
         if not isinstance(stated, Mapping) or "shape" not in stated:
@@ -95,22 +95,22 @@ class UploadedRecording:
         radius = stated.get("radius_mm")
         return f"{stated['shape']}{f', radius {radius:g} mm' if isinstance(radius, (int, float)) else ''}"
 
-    def warnings(self, scene: Scene) -> tuple[str, ...]:
+    def list_scene_mismatches(self, scene: Scene) -> tuple[str, ...]:
         """Return sentences about differences between the recording and a scene: kind of test, tool, depth."""
         sentences = []
-        kind, tool = self.measured.kind, self.measured.other_tool(scene.experiment.tool)
+        kind, tool = self.measured.stated_test_kind, self.measured.describe_deviating_tool(scene.experiment.tool)
         if kind is not None and kind != scene.kind.name:
             sentences.append(f"The recording is a {kind}; the scene is a {scene.kind.name}.")
         if tool:
             sentences.append(f"The recording was measured with a {tool}; the scene has another tool.")
-        if self.depth >= scene.experiment.specimen.height:
-            sentences.append(f"The recording has a depth of {self.depth * 1e3:.4g} mm; the height of the specimen is "
-                             f"{scene.experiment.specimen.height * 1e3:.4g} mm.")
+        if self.max_displacement >= scene.experiment.specimen.height:
+            sentences.append(f"The recording has a depth of {self.max_displacement * 1e3:.4g} mm; the height of the "
+                             f"specimen is {scene.experiment.specimen.height * 1e3:.4g} mm.")
         return tuple(sentences)
 
 
 @dataclass(frozen=True)
-class FitStatus:
+class FitProgress:
     """Progress of a running fit; the fields are the keys of the progress file.
 
     Attributes:
@@ -140,7 +140,7 @@ class CalibrationState:
     """
 
     recordings: tuple[UploadedRecording, ...] = ()
-    status: FitStatus | None = None
+    status: FitProgress | None = None
     result: CalibrationResult | None = None
     problem: str = ""
 
@@ -156,61 +156,61 @@ class CalibrationRun:
     def __init__(self) -> None:
         self._pool = ProcessPool(1)
         #: Sidecars that were uploaded before their recordings, by the stem of the recording.
-        self._waiting: dict[str, Upload] = {}
+        self._waiting: dict[str, RecordingUpload] = {}
         self._computed: Future | None = None
         self._folder: tempfile.TemporaryDirectory | None = None
         self.state = CalibrationState()
         self.scene: Scene | None = None
 
-    def add(self, uploads: Sequence[Upload]) -> None:
+    def add_uploads(self, uploads: Sequence[RecordingUpload]) -> None:
         """Add the recordings or the sidecar of an uploaded file; add all of them or, on an error, none.
 
         Raises:
             InputError: A fit runs, a recording of this name exists, a sidecar belongs to another file, or there are
                 too many recordings.
         """
-        self._require_no_fit()
+        self._refuse_during_fit()
         before, waiting = self.state, dict(self._waiting)
         try:
             for upload in uploads:
-                self._add(upload)
+                self._add_upload(upload)
         except InputError:
             self.state, self._waiting = before, waiting
             raise
 
-    def _add(self, upload: Upload) -> None:
+    def _add_upload(self, upload: RecordingUpload) -> None:
         present = self.state.recordings
         if upload.measured is None:
-            number = next((i for i, each in enumerate(present) if each.file.stem == upload.stem), None)
+            number = next((i for i, each in enumerate(present) if each.file.file_stem == upload.file_stem), None)
             if number is None:
-                self._waiting[upload.stem] = upload
+                self._waiting[upload.file_stem] = upload
                 return
-            changed = (*present[:number], _combine_with_sidecar(present[number].file, upload), *present[number + 1:])
+            changed = (*present[:number], _add_sidecar_metadata(present[number].file, upload), *present[number + 1:])
             self.state = replace(self.state, recordings=changed)
             return
-        if any(each.file.stem.lower() == upload.stem.lower() for each in present):
+        if any(each.file.file_stem.lower() == upload.file_stem.lower() for each in present):
             raise InputError("A recording of this name was uploaded before. Rename one of the files, or remove all "
                              "recordings.", file=upload.name)
         if len(present) >= LIMITS.max_recordings:
             raise InputError("The recording was not added: a calibration takes at most "
                              f"{LIMITS.max_recordings} recordings.",
                              file=upload.name)
-        new = _combine_with_sidecar(upload, self._waiting.get(upload.stem))
-        self._waiting.pop(upload.stem, None)
+        new = _add_sidecar_metadata(upload, self._waiting.get(upload.file_stem))
+        self._waiting.pop(upload.file_stem, None)
         self.state = replace(self.state, recordings=(*present, new))
 
-    def remove_all(self) -> None:
+    def remove_all_recordings(self) -> None:
         """Remove all recordings; keep the last result.
 
         Raises:
             InputError: A fit runs.
         """
-        self._require_no_fit()
+        self._refuse_during_fit()
         self._waiting.clear()
         self.state = replace(self.state, recordings=())
 
     @property
-    def measured(self) -> Measurement:
+    def combined_measurement(self) -> Measurement:
         """Measurement of all recordings.
 
         Raises:
@@ -220,15 +220,15 @@ class CalibrationRun:
             raise InputError("There is no recording. Upload a recording first.")
         return build_measurement([each.recording for each in self.state.recordings])
 
-    def begin(self, scene: Scene) -> None:
+    def start_fit(self, scene: Scene) -> None:
         """Start a fit of the scene's material to the recordings, with its parameters as start values.
 
         Raises:
             InputError: A fit runs, there is no recording, the recordings are of different kinds of tests, or the
                 process does not start.
         """
-        self._require_no_fit()
-        _ = self.measured  # raises if the recordings are of different kinds
+        self._refuse_during_fit()
+        _ = self.combined_measurement  # raises if the recordings are of different kinds
         request = CalibrationRequest(scene.kind.name, scene.experiment, scene.rig, scene.material,
                                      group_replicates(self.state.recordings),
                                      {each.file.name: each.file.origin for each in self.state.recordings
@@ -238,8 +238,8 @@ class CalibrationRun:
             for each in self.state.recordings:
                 write_bytes(Path(folder.name) / RECORDINGS / each.file.name, each.file.content)
                 if each.sidecar is not None:
-                    write_bytes(Path(folder.name) / RECORDINGS / f"{each.file.stem}.json", each.sidecar.content)
-            self._computed = self._pool.submit(calibrate_files, (folder.name, request))
+                    write_bytes(Path(folder.name) / RECORDINGS / f"{each.file.file_stem}.json", each.sidecar.content)
+            self._computed = self._pool.submit(calibrate_uploaded_files, (folder.name, request))
         except WorkerError as error:
             folder.cleanup()
             raise InputError(str(error)) from None
@@ -247,9 +247,9 @@ class CalibrationRun:
             folder.cleanup()
             raise
         self._folder, self.scene = folder, scene
-        self.state = replace(self.state, status=FitStatus("starting"), problem="")
+        self.state = replace(self.state, status=FitProgress("starting"), problem="")
 
-    def cancel(self) -> None:
+    def cancel_fit(self) -> None:
         """Stop the running fit; material and last result are unchanged.
 
         Raises:
@@ -258,9 +258,9 @@ class CalibrationRun:
         if self._computed is None:
             raise InputError("No calibration is running.")
         self._pool.stop()
-        self._end_fit(problem="The calibration was cancelled. The material is unchanged.")
+        self._store_fit_outcome(problem="The calibration was cancelled. The material is unchanged.")
 
-    def poll(self) -> CalibrationResult | None:
+    def poll_fit(self) -> CalibrationResult | None:
         """Update the state from the process of the fit.
 
         Returns:
@@ -269,40 +269,40 @@ class CalibrationRun:
         if self._computed is None or self._folder is None:
             return None
         if not self._computed.done():
-            status = _read_status(Path(self._folder.name) / PROGRESS_FILE)
+            status = _read_fit_status(Path(self._folder.name) / PROGRESS_FILE)
             if status is not None and status != self.state.status:
                 self.state = replace(self.state, status=status)
             return None
         try:
             result = self._computed.result()
         except (ConvergenceError, InputError, MissingBackendError) as error:
-            self._end_fit(problem=f"{error} The material is unchanged.")
+            self._store_fit_outcome(problem=f"{error} The material is unchanged.")
         except self._pool.death:
-            self._end_fit(problem="The calibration process has died. The material is unchanged. Press Calibrate to try "
-                          "again.")
+            self._store_fit_outcome(problem="The calibration process has died. The material is unchanged. Press "
+                                            "Calibrate to try again.")
         except Exception as error:  # a programming error in the fit must not stop the running simulation
             _logger.exception("the calibration failed with an internal error")
-            self._end_fit(problem=f"The calibration failed with an internal error ({type(error).__name__}: "
-                          f"{shortened(str(error), 200)}). The material is unchanged.")
+            self._store_fit_outcome(problem=f"The calibration failed with an internal error ({type(error).__name__}: "
+                                    f"{shortened(str(error), 200)}). The material is unchanged.")
         else:
-            self._end_fit(result=result)
+            self._store_fit_outcome(result=result)
             return result
         return None
 
-    def set_problem(self, problem: str) -> None:
-        """Set the message that explains why the last result is not in use."""
+    def set_problem_message(self, problem: str) -> None:
+        """Set the message of the state that explains why the last result is not in use."""
         self.state = replace(self.state, problem=problem)
 
     def close(self) -> None:
         """Stop the process and delete its folder."""
         self._pool.stop()
-        self._end_fit()
+        self._store_fit_outcome()
 
-    def _require_no_fit(self) -> None:
+    def _refuse_during_fit(self) -> None:
         if self._computed is not None:
             raise InputError("A calibration is running. Wait for its end, or cancel it.")
 
-    def _end_fit(self, result: CalibrationResult | None = None, problem: str = "") -> None:
+    def _store_fit_outcome(self, result: CalibrationResult | None = None, problem: str = "") -> None:
         """Delete the folder of the fit, and store its result or problem."""
         self._computed = None
         if self._folder is not None:
@@ -320,7 +320,7 @@ def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str
     """
     groups: list[list[UploadedRecording]] = []
     for each in recordings:
-        group = next((group for group in groups if _are_replicates(group[0], each)), None)
+        group = next((group for group in groups if _are_replicates_of_one_test(group[0], each)), None)
         if group is None:
             groups.append([each])
         else:
@@ -328,12 +328,12 @@ def group_replicates(recordings: Sequence[UploadedRecording]) -> tuple[tuple[str
     return tuple(tuple(each.file.name for each in group) for group in groups)
 
 
-def _are_replicates(first: UploadedRecording, second: UploadedRecording) -> bool:
-    pairs = [(first.depth, second.depth), (first.speed, second.speed)]
+def _are_replicates_of_one_test(first: UploadedRecording, second: UploadedRecording) -> bool:
+    pairs = [(first.max_displacement, second.max_displacement), (first.mean_loading_speed, second.mean_loading_speed)]
     return all(a is None or b is None or max(a, b) <= (1.0 + LIMITS.replicate_tolerance) * min(a, b) for a, b in pairs)
 
 
-def _combine_with_sidecar(file: Upload, sidecar: Upload | None) -> UploadedRecording:
+def _add_sidecar_metadata(file: RecordingUpload, sidecar: RecordingUpload | None) -> UploadedRecording:
     """Combine a recording with the metadata of its sidecar.
 
     Raises:
@@ -351,9 +351,9 @@ def _combine_with_sidecar(file: Upload, sidecar: Upload | None) -> UploadedRecor
     return UploadedRecording(file, build_measurement([recording.with_metadata(**metadata)]), sidecar)
 
 
-def _read_status(path: Path) -> FitStatus | None:
+def _read_fit_status(path: Path) -> FitProgress | None:
     """Read the progress file of the fit; return None if the file does not exist or is incomplete."""
     try:
-        return FitStatus(**read_json(path, "the progress of a calibration"))
+        return FitProgress(**read_json(path, "the progress of a calibration"))
     except (InputError, TypeError):
         return None

@@ -51,7 +51,7 @@ class CalibrationRequest:
 
 
 @dataclass(frozen=True)
-class FittedValue:
+class FittedParameter:
     """Fitted parameter.
 
     Attributes:
@@ -82,7 +82,7 @@ class CalibrationResult:
     """
 
     material: ts.Material
-    values: dict[str, FittedValue]
+    values: dict[str, FittedParameter]
     rmse: float | None
     warnings: tuple[str, ...]
     solves: int
@@ -90,7 +90,7 @@ class CalibrationResult:
     unusable: str = ""
 
 
-def calibrate_files(folder: str, request: CalibrationRequest) -> CalibrationResult:
+def calibrate_uploaded_files(folder: str, request: CalibrationRequest) -> CalibrationResult:
     """Calibrate a material as ``tissue-sim calibrate`` does, and write the progress to `PROGRESS_FILE`.
 
     Args:
@@ -110,31 +110,33 @@ def calibrate_files(folder: str, request: CalibrationRequest) -> CalibrationResu
     status: dict[str, Any] = {"sentence": "loading the solver", "solves": 0, "rmse": None, "parameters": {},
                               "units": units}
 
-    def write_status() -> None:
+    def write_progress_file() -> None:
         write_text(root / PROGRESS_FILE, json.dumps(status))
 
-    def progress(sentence: str, done: int = 0, of: int = 0) -> None:
+    def report_task(sentence: str, done: int = 0, of: int = 0) -> None:
         sentence = sentence.partition(": ")[2] or sentence
         status["sentence"] = f"{sentence}, {done} of {of}" if of else sentence
-        write_status()
+        write_progress_file()
 
-    def listen(_campaign: str, _law: str, iteration: DescentIteration) -> None:
+    def report_iteration(_campaign: str, _law: str, iteration: DescentIteration) -> None:
         status.update(solves=status["solves"] + 1, rmse=iteration.RMSE_N, parameters=iteration.parameters)
-        write_status()
+        write_progress_file()
 
     campaign = root / "page.toml"
     try:
-        write_status()
-        write_text(campaign, build_campaign(request, root))
+        write_progress_file()
+        write_text(campaign, build_campaign_text(request, root))
         # The report is deleted with the folder, so its figures are not drawn.
-        result, = calibration.calibrate([campaign], root / "results", progress=progress, listen=listen, figures=False)
+        result, = calibration.calibrate([campaign], root / "results", progress=report_task, listen=report_iteration,
+                                        figures=False)
         fit = result.best
         if fit.material_file is None:
             raise InputError(f"The fit gives no material: {fit.unusable or fit.message}")
         file = root / "results" / fit.material_file
         if request.origins:
-            _add_origins(file, request.origins)
-        return CalibrationResult(ts.load_material(file), _list_fitted_values(fit), fit.RMSE_N, _collect_warnings(fit),
+            _add_original_files_to_provenance(file, request.origins)
+        return CalibrationResult(ts.load_material(file), _list_fitted_values(fit), fit.RMSE_N,
+                                 _collect_fit_warnings(fit),
                                  fit.fem_solves, read_bytes(file, "a calibrated material"), fit.unusable or "")
     except InputError as error:
         own = error.file is None or Path(error.file) == campaign
@@ -145,7 +147,7 @@ def calibrate_files(folder: str, request: CalibrationRequest) -> CalibrationResu
         raise ConvergenceError(str(error).removeprefix(f"{campaign}: ")) from None
 
 
-def _add_origins(file: Path, origins: Mapping[str, Mapping[str, str]]) -> None:
+def _add_original_files_to_provenance(file: Path, origins: Mapping[str, Mapping[str, str]]) -> None:
     """Add the names and SHA-256 of the original test-machine files to the provenance of a material file."""
     content = read_material_file(file)
     assert content.provenance is not None
@@ -153,7 +155,7 @@ def _add_origins(file: Path, origins: Mapping[str, Mapping[str, str]]) -> None:
     write_material_file(replace(content, provenance=replace(content.provenance, settings=settings)), file)
 
 
-def build_campaign(request: CalibrationRequest, folder: Path) -> str:
+def build_campaign_text(request: CalibrationRequest, folder: Path) -> str:
     """Return the campaign file (TOML) of a request; also write ``rig.json`` into the folder if the rig is not ideal.
 
     Raises:
@@ -161,7 +163,7 @@ def build_campaign(request: CalibrationRequest, folder: Path) -> str:
     """
     from calibration.importing.campaign_text import format_toml_value
 
-    def table(heading: str, lines: dict[str, Any]) -> str:
+    def format_toml_table(heading: str, lines: dict[str, Any]) -> str:
         return "\n".join([heading, *(f"{key} = {format_toml_value(value)}" for key, value in lines.items())])
 
     experiment, material = request.experiment, request.material
@@ -169,7 +171,7 @@ def build_campaign(request: CalibrationRequest, folder: Path) -> str:
         raise InputError("The page cannot calibrate a scene with adhesion. Use tissue-sim calibrate with contact_laws.")
     specimen = experiment.specimen
     density = material.density if specimen.density is None else specimen.density
-    body: dict[str, Any] = {"shape": specimen.shape, **_with_absolute_paths(specimen)}
+    body: dict[str, Any] = {"shape": specimen.shape, **_make_specimen_keys(specimen)}
     if density is not None:
         body |= {"density_kg_m3": density, "gravity": specimen.gravity > 0, "height_is": specimen.height_is}
     test = {"kind": request.kind, **_make_experiment_keys(request)}
@@ -181,13 +183,13 @@ def build_campaign(request: CalibrationRequest, folder: Path) -> str:
     for path, each in parameters(material).items():
         (start if path in material.parameters else fixed)[each.file_path] = float(each.value / each.declaration.factor)
     fit = {"method": "inverse_fem", "laws": [material.law], "start": start, **({"fixed": fixed} if fixed else {})}
-    tests = [table("[[test]]", {"name": f"test {number}", **test,
-                                "recordings": [f"{RECORDINGS}/{name}" for name in names]})
+    tests = [format_toml_table("[[test]]", {"name": f"test {number}", **test,
+                                            "recordings": [f"{RECORDINGS}/{name}" for name in names]})
              for number, names in enumerate(request.tests, start=1)]
-    return "\n\n".join([table("[[specimen]]", body), *tests, table("[fit]", fit)]) + "\n"
+    return "\n\n".join([format_toml_table("[[specimen]]", body), *tests, format_toml_table("[fit]", fit)]) + "\n"
 
 
-def _with_absolute_paths(specimen: ts.Specimen) -> dict[str, float | str]:
+def _make_specimen_keys(specimen: ts.Specimen) -> dict[str, float | str]:
     """Return the stated dimensions and files of a specimen, with absolute paths."""
     return {key: str(Path(str(value)).resolve()) if key in specimen.paths else value
             for key, value in specimen.stated.items()}
@@ -212,18 +214,18 @@ def _make_experiment_keys(request: CalibrationRequest) -> dict[str, Any]:
     return keys | ({"slip": experiment.slip} if experiment.slip else {})
 
 
-def _list_fitted_values(fit: Fit) -> dict[str, FittedValue]:
+def _list_fitted_values(fit: Fit) -> dict[str, FittedParameter]:
     """Return the parameters that were free in the fit."""
     free = [name for name, error in fit.standard_errors.items() if error != 0]
-    return {name: FittedValue(fit.parameters[name], fit.intervals95.get(name), fit.units.get(name, "1"),
-                              _describe_parameter(name, fit.on_bound, fit.not_identifiable)) for name in free}
+    return {name: FittedParameter(fit.parameters[name], fit.intervals95.get(name), fit.units.get(name, "1"),
+                                  _describe_interval_limits(name, fit.on_bound, fit.not_identifiable)) for name in free}
 
 
-def _describe_parameter(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
+def _describe_interval_limits(name: str, on_bound: Sequence[str], not_identifiable: Sequence[str]) -> str:
     return "on its bound" if name in on_bound else "not identifiable" if name in not_identifiable else ""
 
 
-def _collect_warnings(fit: Fit) -> tuple[str, ...]:
+def _collect_fit_warnings(fit: Fit) -> tuple[str, ...]:
     outliers = [f"{name} disagrees with the other recordings" for name in fit.odd_recordings]
     warnings = [fit.unusable, *fit.warnings, *outliers]
     return tuple(each for each in warnings if each)

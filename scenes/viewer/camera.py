@@ -7,7 +7,7 @@ from math import cos, radians, sin, tan
 
 import numpy as np
 
-from scenes.viewer.tool_picture import SETTINGS, plate_thickness
+from scenes.viewer.tool_picture import SETTINGS, compute_plate_thickness
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.specimen import Specimen
 
@@ -53,7 +53,7 @@ def compute_camera_pose(preset: str, specimen: Specimen, tool: Tool, depth: floa
         radius, bottom, top = width, -depth - 0.9 * width, -depth + 0.7 * width
         middle = lateral
     else:
-        thickness = plate_thickness(specimen)
+        thickness = compute_plate_thickness(specimen)
         radius, bottom, top = SETTINGS.plate_radius * specimen.outer_radius, -specimen.height - thickness, above
         middle = (0.0, 0.0)
     centre = np.array([*middle, 0.5 * (bottom + top)])

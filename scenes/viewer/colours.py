@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from scenes.colour_scale import volume_range
+from scenes.colour_scale import compute_volume_quantiles
 from tissue_sim.errors import InputError
 from tissue_sim.fem.fields import FIELD_UNITS
 
@@ -27,7 +27,7 @@ ROUND = (1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
 
 
 @dataclass(frozen=True)
-class ColourSettings:
+class ColourLevelSettings:
     """Rules for the levels of the colours.
 
     Attributes:
@@ -46,11 +46,13 @@ class ColourSettings:
 
 
 #: Settings of the viewer.
-SETTINGS = ColourSettings()
+SETTINGS = ColourLevelSettings()
 
 
-def field_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1.0) -> tuple[float, float]:
-    """Return the smallest and largest value for the colours: the `volume_range` of a field without rounding error.
+def compute_colour_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1.0) -> tuple[float, float]:
+    """Return the smallest and largest value of a field for the colours, without rounding error of the solver.
+
+    The values are two quantiles by volume, as `compute_volume_quantiles` defines them.
 
     Args:
         values: Field at the quadrature points in the unit of the colours, shape (elements, q).
@@ -58,7 +60,7 @@ def field_range(values: np.ndarray, fields: Fields, name: str, factor: float = 1
         name: Name of the field.
         factor: Unit of the colours per SI unit.
     """
-    low, high = volume_range(values, fields.weights, SETTINGS.excluded_volume)
+    low, high = compute_volume_quantiles(values, fields.weights, SETTINGS.excluded_volume)
     tolerance = SETTINGS.stress_tolerance * fields.material.mu0 * factor if FIELD_UNITS[name] == "Pa" else 0.0
     if max(abs(low), abs(high)) <= tolerance:
         return 0.0, 0.0
@@ -90,14 +92,14 @@ def choose_band_levels(low: float, high: float, bands: int = len(PALETTE)) -> np
         raise InputError(f"must have a finite range in ascending order; got {low:g} to {high:g}", field="levels")
     largest = max(abs(low), abs(high))
     if high - low > SETTINGS.rounding * largest:
-        return _round_levels(low, high, bands)
+        return _choose_round_levels(low, high, bands)
     if largest < 1e-100:
-        return _round_levels(0.0, 1.0, bands)
+        return _choose_round_levels(0.0, 1.0, bands)
     # With a level at the value, rounding errors would alternate between two colours.
-    return _round_levels(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
+    return _choose_round_levels(min(0.0, low), max(0.0, high), bands, apart_from=0.5 * (low + high))
 
 
-def keep_steady_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
+def update_band_levels(previous: np.ndarray | None, low: float, high: float, bands: int = len(PALETTE)) -> np.ndarray:
     """Return levels for a range that changes with time, and keep the previous levels while they are suitable.
 
     Args:
@@ -107,8 +109,8 @@ def keep_steady_levels(previous: np.ndarray | None, low: float, high: float, ban
         bands: Number of bands.
 
     Returns:
-        `previous`, the same object, if these levels cover the range and span at most `ColourSettings.widest` times the
-        range of `choose_band_levels`; otherwise `choose_band_levels`.
+        `previous`, the same object, if these levels cover the range and span at most `ColourLevelSettings.widest` times
+        the range of `choose_band_levels`; otherwise the levels of `choose_band_levels`.
 
     Raises:
         InputError: As `choose_band_levels`.
@@ -144,7 +146,7 @@ def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]],
     for k, colour in enumerate(colours):
         name = "#{:02x}{:02x}{:02x}".format(*colour)
         shape = f";clip-path:{points[k]}" if k in points else ""
-        blocks.append(f'<div data-colour="{name}" title="{_describe_band(numbers, k)}{power}" '
+        blocks.append(f'<div data-colour="{name}" title="{_describe_band_range(numbers, k)}{power}" '
                       f'style="flex:1;background:{name}{shape}"></div>')
     every = 2 if bands % 2 == 0 else 1
     ticks = [f'<span style="position:absolute;left:{100 * k / bands:g}%;transform:translateX(-50%)">{numbers[k]}</span>'
@@ -159,7 +161,7 @@ def colour_bar_html(levels: np.ndarray, colours: Sequence[tuple[int, int, int]],
             f'{"".join(ticks)}</div></div></div>')
 
 
-def _round_levels(low: float, high: float, bands: int, apart_from: float | None = None) -> np.ndarray:
+def _choose_round_levels(low: float, high: float, bands: int, apart_from: float | None = None) -> np.ndarray:
     """Return multiples of the smallest round step that cover a range, none of them near the value `apart_from`."""
     smallest = np.floor(np.log10((high - low) / bands))
     for step in (factor * 10.0**power for power in (smallest, smallest + 1, smallest + 2) for factor in ROUND):
@@ -191,7 +193,7 @@ def _format_levels(levels: np.ndarray) -> tuple[list[str], str]:
     return numbers, f" × 10{superscript}" if power else ""
 
 
-def _describe_band(numbers: list[str], band: int) -> str:
+def _describe_band_range(numbers: list[str], band: int) -> str:
     """Describe the range of a band, such as "1 to 2"."""
     if band == 0:
         return f"below {numbers[1]}"

@@ -9,13 +9,19 @@ import numpy as np
 from numpy.polynomial.legendre import leggauss
 from scipy.sparse import csr_array
 
-from scenes.viewer.bands import Triangulation, split_polyline
-from scenes.viewer.revolution import Opening, Surface, join_surfaces, make_section_surfaces, revolve_polyline
+from scenes.viewer.bands import TriangleConnectivity, split_polyline_at_levels
+from scenes.viewer.revolution import (
+    TriangulatedSurface,
+    WedgeOpening,
+    concatenate_surfaces,
+    make_section_surfaces,
+    revolve_polyline,
+)
 from tissue_sim.mesh import Mesh
 
 
 @dataclass(frozen=True)
-class CutAwaySettings:
+class HalfSectionSettings:
     """Resolution of the picture of a half section.
 
     Attributes:
@@ -33,11 +39,11 @@ class CutAwaySettings:
 
 
 #: Settings of the viewer.
-SETTINGS = CutAwaySettings()
+SETTINGS = HalfSectionSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class SurfaceLine:
+class ContactBoundary:
     """Part of the half section's boundary that can touch the tool: the top from the axis outwards, then the side.
 
     Attributes:
@@ -51,7 +57,7 @@ class SurfaceLine:
 
 
 @dataclass(frozen=True, eq=False)
-class CutAway:
+class HalfSection:
     """Half section divided into small triangles; the division stays the same from frame to frame.
 
     Attributes:
@@ -68,19 +74,19 @@ class CutAway:
 
     mesh: Mesh
     weights: csr_array
-    triangulation: Triangulation
+    triangulation: TriangleConnectivity
     outline: np.ndarray
     surface: np.ndarray
     gauss_weights: csr_array
     edges: np.ndarray
 
     @classmethod
-    def from_mesh(cls, mesh: Mesh, divisions: int | None = None) -> CutAway:
+    def from_mesh(cls, mesh: Mesh, divisions: int | None = None) -> HalfSection:
         """Divide the elements of a mesh into small triangles.
 
         Args:
             mesh: Quadrilaterals in the (r, z) half plane.
-            divisions: Number of straight parts of each element edge; None: as `CutAwaySettings` states.
+            divisions: Number of straight parts of each element edge; None: as `HalfSectionSettings` states.
         """
         if divisions is None:
             divisions = min(max(round((SETTINGS.cells / len(mesh.connectivity)) ** 0.5), SETTINGS.min_divisions),
@@ -89,7 +95,7 @@ class CutAway:
         shapes, _ = mesh.element.evaluate_shape_functions(np.array([(a, b) for b in line for a in line]))
         # A point is identified by its nodes and weights, which are the same in all elements that share the point.
         points: dict[tuple, int] = {}
-        number = np.array([[points.setdefault(key, len(points)) for key in _point_keys(nodes, shapes)]
+        number = np.array([[points.setdefault(key, len(points)) for key in _list_point_interpolations(nodes, shapes)]
                            for nodes in mesh.connectivity.tolist()])
         rows = np.repeat(np.arange(len(points)), [len(key) for key in points])
         nodes, weights = np.array([entry for key in points for entry in key]).T
@@ -103,13 +109,14 @@ class CutAway:
         edges = np.unique(np.sort(np.stack([rim[:, :-1], rim[:, 1:]], axis=-1).reshape(-1, 2), axis=1), axis=0)
 
         coordinates = matrix @ mesh.nodes
-        top, side, base = (_find_points_on_nodes(mesh.sets[name], points) for name in ("top", "side", "base"))
+        top, side, base = (_select_points_of_nodes(mesh.sets[name], points) for name in ("top", "side", "base"))
         top, side = top[np.argsort(coordinates[top, 0])], side[np.argsort(-coordinates[side, 1])]
         base = base[np.argsort(-coordinates[base, 0])]
         outline = np.concatenate([top, side[1:], base[1:]])
-        return cls(mesh, matrix, Triangulation(triangles), outline, *_contact_surface(mesh), edges)
+        return cls(mesh, matrix, TriangleConnectivity(triangles), outline, *_find_contact_boundary(mesh), edges)
 
-    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, opening: Opening) -> list[Surface]:
+    def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
+                              opening: WedgeOpening) -> list[TriangulatedSurface]:
         """Return the surface of the solid in each band: its part of the section faces and of the outer surface.
 
         Args:
@@ -123,28 +130,29 @@ class CutAway:
             One surface per band in the unit of `positions`; empty if no tissue lies in the band. Section faces and
             outer surface share no vertices.
         """
-        points, at_points = self._interpolate(positions), self.weights @ values
+        points, at_points = self._interpolate_nodal_positions(positions), self.weights @ values
         bands = len(levels) - 1
-        line, band_of_line = split_polyline(points[self.outline], at_points[self.outline], levels)
+        line, band_of_line = split_polyline_at_levels(points[self.outline], at_points[self.outline], levels)
         outside = revolve_polyline(line, band_of_line, bands, opening)
-        if opening.is_closed:
+        if opening.removes_nothing:
             return outside
-        pieces = self.triangulation.cut(points, at_points, levels)
+        pieces = self.triangulation.cut_at_levels(points, at_points, levels)
         sections = make_section_surfaces(pieces.points, pieces.triangles, pieces.band, bands, opening)
-        return [join_surfaces(*both) for both in zip(sections, outside, strict=True)]
+        return [concatenate_surfaces(*both) for both in zip(sections, outside, strict=True)]
 
-    def mesh_lines(self, positions: np.ndarray, opening: Opening) -> np.ndarray:
+    def compute_edge_lines(self, positions: np.ndarray, opening: WedgeOpening) -> np.ndarray:
         """Return the element edges on both section faces, shape (lines, 2, 3); a closed solid has none.
 
         Args:
             positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
             opening: Wedge that is removed.
         """
-        offset = SETTINGS.line_offset * self.radius
-        return opening.on_faces(self._interpolate(positions)[self.edges], offset).reshape(-1, 2, 3)
+        offset = SETTINGS.line_offset * self.specimen_radius
+        return opening.map_to_section_faces(self._interpolate_nodal_positions(positions)[self.edges],
+                                            offset).reshape(-1, 2, 3)
 
-    def undeformed_outline(self, opening: Opening, dashes: int = 40,
-                           tool: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    def make_undeformed_outline(self, opening: WedgeOpening, dashes: int = 40,
+                                tool: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
         """Return the dashed outline of the undeformed specimen: section faces and rims, shape (lines, 2, 3).
 
         Args:
@@ -152,63 +160,63 @@ class CutAway:
             dashes: Number of dashes along the height; all dashes have the same length.
             tool: Radius and largest depth of the tool, m; the outline leaves out lines that the tool would cross.
         """
-        radius, height = self.radius, self.height
+        radius, height = self.specimen_radius, self.specimen_height
         length = 0.5 * height / dashes
         inside, deepest = tool
         covered = inside >= radius
-        rims = [_cut_into_dashes(np.concatenate([circle[:, 0], circle[-1:, 1]]), length) for circle in
-                (opening.circle(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
+        rims = [_split_polyline_into_dashes(np.concatenate([circle[:, 0], circle[-1:, 1]]), length) for circle in
+                (opening.make_circle_lines(radius, z) for z in ((-height,) if covered else (0.0, -height)))]
         side = np.array([[radius, -deepest if covered else 0.0], [radius, -height], [0.0, -height]])
         corners = side if covered else np.concatenate([[[inside, 0.0]], side])
-        if opening.is_closed:
-            quarter = opening.directions[:: max(1, len(opening.directions) // 4)]
+        if opening.removes_nothing:
+            quarter = opening.half_plane_directions[:: max(1, len(opening.half_plane_directions) // 4)]
             lines = [np.concatenate([radius * np.stack([direction, direction]), [[side[0, 1]], [-height]]], axis=1)
                      for direction in quarter]
         else:
-            lines = [*opening.on_faces(corners, SETTINGS.line_offset * radius),
+            lines = [*opening.map_to_section_faces(corners, SETTINGS.line_offset * radius),
                      np.array([[0.0, 0.0, -deepest], [0.0, 0.0, -height]])]
-        return np.concatenate([*rims, *(_cut_into_dashes(line, length) for line in lines)])
+        return np.concatenate([*rims, *(_split_polyline_into_dashes(line, length) for line in lines)])
 
-    def surface_line(self, positions: np.ndarray) -> SurfaceLine:
+    def compute_contact_boundary(self, positions: np.ndarray) -> ContactBoundary:
         """Return the deformed boundary line that can touch the tool.
 
         Args:
             positions: Deformed positions (r, z) of the nodes, shape (nodes, 2).
         """
-        return SurfaceLine(positions[self.surface], self.gauss_weights @ positions)
+        return ContactBoundary(positions[self.surface], self.gauss_weights @ positions)
 
     @property
-    def radius(self) -> float:
+    def specimen_radius(self) -> float:
         """Radius of the undeformed specimen, m."""
         return float(self.mesh.nodes[:, 0].max())
 
     @property
-    def height(self) -> float:
+    def specimen_height(self) -> float:
         """Height of the undeformed specimen, m."""
         return float(-self.mesh.nodes[:, 1].min())
 
-    def _interpolate(self, positions: np.ndarray) -> np.ndarray:
+    def _interpolate_nodal_positions(self, positions: np.ndarray) -> np.ndarray:
         """Interpolate nodal positions to the points, shape (points, 2)."""
         points = self.weights @ positions
         # Rounding errors at r = 0 would give thin triangles around the axis.
-        points[np.abs(points[:, 0]) < 1e-9 * self.radius, 0] = 0.0
+        points[np.abs(points[:, 0]) < 1e-9 * self.specimen_radius, 0] = 0.0
         return points
 
 
-def _point_keys(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
+def _list_point_interpolations(nodes: list[int], shapes: np.ndarray) -> Iterator[tuple]:
     """Yield for each point of an element the nodes and weights that define the point."""
     for row in shapes.tolist():
         yield tuple(sorted((node, round(weight, 9)) for node, weight in zip(nodes, row, strict=True)
                            if abs(weight) > 1e-9))
 
 
-def _find_points_on_nodes(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
+def _select_points_of_nodes(nodes: np.ndarray, points: dict[tuple, int]) -> np.ndarray:
     """Return the numbers of the points that depend on the given nodes only."""
     members = set(nodes.tolist())
     return np.array([number for key, number in points.items() if all(node in members for node, _ in key)])
 
 
-def _contact_surface(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
+def _find_contact_boundary(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
     """Return the nodes of top and side in order, and the shape functions at the Gauss points between them."""
     top, side, order = mesh.sets["top"], mesh.sets["side"], mesh.element.order
     nodes = np.concatenate([top[np.argsort(mesh.nodes[top, 0])], side[np.argsort(-mesh.nodes[side, 1])][1:]])
@@ -222,7 +230,7 @@ def _contact_surface(mesh: Mesh) -> tuple[np.ndarray, csr_array]:
     return nodes, csr_array((weights.ravel(), (rows.ravel(), columns.ravel())), shape=(len(columns), len(mesh.nodes)))
 
 
-def _cut_into_dashes(line: np.ndarray, length: float) -> np.ndarray:
+def _split_polyline_into_dashes(line: np.ndarray, length: float) -> np.ndarray:
     """Return dashes along a polyline (n, 3), shape (k, 2, 3); gaps are as long as dashes, and both ends are dashes."""
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1))])
     count = 2 * max(1, round(along[-1] / length / 2)) + 1

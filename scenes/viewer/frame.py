@@ -11,8 +11,8 @@ import numpy as np
 
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationState
-from scenes.viewer.measurement import Measurement, Residual
-from scenes.viewer.revolution import Surface
+from scenes.viewer.measurement import ForceResidual, Measurement
+from scenes.viewer.revolution import TriangulatedSurface
 from scenes.viewer.scene import Scene
 from scenes.viewer.trace import Trace
 from tissue_sim.snapshot import Snapshot
@@ -28,7 +28,7 @@ class Phase(Enum):
 
 
 @dataclass(frozen=True)
-class FrameSettings:
+class FrameRateSettings:
     """Rates of the frames of a session.
 
     Attributes:
@@ -41,11 +41,11 @@ class FrameSettings:
 
 
 #: Rates of every session.
-FRAMES = FrameSettings()
+FRAMES = FrameRateSettings()
 
 
 @dataclass(frozen=True)
-class Readouts:
+class SimulationReadouts:
     """Present numbers of the simulation.
 
     Attributes:
@@ -80,7 +80,7 @@ class Readouts:
 
 
 @dataclass(frozen=True, eq=False)
-class Curves:
+class PlotCurves:
     """Curves for the plots; each change creates a new object.
 
     Attributes:
@@ -98,7 +98,7 @@ class Curves:
     model: ts.Recording | None = None
     compared: tuple[str, ts.Recording] | None = None
     measurement: Measurement | None = None
-    residual: Residual | None = None
+    residual: ForceResidual | None = None
     trace: Trace | None = None
     replayed: tuple[np.ndarray, np.ndarray] | None = None
     number: int = 0
@@ -107,7 +107,7 @@ class Curves:
 
 
 @dataclass(frozen=True, eq=False)
-class Frame:
+class SessionFrame:
     """State of a session at one moment, for display.
 
     Attributes:
@@ -128,17 +128,17 @@ class Frame:
     message: str
     scene: Scene
     snapshot: Snapshot | None
-    readouts: Readouts | None
-    curves: Curves
+    readouts: SimulationReadouts | None
+    curves: PlotCurves
     motion: str
     target: float
-    surface: Surface | None = None
+    surface: TriangulatedSurface | None = None
     calibration: CalibrationState = field(default_factory=CalibrationState)
     across: tuple[float, float] = (0.0, 0.0)
 
 
-class Commands(Protocol):
-    """Receiver of commands, such as a `Session`."""
+class CommandReceiver(Protocol):
+    """Interface of an object that receives commands from a page, such as a `Session`."""
 
     def post(self, command: str, *, reply: Callable[[str | None], None] | None = None, **values: Any) -> None:
         """Queue a command.
@@ -150,10 +150,10 @@ class Commands(Protocol):
         """
 
 
-class Viewer(Protocol):
+class FrameViewer(Protocol):
     """Back-end that displays frames; a session calls `show` about 30 times per second, so `show` must not block."""
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         """Display a frame, or skip it."""
 
     def close(self) -> None:
@@ -170,9 +170,9 @@ class NullViewer:
 
     def __init__(self) -> None:
         self.frames = 0
-        self.latest: Frame | None = None
+        self.latest: SessionFrame | None = None
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         """Count a frame and keep it as `latest`."""
         self.frames, self.latest = self.frames + 1, frame
 

@@ -20,9 +20,9 @@ from haptics.loop.snapshot_board import SnapshotReader
 from haptics.loop.tissue_factory import STEP_BUDGET, make_real_time_tissue_factory
 from haptics.safety.limits import ForceLimits
 from haptics.safety.rendering import ForceRendering
-from scenes.viewer.frame import Phase, Readouts
-from scenes.viewer.revolution import Surface
-from scenes.viewer.viewed_simulator import ViewedSimulator
+from scenes.viewer.frame import Phase, SimulationReadouts
+from scenes.viewer.revolution import TriangulatedSurface
+from scenes.viewer.viewed_simulator import ExtendableBudgetSimulator
 from tissue_sim.pose import Pose
 from tissue_sim.snapshot import Snapshot
 from tissue_sim.tool_force import ForceStatus
@@ -32,7 +32,7 @@ BUDGET = STEP_BUDGET
 
 
 @dataclass(frozen=True)
-class ReadoutSettings:
+class ReadoutWindowSettings:
     """Time windows of the read-outs; longer windows give steadier and slower numbers.
 
     Attributes:
@@ -46,7 +46,7 @@ class ReadoutSettings:
     rate: float = 2.0
 
 
-_READOUTS = ReadoutSettings()
+_READOUTS = ReadoutWindowSettings()
 #: Fields of a tick from which the statistics are computed.
 _STATISTICS_FIELDS = ("time", "compute_time", "iterations", "status")
 #: Loop settings of the viewer: one tick per millisecond, 30 snapshots per second.
@@ -83,7 +83,7 @@ class LiveSimulation:
                  reduced: ts.ReducedModel | None = None):
         self._loop = LoopProcess(
             make_real_time_tissue_factory(model, solver=solver, resolution=resolution, budget=BUDGET, mesh=reduced,
-                                          simulator=ViewedSimulator), device,
+                                          simulator=ExtendableBudgetSimulator), device,
             ForceRendering(_NO_LIMITS), settings)
         if settings.patience > PATIENCE:
             # The loop answers a command after the present tick, which may take as long as `settings.patience`.
@@ -92,16 +92,16 @@ class LiveSimulation:
         self._ring: RingReader | None = None
         self._snapshots: SnapshotReader | None = None
         self._number, self._published = 0, 0
-        #: Wall time, s, and number of ticks at the polls of the last `ReadoutSettings.rate` s.
+        #: Wall time, s, and number of ticks at the polls of the last `ReadoutWindowSettings.rate` s.
         self._tick_counts: deque[tuple[float, int]] = deque()
-        #: Ticks of the last `ReadoutSettings.unconverged` s, columns as in `_STATISTICS_FIELDS`.
+        #: Ticks of the last `ReadoutWindowSettings.unconverged` s, columns as in `_STATISTICS_FIELDS`.
         self._statistics = np.empty((0, len(_STATISTICS_FIELDS)))
         self._paused = False
         self._model = model
         self.phase, self.message = Phase.STARTING, "starting"
         self.snapshot: Snapshot | None = None
-        self.surface: Surface | None = None
-        self.readouts: Readouts | None = None
+        self.surface: TriangulatedSurface | None = None
+        self.readouts: SimulationReadouts | None = None
         self._loop.start()
 
     @property
@@ -110,7 +110,7 @@ class LiveSimulation:
         return self._loop
 
     @property
-    def _cosine(self) -> float:
+    def _inclination_cosine(self) -> float:
         """Depth over displacement along the axis of the tool: the cosine of its inclination."""
         approach = self._model.experiment.approach
         return 1.0 if approach is None else math.cos(approach.angle)
@@ -119,10 +119,10 @@ class LiveSimulation:
     def tool_depth(self) -> float:
         """Present displacement of the tool along its axis, m; 0 before the first tick."""
         last = None if self._ring is None else self._ring.latest()
-        return 0.0 if last is None else float(last["tool_depth"]) / self._cosine
+        return 0.0 if last is None else float(last["tool_depth"]) / self._inclination_cosine
 
     @property
-    def tool_across(self) -> tuple[float, float] | None:
+    def tool_lateral_position(self) -> tuple[float, float] | None:
         """Present x and y at which the tool's axis crosses the undeformed surface, m; None before the first tick."""
         last = None if self._ring is None else self._ring.latest()
         if last is None:
@@ -131,7 +131,7 @@ class LiveSimulation:
         (_, _, u), (_, _, v), (_, _, w) = Pose((x, y, z), (a, b, c, d)).rotation
         return x - u / max(w, 0.1) * z, y - v / max(w, 0.1) * z
 
-    def poll(self) -> np.ndarray | None:
+    def poll_loop_process(self) -> np.ndarray | None:
         """Read new ticks and the newest snapshot, and update phase, message and read-outs.
 
         Returns:
@@ -143,13 +143,13 @@ class LiveSimulation:
         try:
             ready = self._loop.poll()
         except (LoopError, ts.InputError) as error:
-            self._mark_as_ended(str(error))
+            self._set_stopped_phase(str(error))
             return None
         self.message = self._loop.message
         if not ready:
             return None
         if self._loop.report is not None:
-            self._mark_as_ended(f"the loop has ended ({self._loop.report.ended_by})")
+            self._set_stopped_phase(f"the loop has ended ({self._loop.report.ended_by})")
             return None
         if self._ring is None:
             self._ring = self._files.enter_context(self._loop.ring())
@@ -160,20 +160,20 @@ class LiveSimulation:
         ticks = self._ring.since(self._number)
         self._number = ticks.number
         records = ticks.records
-        if self._cosine != 1.0:
+        if self._inclination_cosine != 1.0:
             records = records.copy()
-            records["tool_depth"] /= self._cosine
+            records["tool_depth"] /= self._inclination_cosine
         if self._snapshots is not None and self._loop.pattern is not None:
             self._snapshots.pattern = self._loop.pattern
             published = self._snapshots.latest(after=self._published)
             if published is not None:
                 self._published = published.number
-                self._store_snapshot(published.snapshot)
+                self._store_newest_snapshot(published.snapshot)
         if len(records):
             self._update_readouts(records)
         return records
 
-    def ask(self, command: str, **values: Any) -> None:
+    def send_command(self, command: str, **values: Any) -> None:
         """Send a command to the loop and wait some milliseconds for its execution.
 
         Args:
@@ -188,7 +188,7 @@ class LiveSimulation:
         try:
             self._loop.execute_command(command, **values)
         except LoopError as error:
-            self._mark_as_ended(str(error))
+            self._set_stopped_phase(str(error))
             raise ts.InputError(str(error)) from error
         if command in ("pause", "resume"):
             self._paused = command == "pause"
@@ -199,19 +199,19 @@ class LiveSimulation:
         self._files.close()
         self._loop.stop()
 
-    def forget(self) -> None:
-        """Skip the ticks that have not been polled yet."""
+    def skip_unread_ticks(self) -> None:
+        """Skip the ticks that `poll_loop_process` has not read yet, and clear the statistics of the read-outs."""
         if self._ring is not None:
             self._number = self._ring.written
         self._statistics = self._statistics[:0]
 
-    def _store_snapshot(self, snapshot: Snapshot) -> None:
+    def _store_newest_snapshot(self, snapshot: Snapshot) -> None:
         skin = snapshot.skin
         if skin is not None:
-            self.surface = Surface(skin.vertices.astype(np.float32), skin.triangles.astype(np.uint32))
+            self.surface = TriangulatedSurface(skin.vertices.astype(np.float32), skin.triangles.astype(np.uint32))
         self.snapshot = snapshot
 
-    def _mark_as_ended(self, reason: str) -> None:
+    def _set_stopped_phase(self, reason: str) -> None:
         self.phase, self.message = Phase.DIED, reason
 
     def _update_readouts(self, records: np.ndarray) -> None:
@@ -229,17 +229,17 @@ class LiveSimulation:
         recent = times > last["time"] - _READOUTS.statistics
         status = ForceStatus(int(last["status"]))
         deadlines = last["tick"]
-        self.readouts = Readouts(
+        self.readouts = SimulationReadouts(
             float(last["time"]), float(last["tool_depth"]), float(last["tissue_force"]), float(last["stiffness"]),
             float(np.median(compute_time[recent])), float(iterations[recent].mean()), rate,
             float((last["late"] + last["missed"]) / max(deadlines, 1)), _describe_force_status(status, last),
-            _describe_mesh(self._loop.resolution, self._loop.force_error),
-            _describe_warning(status, last),
+            _describe_mesh_resolution(self._loop.resolution, self._loop.force_error),
+            _describe_force_warning(status, last),
             int(np.count_nonzero(statuses != ForceStatus.CONVERGED)),
             (float(last["tissue_wrench"][0]), float(last["tissue_wrench"][1])))
 
 
-def _describe_mesh(resolution: str, force_error: float | None) -> str:
+def _describe_mesh_resolution(resolution: str, force_error: float | None) -> str:
     """Return the resolution of the mesh, with the relative error of its force if it is known."""
     return resolution if force_error is None else f"{resolution}, force within {100 * force_error:.2g} %"
 
@@ -248,17 +248,17 @@ def _describe_force_status(status: ForceStatus, last: np.void) -> str:
     """Return the status of the newest force in words."""
     if status is ForceStatus.CONVERGED:
         return "paused" if last["flags"] & PAUSED else "in equilibrium"
-    return "inaccurate" if _is_inaccurate(status, last) else status.name.lower()
+    return "inaccurate" if _is_equilibrium_force_inaccurate(status, last) else status.name.lower()
 
 
-def _describe_warning(status: ForceStatus, last: np.void) -> str:
+def _describe_force_warning(status: ForceStatus, last: np.void) -> str:
     """Return cause and remedy of a status; empty for an accurate equilibrium."""
-    if _is_inaccurate(status, last):
+    if _is_equilibrium_force_inaccurate(status, last):
         return (f"The force is in equilibrium, but its estimated error is {last['force_error']:.2g} N. "
                 "Use a finer mesh, a deeper indentation or a slower motion.")
     return "" if status is ForceStatus.CONVERGED else status.message
 
 
-def _is_inaccurate(status: ForceStatus, last: np.void) -> bool:
+def _is_equilibrium_force_inaccurate(status: ForceStatus, last: np.void) -> bool:
     """Return whether the newest force is an equilibrium force whose estimated error is too large."""
     return status is ForceStatus.LATE and last["age"] == 0.0 and bool(np.isfinite(last["force_error"]))

@@ -20,7 +20,7 @@ LARGEST_UPLOAD = 1_000_000
 
 
 @dataclass(frozen=True)
-class SliderSettings:
+class SliderRangeSettings:
     """Rules for the ranges of the parameter sliders.
 
     Attributes:
@@ -39,7 +39,7 @@ class SliderSettings:
 
 
 #: Settings of the viewer.
-SETTINGS = SliderSettings()
+SETTINGS = SliderRangeSettings()
 
 
 @dataclass(frozen=True)
@@ -61,7 +61,7 @@ class SliderRange:
     factor: float
 
 
-def list_materials(folder: str | Path) -> list[Path]:
+def list_material_files(folder: str | Path) -> list[Path]:
     """Return the paths of the ``*.material.json`` files in a folder, sorted by name.
 
     Raises:
@@ -73,7 +73,7 @@ def list_materials(folder: str | Path) -> list[Path]:
     return sorted((path for path in folder.glob(f"*{SUFFIX}") if path.is_file()), key=lambda path: path.name)
 
 
-def read_upload(name: str, content: bytes) -> Material:
+def read_uploaded_material(name: str, content: bytes) -> Material:
     """Read the material of an uploaded file.
 
     Args:
@@ -95,18 +95,19 @@ def read_upload(name: str, content: bytes) -> Material:
             raise InputError(error.problem, file=name, line=error.line, field=error.field) from None
 
 
-def parameter_ranges(material: Material) -> dict[str, SliderRange]:
+def compute_parameter_slider_ranges(material: Material) -> dict[str, SliderRange]:
     """Return the slider range of each parameter of a material, by the path of the parameter.
 
-    With s = `SliderSettings.span`, the range of a positive value v is [0, s v], or [v / s, s v] if the material refuses
-    zero; for a negative value it is mirrored. A value near zero gets a range of plus and minus the shear modulus, or
-    plus and minus 1 for exponents and ratios. Each range is then reduced to values that the material accepts and for
-    which the finite elements are verified, with the other parameters fixed, and rounded to a round step.
+    With s = `SliderRangeSettings.span`, the range of a positive value v is [0, s v], or [v / s, s v] if the material
+    refuses zero; for a negative value it is mirrored. A value near zero gets a range of plus and minus the shear
+    modulus, or plus and minus 1 for exponents and ratios. Each range is then reduced to values that the material
+    accepts and for which the finite elements are verified, with the other parameters fixed, and rounded to a round
+    step.
     """
-    return {name: _slider_range(material, each) for name, each in parameters(material).items()}
+    return {name: _compute_slider_range(material, each) for name, each in parameters(material).items()}
 
 
-def exact_values(material: Material) -> dict[str, str]:
+def format_exact_parameter_values(material: Material) -> dict[str, str]:
     """Return the value of each parameter with nine digits and its unit on the page, by the path of the parameter."""
     texts = {}
     for each in parameters(material).values():
@@ -115,33 +116,34 @@ def exact_values(material: Material) -> dict[str, str]:
     return texts
 
 
-def _slider_range(material: Material, parameter: Parameter) -> SliderRange:
+def _compute_slider_range(material: Material, parameter: Parameter) -> SliderRange:
     name, value = parameter.path, parameter.value
     unit, factor = get_display_unit(parameter.declaration.unit)
     scale = material.mu0 if unit == "kPa" else 1.0
     if value == 0 or (name in material.parameters and abs(value) < SETTINGS.zero_tolerance * scale):
-        ends = [_find_nearest_accepted(material, name, value, end) for end in (-scale, scale)]
+        ends = [_find_nearest_usable_value(material, name, value, end) for end in (-scale, scale)]
     else:
-        inner = 0.0 if _accepts_value(material, name, 0.0) else value / SETTINGS.span
-        ends = sorted([_find_nearest_accepted(material, name, value, inner),
-                       _find_nearest_accepted(material, name, value, SETTINGS.span * value)])
+        inner = 0.0 if _is_usable_parameter_value(material, name, 0.0) else value / SETTINGS.span
+        ends = sorted([_find_nearest_usable_value(material, name, value, inner),
+                       _find_nearest_usable_value(material, name, value, SETTINGS.span * value)])
     low, high = (factor * end for end in ends)
     now = factor * value
     step = 10.0 ** math.floor(math.log10(max(high - low, 1e-3 * abs(now), 1e-12) / SETTINGS.steps))
     step *= max(n for n in (1, 2, 5) if n * step <= max((high - low) / SETTINGS.steps, step))
     # Round inwards to accepted values, but keep the present value inside.
     low, high = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
-    low += not _accepts_value(material, name, _round_decimal(low * step) / factor)
-    high -= not _accepts_value(material, name, _round_decimal(high * step) / factor)
-    return SliderRange(min(_round_decimal(low * step), now), max(_round_decimal(high * step), now), step, unit, factor)
+    low += not _is_usable_parameter_value(material, name, _remove_binary_rounding_error(low * step) / factor)
+    high -= not _is_usable_parameter_value(material, name, _remove_binary_rounding_error(high * step) / factor)
+    return SliderRange(min(_remove_binary_rounding_error(low * step), now),
+                       max(_remove_binary_rounding_error(high * step), now), step, unit, factor)
 
 
-def _round_decimal(number: float) -> float:
+def _remove_binary_rounding_error(number: float) -> float:
     """Round to 12 digits, which removes the binary rounding error of a multiple of a decimal step."""
     return float(f"{number:.12g}")
 
 
-def _accepts_value(material: Material, name: str, value: float) -> bool:
+def _is_usable_parameter_value(material: Material, name: str, value: float) -> bool:
     """Return whether a value of a parameter is valid and the material can still be simulated."""
     try:
         changed = with_values(material, {name: value})
@@ -153,21 +155,22 @@ def _accepts_value(material: Material, name: str, value: float) -> bool:
     return math.isinf(changed.bulk_modulus) or low <= changed.bulk_modulus / changed.mu0 <= high
 
 
-def _find_nearest_accepted(material: Material, name: str, value: float, target: float) -> float:
+def _find_nearest_usable_value(material: Material, name: str, value: float, target: float) -> float:
     """Return the number between the accepted `value` and `target` that is nearest to `target` and accepted.
 
     The function bisects 40 times, so the result is exact up to 1e-12 of the interval.
     """
-    if _accepts_value(material, name, target):
+    if _is_usable_parameter_value(material, name, target):
         return target
     accepted, refused = value, target
     for _ in range(40):
         middle = 0.5 * (accepted + refused)
-        accepted, refused = (middle, refused) if _accepts_value(material, name, middle) else (accepted, middle)
+        accepted, refused = (middle,
+                             refused) if _is_usable_parameter_value(material, name, middle) else (accepted, middle)
     return accepted
 
 
-def save_edited(material: Material, folder: str | Path, name: str, *, source: str) -> Path:
+def save_edited_material(material: Material, folder: str | Path, name: str, *, source: str) -> Path:
     """Write a material that was edited by hand into a new file.
 
     The file contains no standard errors, covariance, residual and valid range, because they belong to the fitted

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.viewer.trace import interpolate_branch
+from scenes.viewer.trace import interpolate_branch_force
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED, Protocol
 from tissue_sim.experiment.tools.tool import Tool
@@ -42,7 +42,7 @@ RESAMPLING = ResamplingSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Envelope:
+class ReplicateStatistics:
     """Statistics of one branch, loading or unloading, over the replicates on a grid of depths.
 
     All arrays have shape (n,) and are NaN at depths that a replicate does not reach.
@@ -74,21 +74,21 @@ class Measurement:
 
     recordings: tuple[Recording, ...]
     depth: np.ndarray
-    load: Envelope
-    unload: Envelope | None
+    load: ReplicateStatistics
+    unload: ReplicateStatistics | None
     branches: tuple[tuple[np.ndarray, np.ndarray], ...]
 
     @property
-    def name(self) -> str:
+    def first_recording_name(self) -> str:
         """Name of the first replicate."""
         return self.recordings[0].name
 
     @property
-    def kind(self) -> str | None:
+    def stated_test_kind(self) -> str | None:
         """Kind of test that the recordings state; None if they state none."""
         return next((str(each.metadata["kind"]) for each in self.recordings if "kind" in each.metadata), None)
 
-    def other_tool(self, tool: Tool) -> str:
+    def describe_deviating_tool(self, tool: Tool) -> str:
         """Describe the tool of the recordings if its shape, or its radius by more than 1 %, differs from a tool.
 
         Returns:
@@ -98,7 +98,7 @@ class Measurement:
                     "")
 
     @property
-    def noise(self) -> float | None:
+    def replicate_scatter(self) -> float | None:
         """Root mean square over depths and branches of the standard deviation of replicates, N; None for one."""
         spreads = [each.standard_deviation for each in (self.load, self.unload)
                    if each is not None and each.standard_deviation is not None]
@@ -107,7 +107,7 @@ class Measurement:
 
 
 @dataclass(frozen=True, eq=False)
-class Residual:
+class ForceResidual:
     """Difference between model and measurement over depth, with its root mean square.
 
     Attributes:
@@ -126,7 +126,7 @@ class Residual:
     samples: int
 
 
-def read_measurement(paths: Sequence[str | Path], **reading) -> Measurement:
+def read_measurement_files(paths: Sequence[str | Path], **reading) -> Measurement:
     """Read replicates of one test from files.
 
     Args:
@@ -144,11 +144,11 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
     """Build a measurement from replicates of one test.
 
     Raises:
-        InputError: As `read_measurement`.
+        InputError: As `read_measurement_files`.
     """
     recordings = tuple(recordings)
     if not recordings:
-        raise InputError("must contain at least one recording", field="measurement")
+        raise InputError("must contain at least one recording; got none. Name a recording file.", field="measurement")
     kinds: dict[Any, Any] = {}
     for recording in recordings:
         file = recording.metadata.get("source")
@@ -173,21 +173,21 @@ def build_measurement(recordings: Sequence[Recording]) -> Measurement:
     unload = None
     if unloadings:
         unloaded = [each for each, (_, unloading) in zip(recordings, branches, strict=True) if unloading.size]
-        unload = _compute_envelope(unloaded, unloadings, -1, grid)
-    load = _compute_envelope(recordings, [loading for loading, _ in branches], 1, grid)
+        unload = _compute_replicate_statistics(unloaded, unloadings, -1, grid)
+    load = _compute_replicate_statistics(recordings, [loading for loading, _ in branches], 1, grid)
     return Measurement(recordings, grid, load, unload, branches)
 
 
-def _compute_envelope(recordings: Sequence[Recording], branches: Sequence[np.ndarray], direction: int,
-                      grid: np.ndarray) -> Envelope:
+def _compute_replicate_statistics(recordings: Sequence[Recording], branches: Sequence[np.ndarray], direction: int,
+                                  grid: np.ndarray) -> ReplicateStatistics:
     """Return the statistics of one branch per recording; `direction` is 1 for loading and -1 for unloading."""
-    forces = np.array([interpolate_branch(each.displacement[branch], each.force[branch], direction, grid)
+    forces = np.array([interpolate_branch_force(each.displacement[branch], each.force[branch], direction, grid)
                        for each, branch in zip(recordings, branches, strict=True)])
     spread = forces.std(axis=0, ddof=1) if len(forces) > 1 else None
-    return Envelope(forces.mean(axis=0), forces.min(axis=0), forces.max(axis=0), spread)
+    return ReplicateStatistics(forces.mean(axis=0), forces.min(axis=0), forces.max(axis=0), spread)
 
 
-def interpolate_branches(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def interpolate_loading_and_unloading(recording: Recording, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Interpolate loading and unloading of a recording to a grid of depths.
 
     The interpolant is a monotone cubic (Fritsch and Butland, SIAM J. Sci. Stat. Comput. 5 (1984) 300), because a
@@ -201,10 +201,12 @@ def interpolate_branches(recording: Recording, grid: np.ndarray) -> tuple[np.nda
         Force in loading and in unloading, N, each of shape (n,), NaN at depths that the branch does not reach.
     """
     load, unload = find_loading_and_unloading(recording)
-    return _interpolate_monotone(recording, load, 1, grid), _interpolate_monotone(recording, unload, -1, grid)
+    return _interpolate_branch_monotone(recording, load, 1,
+                                        grid), _interpolate_branch_monotone(recording, unload, -1, grid)
 
 
-def _interpolate_monotone(recording: Recording, branch: np.ndarray, direction: int, depth: np.ndarray) -> np.ndarray:
+def _interpolate_branch_monotone(recording: Recording, branch: np.ndarray, direction: int,
+                                 depth: np.ndarray) -> np.ndarray:
     from scipy.interpolate import PchipInterpolator
 
     branch = branch[::direction]
@@ -217,7 +219,7 @@ def _interpolate_monotone(recording: Recording, branch: np.ndarray, direction: i
     return np.where(inside, PchipInterpolator(x, recording.force[branch])(np.clip(depth, x[0], x[-1])), np.nan)
 
 
-def residual(model: Recording, measured: Measurement) -> Residual:
+def compute_force_residual(model: Recording, measured: Measurement) -> ForceResidual:
     """Compute model minus measurement.
 
     Args:
@@ -227,19 +229,21 @@ def residual(model: Recording, measured: Measurement) -> Residual:
     Raises:
         InputError: The model reaches no sample of the measurement.
     """
-    load, unload = interpolate_branches(model, measured.depth)
+    load, unload = interpolate_loading_and_unloading(model, measured.depth)
     model_branches = dict(zip((1, -1), find_loading_and_unloading(model), strict=True))
     differences = []
     for recording, branches in zip(measured.recordings, measured.branches, strict=True):
         for direction, branch in zip((1, -1), branches, strict=True):
-            force = _interpolate_monotone(model, model_branches[direction], direction, recording.displacement[branch])
+            force = _interpolate_branch_monotone(model, model_branches[direction], direction,
+                                                 recording.displacement[branch])
             differences.append(force - recording.force[branch])
     errors = np.concatenate(differences)
     errors = errors[np.isfinite(errors)]
     if not errors.size:
         raise InputError("must reach the measured depths. Simulate the measured motion.", field="model")
     out = np.full(measured.depth.size, np.nan) if measured.unload is None else unload - measured.unload.mean
-    return Residual(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(errors**2))), errors.size)
+    return ForceResidual(measured.depth, load - measured.load.mean, out, float(np.sqrt(np.mean(errors**2))),
+                         errors.size)
 
 
 def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.motion_samples,
@@ -261,7 +265,7 @@ def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.mot
     recording, (load, unload) = find_typical_replicate(measured)
     end = int(unload[-1] if unload.size else load[-1]) + 1
     depth = recording.displacement[:end]
-    time = recording.time[:end] if "time" in recording else _compute_times(depth, recording, speed)
+    time = recording.time[:end] if "time" in recording else _compute_constant_speed_times(depth, recording, speed)
     # A protocol needs increasing times: keep the first of several samples with the same time.
     later = np.concatenate([[True], np.diff(np.maximum.accumulate(time)) > 0])
     kept = np.flatnonzero(later)
@@ -276,15 +280,15 @@ def make_motion_protocol(measured: Measurement, *, samples: int = RESAMPLING.mot
 
 def find_typical_replicate(measured: Measurement) -> tuple[Recording, tuple[np.ndarray, np.ndarray]]:
     """Return the replicate whose loading is nearest to the mean in least squares, and its `Measurement.branches`."""
-    def distance(pair) -> float:
+    def compute_squared_deviation(pair) -> float:
         recording, (loading, _) = pair
-        force = interpolate_branch(recording.displacement[loading], recording.force[loading], 1, measured.depth)
+        force = interpolate_branch_force(recording.displacement[loading], recording.force[loading], 1, measured.depth)
         return float(np.nansum((force - measured.load.mean)**2))
 
-    return min(zip(measured.recordings, measured.branches, strict=True), key=distance)
+    return min(zip(measured.recordings, measured.branches, strict=True), key=compute_squared_deviation)
 
 
-def _compute_times(depth: np.ndarray, recording: Recording, speed: float | None) -> np.ndarray:
+def _compute_constant_speed_times(depth: np.ndarray, recording: Recording, speed: float | None) -> np.ndarray:
     """Return the times of a motion at constant speed, s, shape (n,)."""
     if speed is None:
         stated = recording.metadata.get("speed_mm_s")
@@ -308,11 +312,11 @@ def _select_even_samples(time: np.ndarray, depth: np.ndarray, corners: np.ndarra
     return np.unique(np.searchsorted(measure, np.linspace(0.0, measure[-1], count)).clip(0, depth.size - 1))
 
 
-def compute_residual_if_possible(model: Recording | None, measured: Measurement | None) -> Residual | None:
-    """Return `residual`; None if one of the two is missing or the model reaches no measured depth."""
+def compute_force_residual_if_possible(model: Recording | None, measured: Measurement | None) -> ForceResidual | None:
+    """Return `compute_force_residual`; None if one of the two is missing or the model reaches no measured depth."""
     if model is None or measured is None:
         return None
     try:
-        return residual(model, measured)
+        return compute_force_residual(model, measured)
     except InputError:
         return None

@@ -10,7 +10,7 @@ from calibration.tasks.process_pool import ProcessPool
 from tissue_sim.errors import ConvergenceError, InputError, MissingBackendError
 
 
-class ModelCurve:
+class ModelCurveWorker:
     """Computes ``simulate(model)`` for the newest requested model in another process; call `close` at the end.
 
     Args:
@@ -35,35 +35,35 @@ class ModelCurve:
         self.problem, self.number = "", 0
 
     @property
-    def busy(self) -> bool:
+    def is_busy(self) -> bool:
         """Whether a requested curve has not been computed yet."""
         return self._computed is not None or self._requested is not None
 
-    def request(self, model: ts.Model) -> None:
+    def request_curve(self, model: ts.Model) -> None:
         """Request the curve of a model; this replaces an earlier request that has not started."""
         self._requested = model
 
-    def forget(self) -> None:
-        """Delete the curve and all requests, because the test has changed."""
+    def discard_curve_and_requests(self) -> None:
+        """Delete the curve and all requests; for use when the kind of test has changed."""
         self.recording, self.problem, self._requested, self.number = None, "", None, self.number + 1
         self._stale = self._computed is not None
 
-    def poll(self) -> None:
+    def store_result_and_start_next(self) -> None:
         """Store a finished result, and start the computation of the next request."""
         if self._computed is not None and self._computed.done():
             computed, stale = self._computed, self._stale
             self._computed, self._stale = None, False
             if not stale:
-                self._store_curve(computed)
+                self._store_computed_curve(computed)
         if self._computed is None and self._requested is not None:
             model, self._requested = self._requested, None
             try:
-                self._computed = self._pool.submit(simulate_test, (model, self._resolution, self._solver,
-                                                                   self._reduced))
+                self._computed = self._pool.submit(simulate_whole_test,
+                                                   (model, self._resolution, self._solver, self._reduced))
             except WorkerError as error:
                 self.problem, self.number = str(error), self.number + 1
 
-    def _store_curve(self, computed: Future) -> None:
+    def _store_computed_curve(self, computed: Future) -> None:
         self.number += 1
         try:
             self.recording, self.problem = computed.result(), ""
@@ -78,7 +78,7 @@ class ModelCurve:
         self._pool.stop()
 
 
-def simulate_test(model: ts.Model, resolution: str, solver: str,
-                  reduced: ts.ReducedModel | None = None) -> ts.Recording:
+def simulate_whole_test(model: ts.Model, resolution: str, solver: str,
+                        reduced: ts.ReducedModel | None = None) -> ts.Recording:
     """Simulate the whole test; runs in the worker process."""
     return ts.simulate(model, resolution=resolution, solver=solver, mesh=reduced, estimate_error=False)

@@ -17,12 +17,12 @@ REFUSAL = ("The token is missing or wrong. Open this page with the complete addr
            "started.")
 
 
-def make_token() -> str:
+def make_access_token() -> str:
     """Return a random token of 192 bits."""
     return secrets.token_urlsafe(24)
 
 
-def contains_token(token: str, port: int, path: str, cookies: Sequence[str]) -> bool:
+def has_valid_token(token: str, port: int, path: str, cookies: Sequence[str]) -> bool:
     """Return whether a request contains the token, in its query or in a cookie.
 
     Args:

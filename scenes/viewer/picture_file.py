@@ -40,7 +40,7 @@ _LAYOUT = PictureLayout()
 
 
 @dataclass(frozen=True, eq=False)
-class Curve:
+class DrawnForceCurve:
     """Force curve next to the view.
 
     Attributes:
@@ -58,11 +58,11 @@ class Curve:
     dashed: bool = False
 
 
-def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None, colours: Sequence | np.ndarray,
-                label: str,
-                caption: Sequence[str], *, curves: Sequence[Curve] = (),
-                band: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
-                now: tuple[float, float] | None = None) -> bytes:
+def compose_picture_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None, colours: Sequence | np.ndarray,
+                        label: str,
+                        caption: Sequence[str], *, curves: Sequence[DrawnForceCurve] = (),
+                        band: tuple[np.ndarray, np.ndarray, np.ndarray] | None = None,
+                        now: tuple[float, float] | None = None) -> bytes:
     """Compose the picture and return it as a PNG.
 
     Args:
@@ -85,7 +85,7 @@ def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None,
     from matplotlib.figure import Figure
 
     view = _blend_with_white(render)
-    bands = None if levels is None else _check_bands(levels, colours)
+    bands = None if levels is None else _validate_colour_bands(levels, colours)
     margin, bar = _LAYOUT.margin, _LAYOUT.bar if bands else 0.0
     height, width = (max(side / DPI, _LAYOUT.smallest) for side in view.shape[:2])
     wide = width + bar + (_LAYOUT.curve if curves else 0.0) + 3 * margin
@@ -93,10 +93,10 @@ def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None,
     size = (wide, height + _LAYOUT.line * len(caption) + 2 * margin)
     figure = Figure(figsize=size, dpi=DPI, facecolor="white")
 
-    def axes(left: float, bottom: float, wide: float, high: float):
+    def add_axes_at(left: float, bottom: float, wide: float, high: float):
         return figure.add_axes((left / size[0], bottom / size[1], wide / size[0], high / size[1]))
 
-    picture = axes(margin, margin, width, height)
+    picture = add_axes_at(margin, margin, width, height)
     picture.imshow(view, interpolation="nearest")
     picture.set_axis_off()
     for number, line in enumerate(caption):
@@ -104,12 +104,12 @@ def compose_png(render: np.ndarray, levels: Sequence[float] | np.ndarray | None,
                     fontsize=11 if number == 0 else 9, fontweight="bold" if number == 0 else "normal",
                     color="0.1" if number == 0 else "0.3", parse_math=False)
     if bands is not None:
-        _draw_bar(axes(width + 2 * margin, margin + 0.1 * height, 0.2, 0.8 * height), *bands, label)
+        _draw_colour_bar(add_axes_at(width + 2 * margin, margin + 0.1 * height, 0.2, 0.8 * height), *bands, label)
     if curves:
         left = width + bar + 2 * margin + 0.6
         high = min(height - 0.5, 3.2)
-        curve = axes(left, margin + 0.5 * (height - high + 0.4), _LAYOUT.curve - 0.6, high)
-        _draw_curves(curve, curves, band, now)
+        curve = add_axes_at(left, margin + 0.5 * (height - high + 0.4), _LAYOUT.curve - 0.6, high)
+        _draw_force_curves(curve, curves, band, now)
     return render_png(figure, DPI)
 
 
@@ -125,8 +125,8 @@ def _blend_with_white(render: np.ndarray) -> np.ndarray:
     return np.round(render[:, :, :3] * opacity + 255.0 * (1.0 - opacity)).astype(np.uint8)
 
 
-def _check_bands(levels: Sequence[float] | np.ndarray,
-                 colours: Sequence | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _validate_colour_bands(levels: Sequence[float] | np.ndarray,
+                           colours: Sequence | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Check levels and colours; return the levels, shape (n + 1,), and the colours, RGBA from 0 to 1, shape (n, 4)."""
     from matplotlib.colors import to_rgba_array
 
@@ -142,13 +142,13 @@ def _check_bands(levels: Sequence[float] | np.ndarray,
     return edges, palette
 
 
-def _draw_bar(axes, levels: np.ndarray, palette: np.ndarray, label: str) -> None:
+def _draw_colour_bar(axes, levels: np.ndarray, palette: np.ndarray, label: str) -> None:
     """Draw a colour bar whose bands all have the same height."""
     n = len(palette)
     axes.imshow(palette[:, None, :], origin="lower", aspect="auto", extent=(0, 1, 0, n), interpolation="nearest")
     every = max(1, -(-n // 10))
     labelled = list(range(0, n + 1, every))
-    axes.set_yticks(labelled, [_format_number(levels[i]) for i in labelled], fontsize=8)
+    axes.set_yticks(labelled, [_format_level(levels[i]) for i in labelled], fontsize=8)
     axes.yaxis.tick_right()
     axes.yaxis.set_label_position("right")
     axes.set_ylabel(label, fontsize=9, parse_math=False)
@@ -157,11 +157,11 @@ def _draw_bar(axes, levels: np.ndarray, palette: np.ndarray, label: str) -> None
         spine.set_linewidth(0.5)
 
 
-def _format_number(value: float) -> str:
+def _format_level(value: float) -> str:
     return f"{value:.3g}".replace("-", "−") if value else "0"
 
 
-def _draw_curves(axes, curves: Sequence[Curve], band, now) -> None:
+def _draw_force_curves(axes, curves: Sequence[DrawnForceCurve], band, now) -> None:
     if band is not None:
         depth, low, high = band
         axes.fill_between(np.asarray(depth) * 1e3, low, high, color="0.5", alpha=0.28, linewidth=0)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.viewer.measurement import Measurement, Residual
+from scenes.viewer.measurement import ForceResidual, Measurement
 
 Pair = tuple[np.ndarray, np.ndarray]
 
@@ -62,9 +62,9 @@ def make_depth_grid(deepest: float, points: int = 201) -> np.ndarray:
     return np.linspace(0.0, deepest, points)
 
 
-def force_depth_data(grid: np.ndarray, *, measured: Measurement | None = None, model: Pair | None = None,
-                     compared: Pair | None = None, live: Pair | None = None, late: np.ndarray | None = None,
-                     now: tuple[float, float] | None = None) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def make_force_depth_data(grid: np.ndarray, *, measured: Measurement | None = None, model: Pair | None = None,
+                          compared: Pair | None = None, live: Pair | None = None, late: np.ndarray | None = None,
+                          now: tuple[float, float] | None = None) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of force over depth.
 
     Args:
@@ -77,14 +77,14 @@ def force_depth_data(grid: np.ndarray, *, measured: Measurement | None = None, m
         now: Present depth, m, and force, N; not drawn outside the grid.
 
     Returns:
-        Columns in the order of `force_depth_options`, mm and N, each of shape (n,), or (n + 1,) if the depth of `now`
-        is not on the grid; and the smallest and largest force of all columns, N.
+        Columns in the order of `make_force_depth_options`, mm and N, each of shape (n,), or (n + 1,) if the depth of
+        `now` is not on the grid; and the smallest and largest force of all columns, N.
     """
     columns = []
     for branch in (None, None) if measured is None else (measured.load, measured.unload):
-        low, high, mean = (_interpolate(grid, measured, curve) for curve in (
+        low, high, mean = (_interpolate_curve_to_grid(grid, measured, curve) for curve in (
             (None, None, None) if branch is None else (branch.low, branch.high, branch.mean)))
-        columns += [*_fill_band_edges(low, high, mean), mean]
+        columns += [*_replace_nan_in_band_edges(low, high, mean), mean]
     for pair in (model, compared, live):
         columns += [np.full(grid.size, np.nan)] * 2 if pair is None else [np.asarray(each, float) for each in pair]
     columns.append(np.full(grid.size, np.nan) if late is None else late)
@@ -92,15 +92,16 @@ def force_depth_data(grid: np.ndarray, *, measured: Measurement | None = None, m
     if now is not None and grid[0] <= now[0] <= grid[-1]:
         i = int(np.searchsorted(grid, now[0]))
         if grid[i] != now[0]:
-            columns = [np.insert(column, i, _interpolate_between(grid, column, i, now[0])) for column in columns]
+            columns = [np.insert(column, i, _interpolate_column_at_depth(grid, column, i, now[0]))
+                       for column in columns]
             x, point = np.insert(grid, i, now[0]), np.insert(point, i, np.nan)
         point[i] = now[1]
     return (x * 1e3, *columns, point), _find_finite_range([*columns, point])
 
 
-def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
-                        dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `force_depth_data`.
+def make_force_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
+                             dark: bool = False) -> dict[str, Any]:
+    """Return the keyword arguments of `add_uplot` for the data of `make_force_depth_data`.
 
     Args:
         x_range: Range of the depth axis, mm.
@@ -124,8 +125,8 @@ def force_depth_options(x_range: tuple[float, float], y_range: tuple[float, floa
                               bands=({"series": (2, 1), "fill": _BAND}, {"series": (5, 4), "fill": _BAND}))
 
 
-def residual_depth_data(residual: Residual | None, measured: Measurement | None,
-                        grid: np.ndarray) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def make_residual_depth_data(residual: ForceResidual | None, measured: Measurement | None,
+                             grid: np.ndarray) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of model minus measurement over depth.
 
     Args:
@@ -134,23 +135,24 @@ def residual_depth_data(residual: Residual | None, measured: Measurement | None,
         grid: Ascending depths, m, shape (n,).
 
     Returns:
-        Columns in the order of `residual_depth_options`, mm and N, each of shape (n,); and the smallest and largest
-        force of all columns, N.
+        Columns in the order of `make_residual_depth_options`, mm and N, each of shape (n,); and the smallest and
+        largest force of all columns, N.
     """
     low = high = np.full(grid.size, np.nan)
     if measured is not None and len(measured.recordings) > 1:
         branches = [each for each in (measured.load, measured.unload) if each is not None]
-        low = np.fmin.reduce([_interpolate(grid, measured, each.low - each.mean) for each in branches])
-        high = np.fmax.reduce([_interpolate(grid, measured, each.high - each.mean) for each in branches])
+        low = np.fmin.reduce([_interpolate_curve_to_grid(grid, measured, each.low - each.mean) for each in branches])
+        high = np.fmax.reduce([_interpolate_curve_to_grid(grid, measured, each.high - each.mean) for each in branches])
     pair = (None, None) if residual is None else (residual.load, residual.unload)
     zero = np.zeros(grid.size)
-    columns = [*_fill_band_edges(low, high, zero), zero, *(_interpolate(grid, residual, each) for each in pair)]
+    columns = [*_replace_nan_in_band_edges(low, high, zero), zero,
+               *(_interpolate_curve_to_grid(grid, residual, each) for each in pair)]
     return (grid * 1e3, *columns), _find_finite_range(columns)
 
 
-def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
-                           dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `residual_depth_data`.
+def make_residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, float], *,
+                                dark: bool = False) -> dict[str, Any]:
+    """Return the keyword arguments of `add_uplot` for the data of `make_residual_depth_data`.
 
     Args:
         x_range: Range of the depth axis, mm.
@@ -165,9 +167,9 @@ def residual_depth_options(x_range: tuple[float, float], y_range: tuple[float, f
                               bands=({"series": (2, 1), "fill": _BAND},))
 
 
-def force_time_data(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
-                    hand: np.ndarray | None = None,
-                    seconds: float = PLOTS.time_span) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
+def make_force_time_data(time: np.ndarray, force: np.ndarray, now: float, *, measured: Pair | None = None,
+                         hand: np.ndarray | None = None,
+                         seconds: float = PLOTS.time_span) -> tuple[tuple[np.ndarray, ...], tuple[float, float]]:
     """Return the data of the plot of force over time.
 
     Args:
@@ -179,24 +181,24 @@ def force_time_data(time: np.ndarray, force: np.ndarray, now: float, *, measured
         seconds: Time span, s.
 
     Returns:
-        Columns in the order of `force_time_options`: time relative to now, s, and forces, N, each of shape
+        Columns in the order of `make_force_time_options`: time relative to now, s, and forces, N, each of shape
         (2 `PlotSettings.intervals`,), with the smallest and the largest force of each interval; and the smallest and
         largest force of all columns, N.
     """
     x = np.linspace(-seconds, 0.0, 2 * PLOTS.intervals)
-    live = _smallest_and_largest(np.asarray(time) - now, np.asarray(force), seconds)
+    live = _compute_interval_extremes(np.asarray(time) - now, np.asarray(force), seconds)
     on_hand = np.full(x.size, np.nan)
     if hand is not None:
-        on_hand = _smallest_and_largest(np.asarray(time) - now, np.asarray(hand), seconds)
+        on_hand = _compute_interval_extremes(np.asarray(time) - now, np.asarray(hand), seconds)
     replayed = np.full(x.size, np.nan)
     if measured is not None and len(measured[0]):
         replayed = np.interp(x + now, *measured, left=np.nan, right=np.nan)
     return (x, replayed, live, on_hand), _find_finite_range([replayed, live, on_hand])
 
 
-def force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.time_span,
-                       dark: bool = False) -> dict[str, Any]:
-    """Return the keyword arguments of `add_uplot` for the data of `force_time_data`.
+def make_force_time_options(y_range: tuple[float, float], *, seconds: float = PLOTS.time_span,
+                            dark: bool = False) -> dict[str, Any]:
+    """Return the keyword arguments of `add_uplot` for the data of `make_force_time_data`.
 
     Args:
         y_range: Range of the force axis, N.
@@ -215,8 +217,8 @@ def make_plot_scales(x_range: tuple[float, float], y_range: tuple[float, float])
     return {"x": {"time": False, "range": tuple(map(float, x_range))}, "y": {"range": tuple(map(float, y_range))}}
 
 
-def curve_options(label: str, x_range: tuple[float, float], y_range: tuple[float, float], *,
-                  dark: bool = False) -> dict[str, Any]:
+def make_sample_plot_options(label: str, x_range: tuple[float, float], y_range: tuple[float, float], *,
+                             dark: bool = False) -> dict[str, Any]:
     """Return the keyword arguments of `add_uplot` for force samples as points, without connecting lines.
 
     Args:
@@ -250,13 +252,13 @@ def round_axis_range(extent: tuple[float, float], previous: tuple[float, float] 
     if high - low < PLOTS.zero_force:
         return (-1.0 if about_zero else 0.0), 1.0
     # The smaller side gets at least 5 % of the larger one, so that small values near zero do not change the range.
-    top = _round_up(max(1.05 * high, -0.05 * low)) if high > 0 else 0.0
-    bottom = -_round_up(max(-1.05 * low, 0.05 * high)) if low < 0 else 0.0
+    top = _round_up_axis_end(max(1.05 * high, -0.05 * low)) if high > 0 else 0.0
+    bottom = -_round_up_axis_end(max(-1.05 * low, 0.05 * high)) if low < 0 else 0.0
     return bottom, top
 
 
-def legend_html(*, measured: int = 0, model: bool = True, compared: str | None = None, live: bool = True,
-                hand: bool = False, dark: bool = False) -> str:
+def plot_legend_html(*, measured: int = 0, model: bool = True, compared: str | None = None, live: bool = True,
+                     hand: bool = False, dark: bool = False) -> str:
     """Return the legend of the plots as HTML.
 
     Args:
@@ -283,14 +285,15 @@ def legend_html(*, measured: int = 0, model: bool = True, compared: str | None =
             f'padding:0 0.6em">{spans}</div>')
 
 
-def _interpolate(grid: np.ndarray, source: Measurement | Residual | None, curve: np.ndarray | None) -> np.ndarray:
+def _interpolate_curve_to_grid(grid: np.ndarray, source: Measurement | ForceResidual | None,
+                               curve: np.ndarray | None) -> np.ndarray:
     """Interpolate a curve from the depths of its source to a grid; return NaN where the curve is missing."""
     if source is None or curve is None:
         return np.full(grid.size, np.nan)
     return np.interp(grid, source.depth, curve, left=np.nan, right=np.nan)
 
 
-def _fill_band_edges(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> Pair:
+def _replace_nan_in_band_edges(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> Pair:
     """Replace NaN in the edges of a band by a band of zero width, because uPlot fills bands across NaN.
 
     Args:
@@ -309,7 +312,7 @@ def _fill_band_edges(low: np.ndarray, high: np.ndarray, middle: np.ndarray) -> P
     return np.where(inside, low, flat), np.where(inside, high, flat)
 
 
-def _interpolate_between(grid: np.ndarray, column: np.ndarray, i: int, depth: float) -> float:
+def _interpolate_column_at_depth(grid: np.ndarray, column: np.ndarray, i: int, depth: float) -> float:
     """Interpolate a column to a depth between the grid points i - 1 and i."""
     return float(np.interp(depth, grid[i - 1:i + 1], column[i - 1:i + 1]))
 
@@ -321,13 +324,13 @@ def _find_finite_range(columns: list[np.ndarray]) -> tuple[float, float]:
     return (float(values.min()), float(values.max())) if values.size else (0.0, 0.0)
 
 
-def _round_up(value: float) -> float:
+def _round_up_axis_end(value: float) -> float:
     """Round up to an element of `_NICE` times a power of ten."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(n * power for n in _NICE if n * power >= value * (1 - 1e-9))
 
 
-def _smallest_and_largest(age: np.ndarray, force: np.ndarray, seconds: float) -> np.ndarray:
+def _compute_interval_extremes(age: np.ndarray, force: np.ndarray, seconds: float) -> np.ndarray:
     """Return the smallest and largest force of each interval of the time span in chronological order.
 
     An interval without a point gets the linear interpolation between the neighbouring points.

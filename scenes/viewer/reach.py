@@ -11,7 +11,8 @@ from tissue_sim.experiment.protocol import Protocol
 from tissue_sim.snapshot import Snapshot
 
 
-def limit_to_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
+def limit_to_top_surface(experiment: Experiment, snapshot: Snapshot,
+                         across: tuple[float, float]) -> tuple[float, float]:
     """Move a lateral position towards the middle of the specimen until the whole tool is above the top surface.
 
     Args:
@@ -45,14 +46,17 @@ def limit_to_top(experiment: Experiment, snapshot: Snapshot, across: tuple[float
     return x, y
 
 
-def limit_to_reach(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
-    """Limit a lateral position, x and y in m, to the top surface (`limit_to_top`) and to `Scene.reach`."""
+def limit_lateral_position(scene: Scene, snapshot: Snapshot, across: tuple[float, float]) -> tuple[float, float]:
+    """Limit a lateral position of the tool, x and y in m, to the top surface and to `Scene.lateral_range`.
+
+    `limit_to_top_surface` computes the limits of the top surface.
+    """
     x, y = (min(max(value, low), high) for value, (low, high) in zip(
-        limit_to_top(scene.experiment, snapshot, across), scene.reach, strict=True))
+        limit_to_top_surface(scene.experiment, snapshot, across), scene.lateral_range, strict=True))
     return x, y
 
 
-def require_within_reach(scene: Scene, protocol: Protocol, field: str) -> None:
+def require_depths_within_scene(scene: Scene, protocol: Protocol, field: str) -> None:
     """Check that a motion stays within the depths of a scene.
 
     Args:

@@ -25,7 +25,7 @@ _OWN = re.compile(rb"^[^\n]*\b(displacement|force) \[")
 
 
 @dataclass(frozen=True, eq=False)
-class Upload:
+class RecordingUpload:
     """Uploaded recording, or uploaded sidecar of a recording.
 
     Attributes:
@@ -45,12 +45,12 @@ class Upload:
     origin: Mapping[str, str] | None = None
 
     @property
-    def stem(self) -> str:
+    def file_stem(self) -> str:
         """File name without suffix, which a recording and its sidecar share."""
         return Path(self.name).stem
 
 
-def read_recording_upload(name: str, content: bytes) -> tuple[Upload, ...]:
+def read_recording_upload(name: str, content: bytes) -> tuple[RecordingUpload, ...]:
     """Read an uploaded file; any thread may call this function.
 
     Args:
@@ -66,7 +66,8 @@ def read_recording_upload(name: str, content: bytes) -> tuple[Upload, ...]:
     """
     name = re.sub(r"[^\w .()+-]", "_", PureWindowsPath(name).name).strip(" .")[-100:] or "unnamed"
     if len(content) > LARGEST_UPLOAD:
-        raise InputError(f"must be at most {LARGEST_UPLOAD / 1e6:g} MB; got {len(content) / 1e6:.1f} MB", file=name)
+        raise InputError(f"must be at most {LARGEST_UPLOAD / 1e6:g} MB; got {len(content) / 1e6:.1f} MB. Upload a "
+                         "shorter recording.", file=name)
     with tempfile.TemporaryDirectory(prefix="tissue_sim_") as folder:
         path = Path(folder) / name
         path.write_bytes(content)
@@ -76,21 +77,22 @@ def read_recording_upload(name: str, content: bytes) -> tuple[Upload, ...]:
                     return (_read_sidecar(path, content),)
                 case ".csv" if _OWN.match(content[:1000]):
                     recording = read_recording(path).with_metadata(source=name)
-                    return (Upload(name, content, build_measurement([recording])),)
+                    return (RecordingUpload(name, content, build_measurement([recording])),)
                 case _:
                     return _read_machine_file(path, {"file": name, "sha256": hashlib.sha256(content).hexdigest()})
         except InputError as error:
             raise InputError(error.problem, file=name, line=error.line, field=error.field) from None
 
 
-def _read_sidecar(path: Path, content: bytes) -> Upload:
+def _read_sidecar(path: Path, content: bytes) -> RecordingUpload:
     metadata = read_json(path, "the sidecar of a recording (JSON)")
     if not isinstance(metadata, dict):
-        raise InputError("must be a JSON object {...} with the metadata of a recording")
-    return Upload(path.name, content, sidecar=metadata)
+        raise InputError("must be a JSON object {...} with the metadata of a recording. Upload the file that was "
+                         "written next to the recording.")
+    return RecordingUpload(path.name, content, sidecar=metadata)
 
 
-def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Upload, ...]:
+def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[RecordingUpload, ...]:
     """Convert the recordings of a test-machine file to the format of tissue_sim; number them if there are several."""
     # Imported here so that the page starts without the file parsers.
     from tissue_sim.recording.formats.understanding import interpret_file
@@ -105,10 +107,11 @@ def _read_machine_file(path: Path, origin: Mapping[str, str]) -> tuple[Upload, .
         kept = Recording({name: recording.channel(name) for name in ("time", "displacement", "force")
                           if name in recording}, {}, {"name": stem})
         write_recording(kept, own)
-        uploads.append(Upload(f"{stem}.csv", read_bytes(own, "a recording"),
-                              build_measurement([kept.with_metadata(source=path.name)]),
-                              understood=(_describe_columns(reading, found.format), *reading.remarks, *found.warnings),
-                              origin=origin))
+        uploads.append(RecordingUpload(f"{stem}.csv", read_bytes(own, "a recording"),
+                                       build_measurement([kept.with_metadata(source=path.name)]),
+                                       understood=(_describe_column_channels(reading, found.format), *reading.remarks,
+                                                   *found.warnings),
+                                       origin=origin))
     return tuple(uploads)
 
 
@@ -128,7 +131,7 @@ def _select_usable_recordings(reading: TableGroup) -> tuple[Recording, ...]:
     return reading.recordings
 
 
-def _describe_columns(reading: TableGroup, machine: str) -> str:
+def _describe_column_channels(reading: TableGroup, machine: str) -> str:
     """Return a sentence that states which column was read as which channel."""
     columns = ", ".join(f"{column.channel} from {_describe_column(column)}" for column in reading.columns)
     return f"{columns}{'' if machine == 'table' else f' (a file of {machine})'}"

@@ -12,17 +12,17 @@ from tissue_sim.errors import InputError
 from tissue_sim.parameters import parameter_values, with_values
 
 
-class RequestQueue:
+class CommandQueue:
     """Thread-safe queue of commands with their arguments and reply functions."""
 
     def __init__(self) -> None:
         self._queue: queue.SimpleQueue[tuple[str, Callable | None, dict[str, Any]]] = queue.SimpleQueue()
 
-    def put(self, command: str, reply: Callable[[str | None], None] | None, values: dict[str, Any]) -> None:
+    def queue_command(self, command: str, reply: Callable[[str | None], None] | None, values: dict[str, Any]) -> None:
         """Queue a command; any thread may call this method."""
         self._queue.put((command, reply, values))
 
-    def execute(self, run: Callable[[str, dict[str, Any]], None]) -> None:
+    def execute_queued_commands(self, run: Callable[[str, dict[str, Any]], None]) -> None:
         """Execute the queued commands in order, except superseded ones, and call their reply functions.
 
         Args:
@@ -34,7 +34,7 @@ class RequestQueue:
         for number, (command, reply, values) in enumerate(requests):
             problem = None
             try:
-                if not is_superseded(command, values, requests[number + 1:]):
+                if not is_command_superseded(command, values, requests[number + 1:]):
                     run(command, values)
             except InputError as error:
                 problem = str(error)
@@ -42,8 +42,8 @@ class RequestQueue:
                 reply(problem)
 
 
-def is_superseded(command: str, values: dict[str, Any],
-                  later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
+def is_command_superseded(command: str, values: dict[str, Any],
+                          later: list[tuple[str, Callable | None, dict[str, Any]]]) -> bool:
     """Return whether a later request makes a request unnecessary.
 
     A later ``aim`` with the same arguments replaces an ``aim``; a directly following ``set_parameters`` of the same
@@ -60,8 +60,8 @@ def is_superseded(command: str, values: dict[str, Any],
             and later[0][2]["values"].keys() == values["values"].keys())
 
 
-def differ_in_parameters_only(a: ts.Material, b: ts.Material) -> bool:
-    """Return whether two materials have the same law and the same parameters up to their values."""
+def differ_in_parameter_values_only(a: ts.Material, b: ts.Material) -> bool:
+    """Return whether two materials differ at most in the values of their parameters and in their name."""
     values = parameter_values(b)
     if parameter_values(a).keys() != values.keys():
         return False

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scenes.viewer.bands import split_by_band
+from scenes.viewer.bands import split_triangles_by_band
 from tissue_sim.errors import InputError
 
 #: Angle between neighbouring lines or triangles above which they are shaded as a sharp edge, rad.
@@ -17,7 +17,7 @@ EDGE_ANGLE = np.radians(30.0)
 LARGEST_CUT = np.pi
 
 
-class Surface(NamedTuple):
+class TriangulatedSurface(NamedTuple):
     """Triangulated surface in 3D.
 
     Attributes:
@@ -30,7 +30,7 @@ class Surface(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Opening:
+class WedgeOpening:
     """Wedge that is removed from a solid of revolution, and angular resolution of the rest.
 
     Attributes:
@@ -53,34 +53,34 @@ class Opening:
             raise InputError(f"must be a finite azimuth in rad; got {self.facing}", field="facing")
 
     @property
-    def is_closed(self) -> bool:
-        """Whether nothing is removed."""
+    def removes_nothing(self) -> bool:
+        """Whether the angle of the wedge is zero, so that the whole solid is drawn."""
         return self.cut == 0.0
 
     @cached_property
-    def angles(self) -> np.ndarray:
+    def half_plane_azimuths(self) -> np.ndarray:
         """Azimuths of the half planes that divide the solid, rad, ascending.
 
         A closed solid lists its first half plane, which is also its last one, only once.
         """
         start, turn = self.facing + 0.5 * self.cut, 2.0 * np.pi - self.cut
         count = max(1, int(np.ceil(self.segments * turn / (2.0 * np.pi) - 1e-9)))
-        return np.linspace(start, start + turn, count + 1)[: count if self.is_closed else count + 1]
+        return np.linspace(start, start + turn, count + 1)[: count if self.removes_nothing else count + 1]
 
     @cached_property
-    def directions(self) -> np.ndarray:
-        """Unit vectors (x, y) of `angles`, shape (angles, 2)."""
-        return np.stack([np.cos(self.angles), np.sin(self.angles)], axis=-1)
+    def half_plane_directions(self) -> np.ndarray:
+        """Unit vectors (x, y) of `half_plane_azimuths`, shape (angles, 2)."""
+        return np.stack([np.cos(self.half_plane_azimuths), np.sin(self.half_plane_azimuths)], axis=-1)
 
     @cached_property
-    def faces(self) -> list[tuple[np.ndarray, np.ndarray]]:
+    def section_face_vectors(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Horizontal direction and outward normal (x, y) of both section faces; empty for a closed solid."""
-        if self.is_closed:
+        if self.removes_nothing:
             return []
-        first, last = self.directions[[0, -1]]
+        first, last = self.half_plane_directions[[0, -1]]
         return [(first, np.array([first[1], -first[0]])), (last, np.array([-last[1], last[0]]))]
 
-    def on_faces(self, points: np.ndarray, offset: float = 0.0) -> np.ndarray:
+    def map_to_section_faces(self, points: np.ndarray, offset: float = 0.0) -> np.ndarray:
         """Map points of the half section to both section faces.
 
         Args:
@@ -91,19 +91,19 @@ class Opening:
             Points (x, y, z), shape (faces, ..., 3).
         """
         mapped = [np.concatenate([points[..., :1] * direction + offset * normal, points[..., 1:]], axis=-1)
-                  for direction, normal in self.faces]
+                  for direction, normal in self.section_face_vectors]
         return np.array(mapped).reshape(len(mapped), *points.shape[:-1], 3)
 
-    def circle(self, radius: float, z: float) -> np.ndarray:
+    def make_circle_lines(self, radius: float, z: float) -> np.ndarray:
         """Return the lines of a circle around the axis, without the part inside the wedge, shape (k, 2, 3)."""
-        ring = np.column_stack([radius * self.directions, np.full(len(self.directions), z)])
+        ring = np.column_stack([radius * self.half_plane_directions, np.full(len(self.half_plane_directions), z)])
         after = np.roll(ring, -1, axis=0)
         lines = np.stack([ring, after], axis=1)
-        return lines if self.is_closed else lines[:-1]
+        return lines if self.removes_nothing else lines[:-1]
 
 
 def make_section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.ndarray, bands: int,
-                          opening: Opening, offset: float = 0.0) -> list[Surface]:
+                          opening: WedgeOpening, offset: float = 0.0) -> list[TriangulatedSurface]:
     """Return both section faces, split into one surface per band.
 
     Args:
@@ -114,18 +114,19 @@ def make_section_surfaces(points: np.ndarray, triangles: np.ndarray, band: np.nd
         opening: Wedge between the faces; a closed solid has no faces.
         offset: Distance of the surfaces in front of the faces, in the unit of the points.
     """
-    if opening.is_closed:
+    if opening.removes_nothing:
         return [_make_empty_surface()] * bands
-    kept, numbers, slices = split_by_band(triangles, band, len(points), bands)
-    first, last = opening.on_faces(points[kept], offset).astype(np.float32)
+    kept, numbers, slices = split_triangles_by_band(triangles, band, len(points), bands)
+    first, last = opening.map_to_section_faces(points[kept], offset).astype(np.float32)
     numbers = numbers.astype(np.uint32)
     back = numbers[:, ::-1]
-    return [Surface(np.concatenate([first[points_of], last[points_of]]),
-                    np.concatenate([numbers[cut], back[cut] + np.uint32(points_of.stop - points_of.start)]))
+    return [TriangulatedSurface(np.concatenate([first[points_of], last[points_of]]),
+                                np.concatenate([numbers[cut], back[cut] + np.uint32(points_of.stop - points_of.start)]))
             for points_of, cut in slices]
 
 
-def revolve_polyline(points: np.ndarray, band: np.ndarray, bands: int, opening: Opening) -> list[Surface]:
+def revolve_polyline(points: np.ndarray, band: np.ndarray, bands: int,
+                     opening: WedgeOpening) -> list[TriangulatedSurface]:
     """Revolve a polyline around the axis; return one surface per band.
 
     Args:
@@ -150,11 +151,11 @@ def revolve_polyline(points: np.ndarray, band: np.ndarray, bands: int, opening: 
     first_line = np.searchsorted(band[order], np.arange(bands + 1))
     first_vertex = np.append(vertex, len(profile))[first_line]
 
-    count = len(opening.angles)
+    count = len(opening.half_plane_azimuths)
     space = np.empty((len(profile), count, 3), dtype=np.float32)
-    space[..., :2] = profile[:, :1, None] * opening.directions
+    space[..., :2] = profile[:, :1, None] * opening.half_plane_directions
     space[..., 2] = profile[:, 1:]
-    segment = np.arange(count if opening.is_closed else count - 1)
+    segment = np.arange(count if opening.removes_nothing else count - 1)
     next_segment = (segment + 1) % count
     inner = ((vertex - first_vertex[band[order]]) * count)[:, None]
     outer = inner + count
@@ -172,16 +173,18 @@ def revolve_polyline(points: np.ndarray, band: np.ndarray, bands: int, opening: 
         faces = quads[lines]
         if flat[lines].any():
             faces = faces[np.broadcast_to(~flat[lines][:, None], faces.shape[:3])]
-        surfaces.append(Surface(space[first_vertex[k] : first_vertex[k + 1]].reshape(-1, 3), faces.reshape(-1, 3)))
+        surfaces.append(TriangulatedSurface(space[first_vertex[k] : first_vertex[k + 1]].reshape(-1, 3),
+                                            faces.reshape(-1, 3)))
     return surfaces
 
 
-def join_surfaces(*surfaces: Surface) -> Surface:
+def concatenate_surfaces(*surfaces: TriangulatedSurface) -> TriangulatedSurface:
     """Combine several surfaces into one without merging their vertices."""
     before = np.cumsum([0, *(len(surface.vertices) for surface in surfaces)]).astype(np.uint32)
-    return Surface(np.concatenate([surface.vertices for surface in surfaces]),
-                   np.concatenate([surface.faces + first for surface, first in zip(surfaces, before, strict=False)]))
+    return TriangulatedSurface(np.concatenate([surface.vertices for surface in surfaces]),
+                               np.concatenate([surface.faces + first
+                                               for surface, first in zip(surfaces, before, strict=False)]))
 
 
-def _make_empty_surface() -> Surface:
-    return Surface(np.empty((0, 3), dtype=np.float32), np.empty((0, 3), dtype=np.uint32))
+def _make_empty_surface() -> TriangulatedSurface:
+    return TriangulatedSurface(np.empty((0, 3), dtype=np.float32), np.empty((0, 3), dtype=np.uint32))

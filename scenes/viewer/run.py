@@ -10,12 +10,12 @@ import webbrowser
 from pathlib import Path
 from typing import Any
 
-from scenes.stop_signals import stopped_by_signals
+from scenes.stop_signals import call_stop_at_signals
 from scenes.viewer.frame import NullViewer, Phase
 from scenes.viewer.scene import Scene
 from scenes.viewer.session import Session
 from scenes.viewer.trace import Trace
-from scenes.viewer.web_server import describe_exposure
+from scenes.viewer.web_server import describe_network_access
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import STUDY_SPEED
 
@@ -23,8 +23,9 @@ from tissue_sim.experiment.protocol import STUDY_SPEED
 HALF_RESOLUTION = {"fixedDpr": "0.5"}
 
 
-def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: float | None = None, json: bool = False,
-             **options: Any) -> int:
+def run_viewer_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: float | None = None,
+                    json: bool = False,
+                    **options: Any) -> int:
     """Serve the page of a session until Ctrl-C, SIGTERM or the end of a given time.
 
     Args:
@@ -50,20 +51,20 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
     try:
         viewer = Page(session, session.frame(), materials, **page)
         try:
-            address = viewer.server.address(**(HALF_RESOLUTION if page["low_graphics"] else {}))
+            address = viewer.server.make_page_address(**(HALF_RESOLUTION if page["low_graphics"] else {}))
             if json:
-                print(json_format.dumps({"url": viewer.server.address()}), flush=True)
+                print(json_format.dumps({"url": viewer.server.make_page_address()}), flush=True)
             else:
                 print(f"{address}   (Ctrl-C stops)", flush=True)
             if page["exposed"]:
-                warning = describe_exposure(page["host"], viewer.server.get_port())
+                warning = describe_network_access(page["host"], viewer.server.get_port())
                 print(f"tissue-sim: warning: {warning}", file=sys.stderr)
             if opens:
                 webbrowser.open_new_tab(address)
             gc.collect()
             gc.freeze()  # exempts the existing objects from garbage collection, which would delay frames
             stop = threading.Event()
-            with stopped_by_signals(stop.set):
+            with call_stop_at_signals(stop.set):
                 session.run(viewer, stop, seconds)
         finally:
             gc.unfreeze()
@@ -73,8 +74,8 @@ def run_page(scene: Scene, materials: Path, page: dict[str, Any], *, seconds: fl
     return 0
 
 
-def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
-                 **options: Any) -> dict[str, Any]:
+def run_without_browser(scene: Scene, seconds: float, *, protocol: str | None = None, speed: float = STUDY_SPEED,
+                        **options: Any) -> dict[str, Any]:
     """Play a protocol without a screen, and return the recorded curve.
 
     Args:
@@ -93,14 +94,14 @@ def run_headless(scene: Scene, seconds: float, *, protocol: str | None = None, s
     session, viewer = Session(scene, **options), NullViewer()
     try:
         stop = threading.Event()
-        with stopped_by_signals(stop.set):
+        with call_stop_at_signals(stop.set):
             while not stop.is_set() and session.frame().phase is Phase.STARTING:
                 stop.wait(0.05)
             refused: list[str | None] = []
             if protocol is not None:
                 session.post("play", text=protocol, speed=speed, reply=refused.append)
             session.run(viewer, stop, seconds)
-            while session.waits_for_curve and not stop.is_set():
+            while session.is_waiting_for_curve and not stop.is_set():
                 viewer.show(session.frame())
                 stop.wait(0.05)
         frame = viewer.latest or session.frame()  # no frame was shown if a signal stopped the run early

@@ -62,12 +62,12 @@ class Scene:
         return self.experiment.protocol.depth
 
     @property
-    def half_width(self) -> float:
+    def max_distance_from_axis(self) -> float:
         """Largest distance of the undeformed specimen from its axis, m."""
         return self.experiment.specimen.outer_radius
 
     @property
-    def reach(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def lateral_range(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Range of x and range of y at which the tool's axis may cross the undeformed surface, m.
 
         Without a reduced model, the ranges end at the edges of the specimen's top. With a reduced model, the tool stays
@@ -75,7 +75,7 @@ class Scene:
         value, at which the path leaves the box equally far on both sides.
         """
         if self.reduced is None:
-            return self._top_edges
+            return self._specimen_top_ranges
         (x, y, _), half_width = self.experiment.tool_pose(0.0).position, self.reduced.box.sideways
         # An inclined tool moves along x as it goes deeper.
         (end, *_) = self.experiment.tool_pose(self.max_tool_displacement).position
@@ -85,18 +85,21 @@ class Scene:
         return (low, high), (y - half_width, y + half_width)
 
     @cached_property
-    def _top_edges(self) -> tuple[tuple[float, float], tuple[float, float]]:
+    def _specimen_top_ranges(self) -> tuple[tuple[float, float], tuple[float, float]]:
         """Range of x and range of y of the specimen's top along the two axes, m."""
         specimen = self.experiment.specimen
-        return ((-_distance_to_edge(specimen, -1.0, 0.0), _distance_to_edge(specimen, 1.0, 0.0)),
-                (-_distance_to_edge(specimen, 0.0, -1.0), _distance_to_edge(specimen, 0.0, 1.0)))
+        return ((-_compute_distance_to_top_edge(specimen, -1.0, 0.0),
+                 _compute_distance_to_top_edge(specimen, 1.0, 0.0)),
+                (-_compute_distance_to_top_edge(specimen, 0.0, -1.0),
+                 _compute_distance_to_top_edge(specimen, 0.0, 1.0)))
 
     @property
     def min_tool_displacement(self) -> float:
         """Smallest tool displacement, m: `CLEARANCE` above the tissue; 0 if the tool is attached to a reduced solid."""
         return 0.0 if self.reduced is not None and self.reduced.lifting else -CLEARANCE
 
-    def with_scene(self, name: str, *, tool: ts.Tool | None = None, friction: str | float | None = None) -> Scene:
+    def with_test_and_tool(self, name: str, *, tool: ts.Tool | None = None,
+                           friction: str | float | None = None) -> Scene:
         """Return the scene with another kind of test, tool or interface; specimen and protocol stay the same.
 
         Args:
@@ -117,7 +120,8 @@ class Scene:
         if tool is None:
             tool = before.tool if kind.allows_tool(before.tool) else kind.require_tool()
         if not kind.allows_tool(tool):
-            raise ts.InputError(f"must fit the scene {kind.title.lower()}; got a {tool.shape!r} tool", field="tool")
+            raise ts.InputError(f"must fit the scene {kind.title.lower()}; got a {tool.shape!r} tool. Choose another "
+                                "tool or scene.", field="tool")
         changes: dict[str, Any] = kind.default_interfaces(tool)
         if kind is self.kind:
             changes = {key: getattr(before, key) for key in changes}
@@ -126,7 +130,7 @@ class Scene:
         return replace(self, kind=kind, experiment=replace(before, tool=tool, **changes))
 
 
-def read_measurements(paths: Sequence[str | Path], scene: str) -> dict[str, Measurement]:
+def read_measurements_by_kind(paths: Sequence[str | Path], scene: str) -> dict[str, Measurement]:
     """Read recordings and group them into one measurement per kind of test.
 
     Args:
@@ -149,7 +153,7 @@ def read_measurements(paths: Sequence[str | Path], scene: str) -> dict[str, Meas
     return {kind: build_measurement(recordings) for kind, recordings in by_kind.items()}
 
 
-def _distance_to_edge(specimen: ts.Specimen, x: float, y: float) -> float:
+def _compute_distance_to_top_edge(specimen: ts.Specimen, x: float, y: float) -> float:
     """Return the distance of the top's edge from the axis in the direction of the unit vector (x, y), m."""
     low, high = 0.0, specimen.outer_radius
     if specimen.margin(high * x, high * y) >= 0.0:

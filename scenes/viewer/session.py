@@ -13,15 +13,15 @@ import tissue_sim as ts
 from haptics.devices.contracts import HapticDevice, Motion
 from haptics.devices.motions import HandMotion
 from haptics.loop.loop import LoopSettings
-from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, take_result
+from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS, apply_finished_calibration
 from scenes.viewer.calibration_run import CalibrationRun
-from scenes.viewer.frame import FRAMES, Curves, Frame, Phase, Viewer
+from scenes.viewer.frame import FRAMES, FrameViewer, Phase, PlotCurves, SessionFrame
 from scenes.viewer.live_simulation import SETTINGS, LiveSimulation
-from scenes.viewer.material_files import save_edited
-from scenes.viewer.measurement import compute_residual_if_possible, make_motion_protocol
-from scenes.viewer.model_curve import ModelCurve
-from scenes.viewer.reach import limit_to_reach
-from scenes.viewer.requests import RequestQueue, differ_in_parameters_only
+from scenes.viewer.material_files import save_edited_material
+from scenes.viewer.measurement import compute_force_residual_if_possible, make_motion_protocol
+from scenes.viewer.model_curve import ModelCurveWorker
+from scenes.viewer.reach import limit_lateral_position
+from scenes.viewer.requests import CommandQueue, differ_in_parameter_values_only
 from scenes.viewer.scene import Scene
 from scenes.viewer.tool_motions import HAND_SPEED, make_hand_motion, make_protocol_motion, make_replay_motion
 from scenes.viewer.trace import Trace
@@ -56,9 +56,10 @@ class Session:
         #: Whether the device has not been connected yet, and why the connection failed.
         self._device_waits, self._refused = False, ""
         self._resolution, self._settings = resolution, settings
-        self._requests = RequestQueue()
-        self._curve, self.calibration = ModelCurve(curve_resolution, scene.solver, scene.reduced), CalibrationRun()
-        self._curves, self._trace, self._frames = Curves(compared=scene.compared), Trace(), 0
+        self._requests = CommandQueue()
+        self._curve, self.calibration = ModelCurveWorker(curve_resolution, scene.solver,
+                                                         scene.reduced), CalibrationRun()
+        self._curves, self._trace, self._frames = PlotCurves(compared=scene.compared), Trace(), 0
         #: Time since the start of the replay, s, and force, N, of the repeated recording.
         self._replayed: tuple | None = None
         #: Version of the trace: increases with each new point and with each clearing.
@@ -68,7 +69,7 @@ class Session:
         self._has_hand_force = False
         #: Whether the material was changed during the start of the simulation, which still has the old material.
         self._material_pending = False
-        self._simulation = self._begin_simulation()
+        self._simulation = self._start_simulation()
 
     @property
     def simulation(self) -> LiveSimulation:
@@ -88,30 +89,30 @@ class Session:
         """
         if command not in COMMANDS:
             raise ValueError(f"command must be one of {', '.join(COMMANDS)}; got {command!r}.")
-        self._requests.put(command, reply, values)
+        self._requests.queue_command(command, reply, values)
 
-    def frame(self) -> Frame:
-        """Execute the queued commands, poll all processes, and return the present state."""
-        self._requests.execute(lambda command, values: COMMANDS[command](self, **values))
-        take_result(self)
+    def frame(self) -> SessionFrame:
+        """Execute the queued commands, poll all processes, and return the new state for display."""
+        self._requests.execute_queued_commands(lambda command, values: COMMANDS[command](self, **values))
+        apply_finished_calibration(self)
         simulation = self._simulation
-        records = simulation.poll()
+        records = simulation.poll_loop_process()
         if self._material_pending and simulation.phase is Phase.RUNNING:
             self._material_pending = False
             try:
-                simulation.ask("set_parameters", **parameter_values(self.scene.material))
+                simulation.send_command("set_parameters", **parameter_values(self.scene.material))
             except InputError:
                 # A new simulation starts with the new material, or reports the reason.
-                self.restart()
+                self.restart_simulation()
                 simulation, records = self._simulation, None
         if self._device_waits and simulation.phase is Phase.RUNNING:
-            self._connect_device()
+            self._connect_initial_device()
             records = None
         if records is not None and len(records):
-            self._trace_version += self._trace.append(records)
-        self._curve.poll()
+            self._trace_version += self._trace.append_ticks(records)
+        self._curve.store_result_and_start_next()
         if self._frames % FRAMES.frames_per_plot == 0:
-            self._update_curves()
+            self._update_plot_curves()
         self._frames += 1
         message = simulation.message
         if simulation.phase is Phase.DIED:
@@ -120,10 +121,11 @@ class Session:
             message = self._refused
         elif self._curve.problem:
             message = self._curve.problem
-        return Frame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts, self._curves,
-                     self._motion, self._target, simulation.surface, self.calibration.state, self._across)
+        return SessionFrame(simulation.phase, message, self.scene, simulation.snapshot, simulation.readouts,
+                            self._curves,
+                            self._motion, self._target, simulation.surface, self.calibration.state, self._across)
 
-    def run(self, viewer: Viewer, stop: threading.Event, seconds: float | None = None) -> None:
+    def run(self, viewer: FrameViewer, stop: threading.Event, seconds: float | None = None) -> None:
         """Display frames until `stop` is set.
 
         Args:
@@ -138,7 +140,7 @@ class Session:
             due = max(due + 1.0 / FRAMES.rate, time.monotonic())
             stop.wait(due - time.monotonic())
 
-    def aim(self, depth: float | None = None, across: tuple[float, float] | None = None) -> None:
+    def set_hand_target(self, depth: float | None = None, across: tuple[float, float] | None = None) -> None:
         """Move the tool by hand, at most with `HAND_SPEED`.
 
         Args:
@@ -154,18 +156,18 @@ class Session:
             raise InputError("The tool cannot move while the motion is paused. Press Play to continue, or Reset.")
         if self._motion != "hand":
             # HandMotion(None) starts at the tool's present position; the position known here is one frame old.
-            simulation.ask("switch_device", device=HandMotion(None, HAND_SPEED))
+            simulation.send_command("switch_device", device=HandMotion(None, HAND_SPEED))
             self._motion, self._target, self._has_hand_force = "hand", simulation.tool_depth, False
-            self._across = simulation.tool_across or self._across
+            self._across = simulation.tool_lateral_position or self._across
         depth = max(self._target if depth is None else depth, self.scene.min_tool_displacement)
         depth = min(depth, self.scene.max_tool_displacement)
         target: dict[str, Any] = {"depth": depth}
         if across is not None and simulation.snapshot is not None and simulation.snapshot.in_space:
-            target["across"] = limit_to_reach(self.scene, simulation.snapshot, across)
-        simulation.ask("aim", **target)
+            target["across"] = limit_lateral_position(self.scene, simulation.snapshot, across)
+        simulation.send_command("aim", **target)
         self._target, self._across = depth, target.get("across", self._across)
 
-    def play(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
+    def play_protocol(self, text: str, speed: float = 5e-3, repeat: bool = False) -> None:
         """Play a protocol from its beginning on undeformed tissue.
 
         Args:
@@ -176,9 +178,9 @@ class Session:
         Raises:
             InputError: The protocol is invalid, or deeper than the scene.
         """
-        self._start_motion("protocol", make_protocol_motion(self.scene, text, speed, repeat))
+        self._restart_with_device("protocol", make_protocol_motion(self.scene, text, speed, repeat))
 
-    def replay(self, speed: float = 1.0) -> None:
+    def replay_measured_motion(self, speed: float = 1.0) -> None:
         """Repeat the measured motion on undeformed tissue.
 
         Args:
@@ -188,34 +190,34 @@ class Session:
             InputError: The scene has no measurement, or the measured motion is deeper than the scene.
         """
         measured_motion, force = make_replay_motion(self.scene, speed)
-        self._start_motion("recording", measured_motion)
+        self._restart_with_device("recording", measured_motion)
         self._replayed = force
 
-    def follow(self, device: HapticDevice) -> None:
+    def move_with_device(self, device: HapticDevice) -> None:
         """Move the tool with a haptic device or a motion, on undeformed tissue."""
         device.set_approach(self.scene.experiment.approach)
-        self._start_motion("device", device)
+        self._restart_with_device("device", device)
 
-    def pause(self) -> None:
+    def pause_motion(self) -> None:
         """Pause the motion of the tool."""
-        self._simulation.ask("pause")
+        self._simulation.send_command("pause")
 
-    def resume(self) -> None:
+    def resume_motion(self) -> None:
         """Continue a paused motion."""
-        self._simulation.ask("resume")
+        self._simulation.send_command("resume")
 
-    def step(self) -> None:
+    def step_paused_motion(self) -> None:
         """Pause the motion, and advance it by the time of one frame."""
         if self._simulation.phase is not Phase.PAUSED:
-            self.pause()
-        self._simulation.ask("advance", seconds=STEP_TIME)
+            self.pause_motion()
+        self._simulation.send_command("advance", seconds=STEP_TIME)
 
-    def reset(self) -> None:
+    def reset_tool_and_tissue(self) -> None:
         """Move the tool to the undeformed surface, and reset the tissue to its undeformed state."""
-        self._start_motion("hand", make_hand_motion(self.scene))
-        self._target, self._across = 0.0, self._entry_point
+        self._restart_with_device("hand", make_hand_motion(self.scene))
+        self._target, self._across = 0.0, self._first_contact_position
 
-    def set_parameters(self, values: dict[str, float]) -> None:
+    def set_material_parameters(self, values: dict[str, float]) -> None:
         """Change parameters of the material in the running simulation.
 
         Args:
@@ -224,9 +226,9 @@ class Session:
         Raises:
             InputError: The material or the simulation refuses the values; nothing is changed.
         """
-        self._set_material(with_values(self.scene.material, values), self.scene.source)
+        self._apply_material(with_values(self.scene.material, values), self.scene.source)
 
-    def use_material(self, material: ts.Material, source: str) -> None:
+    def replace_material(self, material: ts.Material, source: str) -> None:
         """Replace the material of the scene.
 
         New parameter values of the same law are set in the running simulation; otherwise, a new simulation starts.
@@ -238,24 +240,24 @@ class Session:
         Raises:
             InputError: The simulation refuses the material; nothing is changed.
         """
-        self._set_material(material, source)
+        self._apply_material(material, source)
 
-    def _set_material(self, material: ts.Material, source: str) -> None:
+    def _apply_material(self, material: ts.Material, source: str) -> None:
         require_tissue(material)  # checked here because there may be no running simulation to refuse the material
         if (reduced := self.scene.reduced) is not None:
             reduced.require_material(material)
         scene = replace(self.scene, material=material, source=source)
-        if not differ_in_parameters_only(self.scene.material, material):
-            self._change_scene(scene)
+        if not differ_in_parameter_values_only(self.scene.material, material):
+            self._restart_with_scene(scene)
             return
         if self._simulation.phase in (Phase.RUNNING, Phase.PAUSED):
-            self._simulation.ask("set_parameters", **parameter_values(material))
+            self._simulation.send_command("set_parameters", **parameter_values(material))
         # A starting simulation has the old material; `frame` sets the new one when the simulation runs.
         self._material_pending = self._simulation.phase is Phase.STARTING
         self.scene = scene
-        self._curve.request(self._test_model())
+        self._curve.request_curve(self._make_whole_test_model())
 
-    def save_material(self, folder: Path, name: str) -> None:
+    def save_material_file(self, folder: Path, name: str) -> None:
         """Write the present material into a new file.
 
         Args:
@@ -265,18 +267,18 @@ class Session:
         Raises:
             InputError: The name is empty or invalid, or the file exists already.
         """
-        path = save_edited(self.scene.material, folder, name, source=self.scene.source)
+        path = save_edited_material(self.scene.material, folder, name, source=self.scene.source)
         self.scene = replace(self.scene, source=path.name)
 
-    def use_scene(self, name: str, tool: ts.Tool | None = None, friction: str | float | None = None) -> None:
-        """Change the scene, the tool or the interface; arguments as `Scene.with_scene`.
+    def change_test_and_tool(self, name: str, tool: ts.Tool | None = None, friction: str | float | None = None) -> None:
+        """Change the scene, the tool or the interface; arguments as `Scene.with_test_and_tool`.
 
         Raises:
             InputError: The scene does not exist, or the tool does not fit it.
         """
-        self._change_scene(self.scene.with_scene(name, tool=tool, friction=friction))
+        self._restart_with_scene(self.scene.with_test_and_tool(name, tool=tool, friction=friction))
 
-    def keep_curve(self, name: str = "") -> None:
+    def keep_model_curve(self, name: str = "") -> None:
         """Keep the present model curve for comparison.
 
         Args:
@@ -285,15 +287,15 @@ class Session:
         kept = (name, self._curve.recording) if name and self._curve.recording is not None else None
         self._curves = replace(self._curves, compared=kept)
 
-    def restart(self) -> None:
+    def restart_simulation(self) -> None:
         """Start a new simulation process."""
         self._simulation.close()
-        self._simulation = self._begin_simulation()
+        self._simulation = self._start_simulation()
 
     @property
-    def waits_for_curve(self) -> bool:
+    def is_waiting_for_curve(self) -> bool:
         """Whether the curve of the newest model is not computed, or not part of a frame, yet."""
-        return self._curve.busy or self._curve.recording is not self._curves.model
+        return self._curve.is_busy or self._curve.recording is not self._curves.model
 
     def close(self) -> None:
         """Stop all processes."""
@@ -302,96 +304,97 @@ class Session:
         self._curve.close()
         self.calibration.close()
 
-    def _change_scene(self, scene: Scene) -> None:
-        """Start a simulation of a valid scene."""
+    def _restart_with_scene(self, scene: Scene) -> None:
+        """Make a valid scene the present one, and restart the simulation with it."""
         kind_changed = scene.kind is not self.scene.kind
         self.scene = scene
         if kind_changed:
-            self._curves = Curves()
-            self._curve.forget()
-        self.restart()
+            self._curves = PlotCurves()
+            self._curve.discard_curve_and_requests()
+        self.restart_simulation()
 
 
-    def _begin_simulation(self) -> LiveSimulation:
+    def _start_simulation(self) -> LiveSimulation:
         """Start a simulation with the tool at the undeformed surface, and request its model curve."""
-        self._motion, self._target, self._across, self._has_hand_force = "hand", 0.0, self._entry_point, False
+        self._motion, self._has_hand_force = "hand", False
+        self._target, self._across = 0.0, self._first_contact_position
         self._clear_trace()
         self._material_pending = False
         self._device_waits = self._device is not None
         simulation = LiveSimulation(self.scene.model, make_hand_motion(self.scene), solver=self.scene.solver,
                                     resolution=self._resolution, settings=self._settings, reduced=self.scene.reduced)
-        self._curve.request(self._test_model())
+        self._curve.request_curve(self._make_whole_test_model())
         return simulation
 
     @property
-    def _entry_point(self) -> tuple[float, float]:
+    def _first_contact_position(self) -> tuple[float, float]:
         """Position (x, y) at which the tool first touches the undeformed surface, m."""
         x, y, _ = self.scene.experiment.tool_pose(0.0).position
         return x, y
 
-    def _start_motion(self, kind: str, device: HapticDevice) -> None:
-        """Reset the tissue and move the tool with a device or motion; `kind` is the value of `Frame.motion`."""
+    def _restart_with_device(self, kind: str, device: HapticDevice) -> None:
+        """Reset the tissue and move the tool with a device or motion; `kind` is the value of `SessionFrame.motion`."""
         simulation = self._simulation
         if simulation.phase is Phase.PAUSED:
-            simulation.ask("resume")
+            simulation.send_command("resume")
         # Reset and new device in one command: with two, the tool would pull at tissue to which it is bonded.
-        simulation.ask("switch_device", device=device, restart=True)
-        simulation.forget()
+        simulation.send_command("switch_device", device=device, restart=True)
+        simulation.skip_unread_ticks()
         self._clear_trace()
         self._motion, self._has_hand_force = kind, not isinstance(device, Motion)
 
-    def _connect_device(self) -> None:
+    def _connect_initial_device(self) -> None:
         self._device_waits, self._refused = False, ""
         if self._device is not None:
             try:
-                self.follow(self._device)
+                self.move_with_device(self._device)
             except InputError as error:
                 self._refused = f"{str(error).removesuffix('.')}. Press Restart to try again."
 
     def _clear_trace(self) -> None:
-        self._trace.clear()
+        self._trace.delete_all_points()
         self._replayed = None
         self._trace_version += 1
 
-    def _test_model(self) -> ts.Model:
+    def _make_whole_test_model(self) -> ts.Model:
         """Return the model of the whole test, with the measured motion if there is a measurement."""
         model, measurement = replace(self.scene.model, rig=self.scene.rig), self.scene.measurement
         if measurement is None:
             return model
         return replace(model, experiment=replace(model.experiment, protocol=make_motion_protocol(measurement)))
 
-    def _update_curves(self) -> None:
+    def _update_plot_curves(self) -> None:
         curves, trace, measurement = self._curves, self._trace, self.scene.measurement
         recording = self._curve.recording
         if recording is not curves.model or measurement is not curves.measurement:
             curves = replace(curves, model=recording, measurement=measurement,
-                             residual=compute_residual_if_possible(recording, measurement))
+                             residual=compute_force_residual_if_possible(recording, measurement))
         if self._trace_version != curves.number or curves.trace is None:
             replayed = None
             if self._replayed is not None and len(trace):
                 time, force = self._replayed
                 replayed = (trace.time[0] + time, force)
             curves = replace(curves, trace=trace, replayed=replayed, number=self._trace_version)
-        if (self._has_hand_force, self._curve.busy) != (curves.has_hand_force, curves.computing):
-            curves = replace(curves, has_hand_force=self._has_hand_force, computing=self._curve.busy)
+        if (self._has_hand_force, self._curve.is_busy) != (curves.has_hand_force, curves.computing):
+            curves = replace(curves, has_hand_force=self._has_hand_force, computing=self._curve.is_busy)
         self._curves = curves
 
 
 #: Commands of a session by name.
 COMMANDS: dict[str, Callable[..., None]] = {
-    "aim": Session.aim,
-    "play": Session.play,
-    "replay": Session.replay,
-    "follow": Session.follow,
-    "pause": Session.pause,
-    "resume": Session.resume,
-    "step": Session.step,
-    "reset": Session.reset,
-    "set_parameters": Session.set_parameters,
-    "use_material": Session.use_material,
-    "save_material": Session.save_material,
-    "use_scene": Session.use_scene,
-    "keep_curve": Session.keep_curve,
-    "restart": Session.restart,
+    "aim": Session.set_hand_target,
+    "play": Session.play_protocol,
+    "replay": Session.replay_measured_motion,
+    "follow": Session.move_with_device,
+    "pause": Session.pause_motion,
+    "resume": Session.resume_motion,
+    "step": Session.step_paused_motion,
+    "reset": Session.reset_tool_and_tissue,
+    "set_parameters": Session.set_material_parameters,
+    "use_material": Session.replace_material,
+    "save_material": Session.save_material_file,
+    "use_scene": Session.change_test_and_tool,
+    "keep_curve": Session.keep_model_curve,
+    "restart": Session.restart_simulation,
     **CALIBRATION_COMMANDS,
 }

@@ -10,8 +10,8 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from scenes.viewer.bands import Triangulation, split_by_band
-from scenes.viewer.revolution import EDGE_ANGLE, Surface
+from scenes.viewer.bands import TriangleConnectivity, split_triangles_by_band
+from scenes.viewer.revolution import EDGE_ANGLE, TriangulatedSurface
 from scenes.viewer.wedge import Wedge
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.fem.fields import extrapolate_to_nodes
@@ -21,7 +21,7 @@ from tissue_sim.mesh.subdivision import find_face_edges, subdivide_into_tetrahed
 
 
 @dataclass(frozen=True)
-class SolidPictureSettings:
+class SolidBodySettings:
     """Accuracy of the picture of a solid.
 
     Attributes:
@@ -42,7 +42,7 @@ class SolidPictureSettings:
 
 
 #: Settings of the viewer.
-SETTINGS = SolidPictureSettings()
+SETTINGS = SolidBodySettings()
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,12 +98,12 @@ class SolidBody:
                    np.ascontiguousarray(mesh.connectivity.T))
 
     @property
-    def size(self) -> float:
+    def longest_extent(self) -> float:
         """Longest extent of the undeformed body, m."""
         return float(np.ptp(self.mesh.nodes, axis=0).max())
 
-    def values(self, fields: SolidFields, name: str, positions: np.ndarray,
-               wedge: Wedge) -> tuple[np.ndarray, np.ndarray, SolidFields]:
+    def evaluate_field(self, fields: SolidFields, name: str, positions: np.ndarray,
+                       wedge: Wedge) -> tuple[np.ndarray, np.ndarray, SolidFields]:
         """Evaluate a field at the visible nodes and at points that represent the body.
 
         Args:
@@ -117,7 +117,7 @@ class SolidBody:
             the whole body, shape (elements, q); and the fields to which these points belong.
         """
         small = fields.weights.size <= SETTINGS.max_points
-        means = fields if small else self._cached_element_means(fields)
+        means = fields if small else self._get_element_means(fields)
         sample = fields if small else means.select_elements(self.for_range)
         at_points = sample.at_points(name)
         if name == "displacement":
@@ -130,10 +130,10 @@ class SolidBody:
         for _, _, elements in self._find_cut_elements(positions, wedge):
             at_cut[self.mesh.connectivity[elements]] = True
         # The value of a node is the mean over its elements, so all elements at these nodes are needed.
-        visible |= _has_flagged_node(at_cut, self.corners)
+        visible |= _find_elements_with_flagged_node(at_cut, self.corners)
         return means.select_elements(np.flatnonzero(visible)).at_nodes(name), at_points, sample
 
-    def _cached_element_means(self, fields: SolidFields) -> SolidFields:
+    def _get_element_means(self, fields: SolidFields) -> SolidFields:
         """Return `SolidFields.means`, with a cache of the parts that stay the same from frame to frame."""
         cached = self._means.get(0)
         if cached is None or cached[0] is not fields.gradients:
@@ -143,7 +143,8 @@ class SolidBody:
         mean = cached[1]
         return replace(fields, gradients=mean.gradients, pressure_modes=mean.pressure_modes, weights=mean.weights)
 
-    def bands(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray, wedge: Wedge) -> list[Surface]:
+    def compute_band_surfaces(self, positions: np.ndarray, values: np.ndarray, levels: np.ndarray,
+                              wedge: Wedge) -> list[TriangulatedSurface]:
         """Return the surface of the solid in each band: its part of the section faces and of the outer surface.
 
         Args:
@@ -157,51 +158,51 @@ class SolidBody:
             One surface per band, m; empty if no tissue lies in the band. Section faces and outer surface share no
             vertices.
         """
-        points, triangles, (at_points,) = wedge.clip_triangles(positions[self.nodes], self.triangles,
-                                                               values[self.nodes])
+        points, triangles, (at_points,) = wedge.clip_triangles_at_wedge(positions[self.nodes], self.triangles,
+                                                                        values[self.nodes])
         all_points, all_triangles, all_values = [points], [triangles], [at_points]
         before = len(points)
-        for face_points, face_triangles, face_values in self._cut_section_faces(positions, values, wedge):
+        for face_points, face_triangles, face_values in self._compute_section_faces(positions, values, wedge):
             all_points.append(face_points)
             all_triangles.append(face_triangles + before)
             all_values.append(face_values)
             before += len(face_points)
         bands = len(levels) - 1
-        pieces = Triangulation(np.concatenate(all_triangles)).cut(np.concatenate(all_points),
-                                                                 np.concatenate(all_values), levels)
-        kept, numbers, slices = split_by_band(pieces.triangles, pieces.band, len(pieces.points), bands)
+        pieces = TriangleConnectivity(np.concatenate(all_triangles)).cut_at_levels(
+            np.concatenate(all_points), np.concatenate(all_values), levels)
+        kept, numbers, slices = split_triangles_by_band(pieces.triangles, pieces.band, len(pieces.points), bands)
         space, numbers = pieces.points[kept].astype(np.float32), numbers.astype(np.uint32)
-        return [Surface(space[points_of], numbers[cut]) for points_of, cut in slices]
+        return [TriangulatedSurface(space[points_of], numbers[cut]) for points_of, cut in slices]
 
-    def mesh_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
+    def compute_edge_lines(self, positions: np.ndarray, wedge: Wedge) -> np.ndarray:
         """Return the element edges on the surface and on the section faces, m, shape (lines, 2, 3).
 
         Args:
             positions: Deformed positions of the nodes, m, shape (nodes, 3).
             wedge: Wedge that is removed.
         """
-        offset = SETTINGS.line_offset * self.size
+        offset = SETTINGS.line_offset * self.longest_extent
         points = positions[self.nodes]
-        raised = points + offset * _vertex_normals(points, self.triangles)
-        on_surface = wedge.points_from_scene_to_tool(points)[self.lines]
-        lines = [wedge.clip_lines(on_surface, raised[self.lines])]
-        element, local = self.mesh.element, wedge.points_from_scene_to_tool(positions)
+        raised = points + offset * _compute_vertex_normals(points, self.triangles)
+        on_surface = wedge.transform_scene_to_tool(points)[self.lines]
+        lines = [wedge.clip_lines_at_wedge(on_surface, raised[self.lines])]
+        element, local = self.mesh.element, wedge.transform_scene_to_tool(positions)
         cuts = self._find_cut_elements(positions, wedge)
-        for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.faces, strict=True):
+        for (heights, along, elements), (_, normal) in zip(cuts, wedge.opening.section_face_vectors, strict=True):
             sides = self.mesh.connectivity[elements][:, element.face_nodes].reshape(-1, element.face_nodes.shape[1])
             ends = intersect_triangles(triangulate_surface_faces(element, sides), heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
-            lines.append(wedge.points_from_tool_to_scene(on_face))
+            lines.append(wedge.transform_tool_to_scene(on_face))
         return np.concatenate(lines)
 
-    def outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
+    def make_undeformed_outline(self, wedge: Wedge, tool: tuple[float, float]) -> np.ndarray:
         """Return dashes along the sharp edges of the undeformed body, m, shape (dashes, 2, 3).
 
         The dashes are in the frame of the mesh. They do not depend on `wedge` and `tool`, which are part of the
-        interface `Body`.
+        interface `DrawableBody`.
         """
-        length, dashes = self.size / SETTINGS.dashes, []
+        length, dashes = self.longest_extent / SETTINGS.dashes, []
         ends = self.mesh.nodes[self.nodes[self.sharp]]
         for start, end in ends:
             count = max(1, round(float(np.linalg.norm(end - start)) / (2.0 * length)))
@@ -209,7 +210,7 @@ class SolidBody:
             dashes.append(start + at[..., None] * (end - start))
         return np.concatenate(dashes) if dashes else np.empty((0, 2, 3))
 
-    def contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
+    def find_contact_lines(self, positions: np.ndarray, tool: Tool, wedge: Wedge) -> np.ndarray | None:
         """Return lines around the tissue in contact with the tool and along its sections, m, shape (lines, 2, 3).
 
         Args:
@@ -221,26 +222,27 @@ class SolidBody:
             The lines; None without contact.
         """
         points = positions[self.nodes]
-        local = wedge.points_from_scene_to_tool(points)
-        largest_gap = SETTINGS.contact_gap * (tool.radius or self.size)
+        local = wedge.transform_scene_to_tool(points)
+        largest_gap = SETTINGS.contact_gap * (tool.radius or self.longest_extent)
         gaps = tool.profile.gap(np.column_stack([np.hypot(local[:, 0], local[:, 1]), local[:, 2]]))
         touches = (gaps <= largest_gap)[self.triangles].all(axis=1)
         if not touches.any():
             return None
         touching = self.triangles[touches]
-        offset = 2.0 * SETTINGS.line_offset * self.size
+        offset = 2.0 * SETTINGS.line_offset * self.longest_extent
         edges = np.sort(touching[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
         unique_edges, counts = np.unique(edges, axis=0, return_counts=True)
         rim = local[unique_edges[counts == 1]]
         radius = np.linalg.norm(rim[..., :2], axis=-1, keepdims=True)
         raised = rim * np.concatenate([np.repeat(1.0 + offset / np.maximum(radius, offset), 2, axis=-1),
                                        np.ones_like(radius)], axis=-1)
-        lines = [wedge.points_from_tool_to_scene(wedge.clip_lines(rim, raised))]
-        for (heights, along), (_, normal) in zip(wedge.heights_over_faces(local), wedge.opening.faces, strict=True):
+        lines = [wedge.transform_tool_to_scene(wedge.clip_lines_at_wedge(rim, raised))]
+        for (heights, along), (_, normal) in zip(wedge.compute_face_coordinates(local),
+                                                 wedge.opening.section_face_vectors, strict=True):
             ends = intersect_triangles(touching, heights)
             kept = (ends.interpolate_nodal_values(along).reshape(-1, 2) >= 0.0).all(axis=1)
             on_face = ends.interpolate_nodal_values(local).reshape(-1, 2, 3)[kept] + offset * np.append(normal, 0.0)
-            lines.append(wedge.points_from_tool_to_scene(on_face))
+            lines.append(wedge.transform_tool_to_scene(on_face))
         return np.concatenate(lines)
 
     def _find_cut_elements(self, positions: np.ndarray,
@@ -254,16 +256,17 @@ class SolidBody:
         cached = wedge.cache.get(id(positions))
         if cached is None:
             cached = []
-            for heights, along in wedge.heights_over_faces(wedge.points_from_scene_to_tool(positions)):
+            for heights, along in wedge.compute_face_coordinates(wedge.transform_scene_to_tool(positions)):
                 above = heights > 0.0
-                crossed = (_has_flagged_node(above, self.corners) & _has_flagged_node(~above, self.corners)
-                           & _has_flagged_node(along >= 0.0, self.corners))
+                crossed = (_find_elements_with_flagged_node(above, self.corners)
+                           & _find_elements_with_flagged_node(~above, self.corners)
+                           & _find_elements_with_flagged_node(along >= 0.0, self.corners))
                 cached.append((heights, along, np.flatnonzero(crossed)))
             wedge.cache[id(positions)] = cached
         return cached
 
-    def _cut_section_faces(self, positions: np.ndarray, values: np.ndarray,
-                           wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    def _compute_section_faces(self, positions: np.ndarray, values: np.ndarray,
+                               wedge: Wedge) -> Iterator[tuple[np.ndarray, np.ndarray, np.ndarray]]:
         """Yield points, triangles and values of each section face."""
         for heights, along, elements in self._find_cut_elements(positions, wedge):
             crossings, triangles = cut_tetrahedra(self.cells[elements].reshape(-1, 4), heights)
@@ -273,7 +276,7 @@ class SolidBody:
             yield points, kept, at_points
 
 
-def _has_flagged_node(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
+def _find_elements_with_flagged_node(of_nodes: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Return which elements have at least one node with a true flag; loops over rows, which is faster in memory."""
     found = of_nodes[corners[0]]
     for nodes in corners[1:]:
@@ -310,7 +313,7 @@ def _split_at_sharp_edges(positions: np.ndarray,
     return points % len(positions), numbers, sharp
 
 
-def _vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+def _compute_vertex_normals(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Return the area-weighted unit normals at the points, shape (n, 3)."""
     a, b, c = np.moveaxis(points[triangles], 1, 0)
     normals = np.repeat(np.cross(b - a, c - a), 3, axis=0)

@@ -7,7 +7,7 @@ import numpy as np
 import tissue_sim as ts
 from haptics.devices.motions import HandMotion, ProtocolMotion
 from scenes.viewer.measurement import find_typical_replicate, make_motion_protocol
-from scenes.viewer.reach import require_within_reach
+from scenes.viewer.reach import require_depths_within_scene
 from scenes.viewer.scene import Scene
 from tissue_sim.errors import InputError
 
@@ -23,9 +23,9 @@ def make_hand_motion(scene: Scene) -> HandMotion:
 
 
 def make_protocol_motion(scene: Scene, text: str, speed: float, repeat: bool) -> ProtocolMotion:
-    """Return the motion of a protocol; arguments and errors as `Session.play`."""
+    """Return the motion of a protocol; arguments and errors as `Session.play_protocol`."""
     protocol = ts.Protocol.parse(text, _POINTS, speed)
-    require_within_reach(scene, protocol, "protocol")
+    require_depths_within_scene(scene, protocol, "protocol")
     return ProtocolMotion(protocol, repeat, scene.experiment.approach)
 
 
@@ -45,7 +45,7 @@ def make_replay_motion(scene: Scene, speed: float) -> tuple[ProtocolMotion, tupl
     if scene.measurement is None:
         raise InputError("This scene has no measurement. Start the viewer with --measured FILE.")
     measured, (recording, _) = make_motion_protocol(scene.measurement), find_typical_replicate(scene.measurement)
-    require_within_reach(scene, measured, "recording")
+    require_depths_within_scene(scene, measured, "recording")
     displacement = measured.displacement
     if scene.min_tool_displacement == 0.0:
         # Noise around zero displacement must not lift a tool that is attached to the tissue.

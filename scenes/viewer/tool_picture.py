@@ -7,8 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from scenes.viewer.cut_away import SurfaceLine
-from scenes.viewer.revolution import Opening, Surface, join_surfaces, make_section_surfaces, revolve_polyline
+from scenes.viewer.cut_away import ContactBoundary
+from scenes.viewer.revolution import (
+    TriangulatedSurface,
+    WedgeOpening,
+    concatenate_surfaces,
+    make_section_surfaces,
+    revolve_polyline,
+)
 from tissue_sim.experiment.tools.tool import Tool
 from tissue_sim.specimen import Specimen
 
@@ -57,7 +63,7 @@ SETTINGS = ToolPictureSettings()
 
 
 @dataclass(frozen=True, eq=False)
-class Arrow:
+class ForceArrow:
     """Force arrow in the frame of the tool.
 
     Attributes:
@@ -66,13 +72,13 @@ class Arrow:
         tip: Tip of the arrow, m, shape (3,).
     """
 
-    surface: Surface
+    surface: TriangulatedSurface
     start: np.ndarray
     tip: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
-class Contact:
+class ToolContact:
     """Contact between an axisymmetric specimen and the tool.
 
     Attributes:
@@ -87,14 +93,14 @@ class Contact:
 
 
 @lru_cache(maxsize=16)
-def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
+def make_tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     """Return the drawn outline of a tool, (r, z), m, shape (n, 2), read-only.
 
     The outline runs from the axis at the bottom to the axis at the top. The deepest point of the tool is at z = 0, and
     the drawn outline lies `ToolPictureSettings.inset` inside the true one.
     """
     if tool.is_plate:
-        radius, top = SETTINGS.plate_radius * specimen.outer_radius, plate_thickness(specimen)
+        radius, top = SETTINGS.plate_radius * specimen.outer_radius, compute_plate_thickness(specimen)
         outline = np.array([[0.0, 0.0], [radius, 0.0], [radius, top]])
         inset = SETTINGS.inset * specimen.outer_radius
     else:
@@ -116,7 +122,7 @@ def tool_outline(tool: Tool, specimen: Specimen) -> np.ndarray:
     return drawn
 
 
-def make_tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
+def make_tool_mesh(tool: Tool, specimen: Specimen, opening: WedgeOpening) -> TriangulatedSurface:
     """Return the surface of a tool from which the same wedge as from the specimen is removed.
 
     Args:
@@ -127,10 +133,10 @@ def make_tool_mesh(tool: Tool, specimen: Specimen, opening: Opening) -> Surface:
     Returns:
         Closed surface, m; the origin is the deepest point of the tool.
     """
-    return _revolve_outline(tool_outline(tool, specimen), opening, SETTINGS.recess * specimen.outer_radius)
+    return _revolve_outline(make_tool_outline(tool, specimen), opening, SETTINGS.recess * specimen.outer_radius)
 
 
-def make_base_plate(specimen: Specimen, opening: Opening) -> Surface:
+def make_base_plate(specimen: Specimen, opening: WedgeOpening) -> TriangulatedSurface:
     """Return the surface of the plate under the specimen, m; the plate is not cut open.
 
     Args:
@@ -139,17 +145,17 @@ def make_base_plate(specimen: Specimen, opening: Opening) -> Surface:
     """
     radius = SETTINGS.plate_radius * specimen.outer_radius
     top = -specimen.height - SETTINGS.inset * specimen.outer_radius
-    bottom = top - plate_thickness(specimen)
+    bottom = top - compute_plate_thickness(specimen)
     outline = np.array([[0.0, bottom], [radius, bottom], [radius, top], [0.0, top]])
     return _revolve_outline(outline, replace(opening, cut=0.0))
 
 
 def compute_picture_height(tool: Tool, specimen: Specimen) -> float:
     """Return the height of tool and full-scale arrow above the deepest point of the tool, m."""
-    return float(tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
+    return float(make_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.arrow_length * specimen.height
 
 
-def scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
+def make_scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
     """Return a scale bar of a round length on the base in front of the specimen.
 
     Returns:
@@ -164,7 +170,7 @@ def scale_bar(specimen: Specimen) -> tuple[np.ndarray, float]:
     return np.stack([ends, *(np.stack([end - across, end + across]) for end in ends)]), length
 
 
-def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> Arrow | None:
+def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Specimen) -> ForceArrow | None:
     """Return the arrow above the tool that shows the force on the tool.
 
     The arrow points upwards if the tissue pushes the tool back, and downwards if the tissue pulls the tool.
@@ -182,7 +188,7 @@ def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Spec
     if not fraction >= SETTINGS.smallest_force:
         return None
     size = specimen.height
-    bottom = arrow_foot(tool, specimen)
+    bottom = compute_arrow_foot_height(tool, specimen)
     length = fraction * SETTINGS.arrow_length * size
     # A short arrow has a smaller head of the same proportions.
     head = min(SETTINGS.head_length * size, SETTINGS.largest_head * length)
@@ -192,15 +198,15 @@ def make_force_arrow(force: float, full_scale: float, tool: Tool, specimen: Spec
     if force < 0:
         outline = (outline * [1.0, -1.0] + [0.0, length])[::-1]
         ends = ends[::-1]
-    return Arrow(_revolve_outline(outline + ends[:, 1:].min(axis=0), Opening(0.0, segments=24)), *ends)
+    return ForceArrow(_revolve_outline(outline + ends[:, 1:].min(axis=0), WedgeOpening(0.0, segments=24)), *ends)
 
 
-def arrow_foot(tool: Tool, specimen: Specimen) -> float:
+def compute_arrow_foot_height(tool: Tool, specimen: Specimen) -> float:
     """Return the height of the lower end of the force arrow above the deepest point of the tool, m."""
-    return float(tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.inset * specimen.height
+    return float(make_tool_outline(tool, specimen)[:, 1].max()) + SETTINGS.inset * specimen.height
 
 
-def rotate_arrow(arrow: Arrow, lateral: tuple[float, float]) -> Arrow:
+def rotate_force_arrow(arrow: ForceArrow, lateral: tuple[float, float]) -> ForceArrow:
     """Rotate an arrow along z about its lower end, so that its direction has the given lateral components.
 
     Args:
@@ -216,13 +222,15 @@ def rotate_arrow(arrow: Arrow, lateral: tuple[float, float]) -> Arrow:
     skew = np.array([[0.0, 0.0, axis[1]], [0.0, 0.0, -axis[0]], [-axis[1], axis[0], 0.0]])
     rotation = np.eye(3) + sine * skew + (1.0 - cosine) * skew @ skew
 
-    def rotate(points: np.ndarray) -> np.ndarray:
+    def rotate_points_about_foot(points: np.ndarray) -> np.ndarray:
         return (foot + (points - foot) @ rotation.T).astype(points.dtype)
 
-    return Arrow(Surface(rotate(arrow.surface.vertices), arrow.surface.faces), rotate(arrow.start), rotate(arrow.tip))
+    return ForceArrow(TriangulatedSurface(rotate_points_about_foot(arrow.surface.vertices), arrow.surface.faces),
+                      rotate_points_about_foot(arrow.start),
+                      rotate_points_about_foot(arrow.tip))
 
 
-def find_contact(surface: SurfaceLine, tool: Tool, depth: float, opening: Opening) -> Contact | None:
+def find_tool_contact(surface: ContactBoundary, tool: Tool, depth: float, opening: WedgeOpening) -> ToolContact | None:
     """Find the part of an axisymmetric surface that touches the tool.
 
     A line between two nodes touches if its Gauss point touches: the solver enforces contact at the Gauss points, while
@@ -247,11 +255,11 @@ def find_contact(surface: SurfaceLine, tool: Tool, depth: float, opening: Openin
     area = float(np.pi * lines[..., 0].sum(axis=1) @ length)
     rim = lines.reshape(-1, 2)[np.argmax(lines[..., 0])]
     offset = SETTINGS.line_offset * width
-    return Contact(np.concatenate([opening.on_faces(lines, offset).reshape(-1, 2, 3),
-                                   opening.circle(rim[0] + offset, rim[1])]), float(rim[0]), area)
+    return ToolContact(np.concatenate([opening.map_to_section_faces(lines, offset).reshape(-1, 2, 3),
+                                       opening.make_circle_lines(rim[0] + offset, rim[1])]), float(rim[0]), area)
 
 
-def _revolve_outline(outline: np.ndarray, opening: Opening, recess: float = 0.0) -> Surface:
+def _revolve_outline(outline: np.ndarray, opening: WedgeOpening, recess: float = 0.0) -> TriangulatedSurface:
     """Return the closed surface of a body of revolution.
 
     Args:
@@ -261,7 +269,7 @@ def _revolve_outline(outline: np.ndarray, opening: Opening, recess: float = 0.0)
     """
     # `revolve_polyline` expects the body on the right-hand side, hence the outline from top to bottom.
     outside, = revolve_polyline(outline[::-1], np.zeros(len(outline) - 1, dtype=int), 1, opening)
-    if opening.is_closed:
+    if opening.removes_nothing:
         return outside
     count = len(outline)
     points = np.concatenate([outline, outline * [0.0, 1.0]])
@@ -272,9 +280,9 @@ def _revolve_outline(outline: np.ndarray, opening: Opening, recess: float = 0.0)
     area = np.cross(np.c_[b - a, np.zeros(len(a))], np.c_[c - a, np.zeros(len(a))])[:, 2]
     triangles = triangles[area > 1e-12 * outline.max() ** 2]
     sections, = make_section_surfaces(points, triangles, np.zeros(len(triangles), dtype=int), 1, opening, -recess)
-    return join_surfaces(sections, outside)
+    return concatenate_surfaces(sections, outside)
 
 
-def plate_thickness(specimen: Specimen) -> float:
+def compute_plate_thickness(specimen: Specimen) -> float:
     """Return the thickness of the plates above and below a specimen, m."""
     return SETTINGS.plate_thickness * max(specimen.height, 0.5 * specimen.outer_radius)

@@ -52,7 +52,7 @@ SETTINGS = TraceSettings()
 DRAWN_STATUSES = (ForceStatus.CONVERGED, ForceStatus.LATE)
 
 
-class Row(IntEnum):
+class TraceRow(IntEnum):
     """Row numbers of the points of a trace; pose and wrench have seven and six rows."""
 
     TIME = 0
@@ -73,7 +73,7 @@ _ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Branch:
+class TraceBranch:
     """Points of one loading or unloading.
 
     Attributes:
@@ -91,7 +91,7 @@ class Branch:
     includes_inertia: np.ndarray
 
 
-def interpolate_branch(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
+def interpolate_branch_force(depth: np.ndarray, force: np.ndarray, direction: int, grid: np.ndarray) -> np.ndarray:
     """Interpolate the force of a branch linearly to a grid of depths.
 
     Args:
@@ -124,12 +124,12 @@ class Trace:
 
     def __init__(self, max_points: int = SETTINGS.max_points):
         self._max_points = max_points
-        self.clear()
+        self.delete_all_points()
 
-    def clear(self) -> None:
+    def delete_all_points(self) -> None:
         """Delete all points."""
         # The array has twice the necessary length, so that points are moved to its start only once per `max_points`.
-        self._points = np.empty((Row.COUNT, 2 * self._max_points))
+        self._points = np.empty((TraceRow.COUNT, 2 * self._max_points))
         self._first = self._end = 0
         #: Number of dropped points: index of a point in the reversals minus its index in `_points`.
         self._dropped = 0
@@ -141,7 +141,7 @@ class Trace:
     def __len__(self) -> int:
         return self._end - self._first
 
-    def append(self, records: np.ndarray) -> int:
+    def append_ticks(self, records: np.ndarray) -> int:
         """Append ticks, dtype `haptics.loop.ring.TICK`, in the order of time; return the number of new points."""
         drawn = ((records["flags"] & PAUSED) == 0) & np.any([records["status"] == status for status in DRAWN_STATUSES],
                                                             axis=0)
@@ -151,7 +151,7 @@ class Trace:
         time = records["time"]
         restarts = np.flatnonzero(np.diff(time, prepend=self._last[0]) < 0)
         if restarts.size:
-            self.clear()
+            self.delete_all_points()
             records, time = records[restarts[-1]:], time[restarts[-1]:]
         bins = np.floor(time / SETTINGS.shortest).astype(np.int64)
         chosen = np.diff(bins, prepend=self._bin) != 0
@@ -161,11 +161,11 @@ class Trace:
         for point in np.column_stack([records[name] for name in (
                 "time", "tool_depth", "tissue_force", "tool_pose", "tissue_wrench", "force", "status",
                 "inertial")]).tolist():
-            if self._is_new_point(*point[:3]):
+            if self._differs_from_last_point(*point[:3]):
                 self._append_point(point)
         return self._dropped + self._end - before
 
-    def _is_new_point(self, time: float, depth: float, force: float) -> bool:
+    def _differs_from_last_point(self, time: float, depth: float, force: float) -> bool:
         last_time, last_depth, last_force = self._last
         self._largest = max(self._largest, abs(force))
         return (time - last_time >= SETTINGS.longest or abs(depth - last_depth) >= SETTINGS.depth_step
@@ -177,7 +177,7 @@ class Trace:
             self._dropped += self._first
             self._first, self._end = 0, self._end - self._first
         self._points[:, self._end] = point
-        self._reversals.add_sample(self._dropped + self._end, point[Row.DEPTH])
+        self._reversals.add_sample(self._dropped + self._end, point[TraceRow.DEPTH])
         self._end += 1
         time, depth, force, *_ = point
         self._last = time, depth, force
@@ -188,53 +188,53 @@ class Trace:
     @property
     def time(self) -> np.ndarray:
         """Time of the loop, s, shape (n,)."""
-        return self._points[Row.TIME, self._first:self._end]
+        return self._points[TraceRow.TIME, self._first:self._end]
 
     @property
     def depth(self) -> np.ndarray:
         """Displacement of the tool along its axis, m, shape (n,)."""
-        return self._points[Row.DEPTH, self._first:self._end]
+        return self._points[TraceRow.DEPTH, self._first:self._end]
 
     @property
     def force(self) -> np.ndarray:
         """Force of the tissue on the tool along z, N, shape (n,)."""
-        return self._points[Row.FORCE, self._first:self._end]
+        return self._points[TraceRow.FORCE, self._first:self._end]
 
     @property
     def is_late(self) -> np.ndarray:
         """Whether the budget of the tick ended before equilibrium, so that its force is extrapolated, shape (n,)."""
-        return self._points[Row.STATUS, self._first:self._end] == ForceStatus.LATE
+        return self._points[TraceRow.STATUS, self._first:self._end] == ForceStatus.LATE
 
     @property
     def includes_inertia(self) -> np.ndarray:
         """Whether the force includes the inertia of the tissue, shape (n,)."""
-        return self._points[Row.INERTIAL, self._first:self._end] != 0.0
+        return self._points[TraceRow.INERTIAL, self._first:self._end] != 0.0
 
     @property
     def rendered_force(self) -> np.ndarray:
         """Force on the hand along z after coupling, control and limits, N, shape (n,)."""
-        return self._points[Row.RENDERED_FORCE, self._first:self._end]
+        return self._points[TraceRow.RENDERED_FORCE, self._first:self._end]
 
     @property
     def pose(self) -> np.ndarray:
         """Pose of the tool: x, y, z, m, then the quaternion w, x, y, z; shape (n, 7)."""
-        return self._points[Row.POSE:Row.WRENCH, self._first:self._end].T
+        return self._points[TraceRow.POSE:TraceRow.WRENCH, self._first:self._end].T
 
     @property
     def wrench(self) -> np.ndarray:
         """Force and torque of the tissue on the tool about its deepest point, N and N m, shape (n, 6)."""
-        return self._points[Row.WRENCH:Row.RENDERED_FORCE, self._first:self._end].T
+        return self._points[TraceRow.WRENCH:TraceRow.RENDERED_FORCE, self._first:self._end].T
 
-    def branches(self) -> tuple[Branch | None, Branch | None]:
+    def branches(self) -> tuple[TraceBranch | None, TraceBranch | None]:
         """Return the newest loading and the newest unloading; None instead of a branch that does not exist."""
-        newest: dict[int, Branch] = {}
-        for direction, first, last in reversed(self._branches()):
-            newest.setdefault(direction, self._make_branch(first, last))
+        newest: dict[int, TraceBranch] = {}
+        for direction, first, last in reversed(self._list_branch_limits()):
+            newest.setdefault(direction, self._make_trace_branch(first, last))
             if len(newest) == 2:
                 break
         return newest.get(1), newest.get(-1)
 
-    def newest_passes(self, grid: np.ndarray, max_branches: int = 40) -> tuple[np.ndarray, np.ndarray]:
+    def interpolate_newest_passes(self, grid: np.ndarray, max_branches: int = 40) -> tuple[np.ndarray, np.ndarray]:
         """Return the force of the last loading and of the last unloading at each depth of a grid.
 
         Each depth has its own last branch, so a short reversal replaces only the part of the curve that it covers.
@@ -247,13 +247,14 @@ class Trace:
             Load and unload, N, each of shape (n,), NaN where the tool did not pass.
         """
         passes = {1: np.full(grid.size, np.nan), -1: np.full(grid.size, np.nan)}
-        for direction, first, last in reversed(self._branches()[-max_branches:]):
+        for direction, first, last in reversed(self._list_branch_limits()[-max_branches:]):
             # A branch has its smallest and largest depth at its ends.
             low, high = sorted((self.depth[first], self.depth[last]))
             missing = np.isnan(passes[direction]) & (grid >= low - _ROUNDING) & (grid <= high + _ROUNDING)
             if missing.any():
-                branch = self._make_branch(first, last)
-                passes[direction][missing] = interpolate_branch(branch.depth, branch.force, direction, grid[missing])
+                branch = self._make_trace_branch(first, last)
+                passes[direction][missing] = interpolate_branch_force(branch.depth, branch.force, direction,
+                                                                      grid[missing])
         return passes[1], passes[-1]
 
     def recording(self, metadata: Mapping[str, Any]) -> Recording:
@@ -281,19 +282,19 @@ class Trace:
             channels |= zip(_CHANNELS, wrench.T, strict=True)
         return Recording(channels, {"segment": segment, "cycle": cycle}, dict(metadata))
 
-    def _branches(self) -> list[tuple[int, int, int]]:
+    def _list_branch_limits(self) -> list[tuple[int, int, int]]:
         """Return direction (1 or -1), first index and last index of each branch in the arrays of the trace."""
         dropped = self._dropped + self._first
         return [(direction, first - dropped, last - dropped)
                 for direction, first, last in self._reversals.list_branches(dropped + len(self) - 1)]
 
-    def _make_branch(self, first: int, last: int) -> Branch:
+    def _make_trace_branch(self, first: int, last: int) -> TraceBranch:
         part = slice(first, last + 1)
-        return Branch(self.time[part], self.depth[part], self.force[part], self.is_late[part],
-                      self.includes_inertia[part])
+        return TraceBranch(self.time[part], self.depth[part], self.force[part], self.is_late[part],
+                           self.includes_inertia[part])
 
 
-def make_recording_files(recording: Recording, stem: str) -> dict[str, bytes]:
+def make_csv_and_sidecar(recording: Recording, stem: str) -> dict[str, bytes]:
     """Return the files of a recording: ``STEM.csv`` with all digits, and its sidecar ``STEM.json``.
 
     Args:

@@ -9,7 +9,7 @@ from tissue_sim.simulator import Simulator
 _BUDGET_PER_SOLVE = 2.0
 
 
-class ViewedSimulator(Simulator):
+class ExtendableBudgetSimulator(Simulator):
     """Simulator that extends its budget if one linear solve takes longer than the budget.
 
     With the original budget, such a simulator would make no progress in most ticks.

@@ -32,8 +32,8 @@ import websockets
 import websockets.asyncio.server
 from websockets.exceptions import WebSocketException
 
-from scenes.viewer.page_token import REFUSAL, contains_token, make_cookie_header
-from scenes.viewer.request_headers import find_refusal_reason, normalise_name
+from scenes.viewer.page_token import REFUSAL, has_valid_token, make_cookie_header
+from scenes.viewer.request_headers import find_refusal_reason, normalise_host_name
 from scenes.viewer.shell import LARGEST_UPLOAD, inject_shell
 from tissue_sim.errors import InputError, MissingBackendError
 
@@ -66,8 +66,8 @@ _LOCAL_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _module_state = threading.RLock()
 
 
-def open_server(host: str = LOOPBACK, port: int = SERVER.port, *, exposed: bool = False,
-                title: str = "tissue_sim", token: str = "") -> ViewerServer:
+def open_viewer_server(host: str = LOOPBACK, port: int = SERVER.port, *, exposed: bool = False,
+                       title: str = "tissue_sim", token: str = "") -> ViewerServer:
     """Start a viser server that answers only its own page; the server listens when the function returns.
 
     Args:
@@ -84,15 +84,16 @@ def open_server(host: str = LOOPBACK, port: int = SERVER.port, *, exposed: bool 
     """
     host = LOOPBACK if host == "localhost" else host
     if not _is_loopback(host) and not exposed:
-        raise InputError(f"{describe_exposure(host, port)}. Use --expose to allow this, or omit --host for {LOOPBACK}.",
+        raise InputError(f"{describe_network_access(host, port)}. Use --expose to allow this, or omit --host for "
+                         f"{LOOPBACK}.",
                          field="host")
     if not 0 <= port <= 65535:
         raise InputError(f"must be between 1 and 65535, or 0 for any free port; got {port}", field="port")
-    _require_known_viser()
+    _require_tested_viser()
     return ViewerServer(host, port, title, token)
 
 
-def describe_exposure(host: str, port: int) -> str:
+def describe_network_access(host: str, port: int) -> str:
     """Describe who can access a server on `host`, in one sentence without a full stop.
 
     Raises:
@@ -107,21 +108,24 @@ def describe_exposure(host: str, port: int) -> str:
 
 
 class ViewerServer(viser.ViserServer):
-    """Running web server with access checks, opened by `open_server`; a context manager that stops it at the end."""
+    """Running web server with access checks, which `open_viewer_server` starts.
+
+    As a context manager it stops at the end of the block.
+    """
 
     def __init__(self, host: str, port: int, title: str, token: str):
         self._token, listener = token, _CheckedListener(host, port, title, token)
-        with _suppress_viser_output(), listener.replace_serve():
+        with _suppress_viser_output(), listener.replace_viser_serve():
             super().__init__(host=host, port=port, label=title, verbose=False)
         try:
             if listener.failure is not None:
                 raise listener.failure
             self._unregister_sharing()
             self._limit_uploads()
-            self.set_theme()
+            self.set_page_theme()
             # Safe to replace here: no task waits for the event before the server listens.
             self._websock_server.get_message_buffer().message_event = _MessageEvent()
-            listener.listen()
+            listener.start_listening()
         except OSError as error:
             self.stop()
             raise _make_address_error(host, port, error) from None
@@ -130,19 +134,19 @@ class ViewerServer(viser.ViserServer):
             raise
 
     @property
-    def url(self) -> str:
+    def local_url(self) -> str:
         """Address of the server for a browser on this computer, without the token."""
         host = self.get_host()
         if ipaddress.ip_address(host).is_unspecified:
             host = LOOPBACK if ":" not in host else "::1"
         return f"http://{f'[{host}]' if ':' in host else host}:{self.get_port()}"
 
-    def address(self, **query: str) -> str:
+    def make_page_address(self, **query: str) -> str:
         """Return the address of the page with its token and with additional query parameters."""
         parameters = urlencode(({"token": self._token} if self._token else {}) | query)
-        return f"{self.url}/?{parameters}" if parameters else self.url
+        return f"{self.local_url}/?{parameters}" if parameters else self.local_url
 
-    def set_theme(self, **theme: Any) -> None:
+    def set_page_theme(self, **theme: Any) -> None:
         """Call viser's `configure_theme` without logo and share button."""
         self.gui.configure_theme(**theme, show_logo=False, show_share_button=False)
 
@@ -167,16 +171,16 @@ class ViewerServer(viser.ViserServer):
         """Ignore uploads above `LARGEST_UPLOAD`, which a manipulated client could send and viser would store."""
         messages = viser._messages
 
-        def accept_only(kind: type, is_acceptable: Callable[[Any], bool]) -> None:
+        def replace_handler_with_filter(kind: type, is_acceptable: Callable[[Any], bool]) -> None:
             handlers = self._websock_server._incoming_handlers.get(kind, [])
             if len(handlers) != 1:
                 raise _make_version_error(f"viser has {len(handlers)} handlers for {kind.__name__} instead of one")
             handle = handlers[0]
             handlers[0] = lambda client, message: handle(client, message) if is_acceptable(message) else None
 
-        accept_only(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
-                    and start.part_count <= LARGEST_UPLOAD // SERVER.max_part_size + 1)
-        accept_only(messages.FileTransferPart, lambda part: len(part.content) <= SERVER.max_part_size)
+        replace_handler_with_filter(messages.FileTransferStartUpload, lambda start: start.size_bytes <= LARGEST_UPLOAD
+                                    and start.part_count <= LARGEST_UPLOAD // SERVER.max_part_size + 1)
+        replace_handler_with_filter(messages.FileTransferPart, lambda part: len(part.content) <= SERVER.max_part_size)
 
 
 class _MessageEvent(asyncio.Event):
@@ -200,7 +204,10 @@ class _MessageEvent(asyncio.Event):
 
 
 class _CheckedListener:
-    """Replacement for `websockets.asyncio.server.serve` that checks requests and starts to listen at `listen`."""
+    """Replacement for `websockets.asyncio.server.serve` that checks the requests.
+
+    The server listens from the call of `start_listening` on.
+    """
 
     def __init__(self, host: str, port: int, title: str, token: str):
         self.host, self.port, self.title, self._token = host, port, title, token
@@ -208,7 +215,7 @@ class _CheckedListener:
         self._server: Any = None
 
     @contextmanager
-    def replace_serve(self) -> Iterator[None]:
+    def replace_viser_serve(self) -> Iterator[None]:
         """Replace `serve` in viser, but not in other modules, inside a with statement."""
         infra: Any = viser.infra._infra
         view = SimpleNamespace(**vars(websockets))
@@ -233,7 +240,7 @@ class _CheckedListener:
                 raise _make_version_error("viser passes no function for HTTP requests to serve")
             options.update(logger=_logger, start_serving=False)
             self._server = await websockets.asyncio.server.serve(
-                _with_version_check(handler), self.host, self.port,
+                _add_version_check(handler), self.host, self.port,
                 process_request=self._add_access_checks(process_request), **options)
         except Exception as error:
             self.failure = error
@@ -247,7 +254,7 @@ class _CheckedListener:
             self._server.close()
             await self._server.wait_closed()
 
-    def listen(self) -> None:
+    def start_listening(self) -> None:
         """Start to listen.
 
         Raises:
@@ -258,30 +265,31 @@ class _CheckedListener:
 
     def _add_access_checks(self, answer: Callable) -> Callable:
         """Return viser's function for HTTP requests with the access checks before it."""
-        def process_request(connection, request):
+        def check_and_process_request(connection, request):
             allowed = self._list_allowed_names(connection)
             headers = request.headers
             refusal = find_refusal_reason(headers.get_all("Host"), headers.get_all("Origin"), allowed, self.port)
             if refusal:
                 return connection.respond(HTTPStatus.FORBIDDEN, refusal + "\n")
-            if self._token and not contains_token(self._token, self.port, request.path, headers.get_all("Cookie")):
+            if self._token and not has_valid_token(self._token, self.port, request.path, headers.get_all("Cookie")):
                 return connection.respond(HTTPStatus.FORBIDDEN, REFUSAL + "\n")
             _delete_header(request.headers, "Accept-Encoding")  # the page must be uncompressed to be changed
             response = answer(connection, request)
             if response is not None:
-                self._complete_response(response, request.headers["Host"])
+                self._add_shell_and_headers(response, request.headers["Host"])
             return response
 
-        return process_request
+        return check_and_process_request
 
     def _list_allowed_names(self, connection) -> frozenset[str]:
         if _is_loopback(self.host):
-            return _LOCAL_NAMES | {normalise_name(self.host)}
+            return _LOCAL_NAMES | {normalise_host_name(self.host)}
         name = platform.node().lower()
-        reached = normalise_name(str(connection.local_address[0]))
-        return _LOCAL_NAMES | {normalise_name(self.host), reached, name, f"{name.removesuffix('.local')}.local"} - {""}
+        reached = normalise_host_name(str(connection.local_address[0]))
+        return _LOCAL_NAMES | {normalise_host_name(self.host), reached, name,
+                               f"{name.removesuffix('.local')}.local"} - {""}
 
-    def _complete_response(self, response, address: str) -> None:
+    def _add_shell_and_headers(self, response, address: str) -> None:
         """Insert the shell into the page, and set the cookie and the security headers.
 
         The headers forbid other pages to embed this page (clickjacking), and forbid this page to load anything from
@@ -312,20 +320,20 @@ def _is_loopback(host: str) -> bool:
         raise InputError(f"must be an IP address such as {LOOPBACK}; got {host!r}", field="host") from None
 
 
-def _with_version_check(handler: Callable) -> Callable:
+def _add_version_check(handler: Callable) -> Callable:
     """Return viser's connection handler with a check of the client's version, because viser's own check prints."""
 
-    async def handle(connection) -> None:
+    async def handle_connection(connection) -> None:
         if connection.subprotocol == f"viser-v{VISER_VERSION}":
             await handler(connection)
         else:
             version = (connection.subprotocol or "viser-vunknown").removeprefix("viser-v")
             await connection.close(1002, f"Version mismatch. Client: {version}, Server: {VISER_VERSION}")
 
-    return handle
+    return handle_connection
 
 
-def _require_known_viser() -> None:
+def _require_tested_viser() -> None:
     if viser.__version__ != VISER_VERSION:
         raise _make_version_error(f"viser {viser.__version__} is installed")
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from scenes.viewer.revolution import Opening
+from scenes.viewer.revolution import WedgeOpening
 from tissue_sim.mesh.sections import cut_triangles
 from tissue_sim.pose import Pose
 
@@ -27,26 +27,26 @@ class Wedge:
         cache: Results that a body stores for this wedge, by the ``id`` of the array of nodal positions.
     """
 
-    opening: Opening
+    opening: WedgeOpening
     pose: Pose
     ahead: float = 0.0
     cache: dict[int, Any] = field(default_factory=dict)
 
     @cached_property
-    def _rotation(self) -> np.ndarray:
+    def _rotation_matrix(self) -> np.ndarray:
         return np.array(self.pose.rotation)
 
-    def points_from_scene_to_tool(self, points: np.ndarray) -> np.ndarray:
+    def transform_scene_to_tool(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the scene to the frame of the tool, m, shape (n, 3)."""
         x, y, z = (points - np.array(self.pose.position)).T
         # A matrix product would start the threads of BLAS on other cores.
-        return np.stack([x * u + y * v + z * w for u, v, w in self._rotation.T], axis=-1)
+        return np.stack([x * u + y * v + z * w for u, v, w in self._rotation_matrix.T], axis=-1)
 
-    def points_from_tool_to_scene(self, points: np.ndarray) -> np.ndarray:
+    def transform_tool_to_scene(self, points: np.ndarray) -> np.ndarray:
         """Transform points from the frame of the tool to the frame of the scene, m, shape (..., 3)."""
-        return np.array(self.pose.position) + points @ self._rotation.T
+        return np.array(self.pose.position) + points @ self._rotation_matrix.T
 
-    def heights_over_faces(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    def compute_face_coordinates(self, local: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
         """Return the positions of points relative to each section face.
 
         Args:
@@ -60,20 +60,20 @@ class Wedge:
         facing = self.opening.facing
         edge = self.ahead * np.array([np.cos(facing), np.sin(facing)])
         faces = []
-        for direction, normal in self.opening.faces:
+        for direction, normal in self.opening.section_face_vectors:
             heights = local[:, :2] @ normal - edge @ normal
             faces.append((np.where(np.abs(heights) < tolerance, 0.0, heights),
                           local[:, :2] @ direction - edge @ direction))
         return faces
 
-    def contains(self, local: np.ndarray) -> np.ndarray:
-        """Return which points, given in the frame of the tool, lie inside the wedge, shape (n,)."""
-        inside = np.full(len(local), not self.opening.is_closed)
-        for heights, _ in self.heights_over_faces(local):
+    def find_points_inside(self, local: np.ndarray) -> np.ndarray:
+        """Return whether each point, shape (n, 3), m, in the frame of the tool, lies inside the wedge; shape (n,)."""
+        inside = np.full(len(local), not self.opening.removes_nothing)
+        for heights, _ in self.compute_face_coordinates(local):
             inside &= heights > 0.0
         return inside
 
-    def clip_lines(self, lines: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    def clip_lines_at_wedge(self, lines: np.ndarray, drawn: np.ndarray) -> np.ndarray:
         """Remove the parts of lines that lie inside the wedge.
 
         Args:
@@ -83,8 +83,8 @@ class Wedge:
         Returns:
             The remaining parts of `drawn`, shape (m, 2, 3).
         """
-        for number in range(len(self.opening.faces)):
-            heights, _ = self.heights_over_faces(lines.reshape(-1, 3))[number]
+        for number in range(len(self.opening.section_face_vectors)):
+            heights, _ = self.compute_face_coordinates(lines.reshape(-1, 3))[number]
             start, end = heights.reshape(-1, 2).T
             cut = (start > 0.0) != (end > 0.0)
             fraction = (start[cut] / (start[cut] - end[cut]))[:, None]
@@ -94,10 +94,10 @@ class Wedge:
                 parts.append(np.concatenate([each[~cut], np.stack([each[cut, 0], crossing], axis=1),
                                              np.stack([crossing, each[cut, 1]], axis=1)]))
             lines, drawn = parts
-        return drawn[~self.contains(lines.mean(axis=1)) & (lines[:, 0] != lines[:, 1]).any(axis=1)]
+        return drawn[~self.find_points_inside(lines.mean(axis=1)) & (lines[:, 0] != lines[:, 1]).any(axis=1)]
 
-    def clip_triangles(self, points: np.ndarray, triangles: np.ndarray,
-                       *values: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    def clip_triangles_at_wedge(self, points: np.ndarray, triangles: np.ndarray,
+                                *values: np.ndarray) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
         """Remove the parts of triangles that lie inside the wedge.
 
         Args:
@@ -108,12 +108,12 @@ class Wedge:
         Returns:
             Points, remaining triangles, and the values at the points. Points without a triangle are kept.
         """
-        if self.opening.is_closed:
+        if self.opening.removes_nothing:
             return points, triangles, list(values)
         parts, rest = [], triangles
         at_points = [points, *values]
-        for number in range(len(self.opening.faces)):
-            heights, _ = self.heights_over_faces(self.points_from_scene_to_tool(at_points[0]))[number]
+        for number in range(len(self.opening.section_face_vectors)):
+            heights, _ = self.compute_face_coordinates(self.transform_scene_to_tool(at_points[0]))[number]
             crossings, below, rest = cut_triangles(rest, heights)
             at_points = [crossings.append_interpolated_values(each) for each in at_points]
             parts.append(below)

@@ -77,7 +77,7 @@ class Traffic:
 
     def foreign(self, server):
         """Requested addresses outside the server, without blob and data URLs, which cause no request."""
-        place = server.url.removeprefix("http://")
+        place = server.local_url.removeprefix("http://")
         own = tuple(f"{scheme}://{place}/" for scheme in ("http", "ws", "blob:http"))
         return [url for url in self.urls if not url.startswith(own) and not url.startswith("data:")]
 
@@ -94,7 +94,7 @@ def pages_of(browser, chromium):
         page = traffic.watch(context.new_page())
         page.set_default_timeout(PATIENCE * 1e3)
         opened.append((server, context, page, traffic))
-        chromium.open_viewer(page, server.address(), triangles=triangles, pixel_ratio=pixel_ratio)
+        chromium.open_viewer(page, server.make_page_address(), triangles=triangles, pixel_ratio=pixel_ratio)
         return page
 
     open_one.traffic = lambda page: next(traffic for _, _, one, traffic in opened if one is page)
@@ -159,10 +159,10 @@ class Shown:
 
     @property
     def url(self) -> str:
-        return self.page.server.url
+        return self.page.server.local_url
 
     def address(self) -> str:
-        return self.page.server.address()
+        return self.page.server.make_page_address()
 
     def ask(self, command: str, **values) -> None:
         """Post a command to the session and wait for its execution, like another browser."""
@@ -187,7 +187,7 @@ class Shown:
 def shown(browser, tmp_path_factory):
     """Viewer with a needle scene, shared by all tests of the page."""
     import tissue_sim as ts
-    from scenes.commands.shared.tissue_flags import read_material
+    from scenes.commands.shared.tissue_flags import load_material_or_default
     from scenes.viewer.measurement import build_measurement
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
@@ -195,7 +195,7 @@ def shown(browser, tmp_path_factory):
     from tissue_sim.parameters import with_values
 
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(5e-3, 21))
-    scene = Scene(NEEDLE, experiment, read_material(None))
+    scene = Scene(NEEDLE, experiment, load_material_or_default(None))
     true = ts.simulate(scene.model, resolution="fast")
     replicates = [ts.Rig(force_noise=NOISE, seed=seed).measure(true) for seed in range(3)]
     folder = tmp_path_factory.mktemp("materials")
@@ -214,7 +214,7 @@ def shown_solid(browser, tmp_path_factory):
     from coarse_solid import make_coarse_solid
 
     import tissue_sim as ts
-    from scenes.commands.shared.tissue_flags import read_material
+    from scenes.commands.shared.tissue_flags import load_material_or_default
     from scenes.viewer.scene import Scene
     from tissue_sim.experiment.kinds.indentation import NEEDLE
     from tissue_sim.fem.solver import SOLVERS
@@ -223,7 +223,7 @@ def shown_solid(browser, tmp_path_factory):
         specimen=ts.Specimen(0.04, 0.07), protocol=ts.Protocol.ramp(2e-3, 3), tool=ts.Tool("round", radius=8e-3),
         friction=0.3, approach=ts.Approach(8e-3, math.radians(10.0)))
     SOLVERS.register(make_coarse_solid, "coarse_solid")
-    scene = Scene(NEEDLE, experiment, read_material(None), solver="coarse_solid")
+    scene = Scene(NEEDLE, experiment, load_material_or_default(None), solver="coarse_solid")
     shown = Shown(scene, tmp_path_factory.mktemp("materials"), patience=1e4)
     try:
         yield shown

@@ -7,14 +7,14 @@ import pytest
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
 from scenes.viewer.bench.page import BenchPage
-from scenes.viewer.bench.sources import RunSource
+from scenes.viewer.bench.sources import RecordRunSource
 
 
 @pytest.fixture
 def watched(tmp_path):
-    page = BenchPage(RunSource(tmp_path / "run"), "127.0.0.1", 0)
+    page = BenchPage(RecordRunSource(tmp_path / "run"), "127.0.0.1", 0)
     stop = threading.Event()
-    thread = threading.Thread(target=page.run, args=(stop,))
+    thread = threading.Thread(target=page.run_until_stopped, args=(stop,))
     thread.start()
     yield page, tmp_path / "run"
     stop.set()

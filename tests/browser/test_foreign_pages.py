@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from scenes.viewer.web_server import VISER_VERSION, open_server
+from scenes.viewer.web_server import VISER_VERSION, open_viewer_server
 
 #: What each of the ways to reach a server comes to; run in a page, with the address as argument.
 ATTEMPTS = """async ({place, protocol}) => {
@@ -22,7 +22,7 @@ ATTEMPTS = """async ({place, protocol}) => {
 
 @pytest.fixture
 def server():
-    with open_server(port=0) as running:
+    with open_viewer_server(port=0) as running:
         yield running
 
 
@@ -55,13 +55,14 @@ def site(html=""):
 
 
 def attempt(page, server):
-    return page.evaluate(ATTEMPTS, {"place": server.url.removeprefix("http://"), "protocol": f"viser-v{VISER_VERSION}"})
+    return page.evaluate(ATTEMPTS, {"place": server.local_url.removeprefix("http://"),
+                                    "protocol": f"viser-v{VISER_VERSION}"})
 
 
 @pytest.mark.slow
 def test_own_page_may(server, stranger):
     with stranger() as page:
-        page.goto(server.url)
+        page.goto(server.local_url)
         assert attempt(page, server) == {"handshake": "open", "page": 200}
 
 
@@ -87,14 +88,14 @@ def test_sandboxed_frame_without_an_origin_may_not(server, stranger):
 def test_name_that_is_bound_to_this_computer_may_not(server, stranger):
     """DNS rebinding: the browser assigns the page to the foreign name, whose scripts could then read it."""
     with stranger() as page:
-        reply = page.goto(server.url.replace("127.0.0.1", "rebound.test"))
+        reply = page.goto(server.local_url.replace("127.0.0.1", "rebound.test"))
         assert (reply.status, reply.text()) == (403, "This server answers only requests to http://localhost:"
                                                      f"{server.get_port()} and its own addresses.\n")
         assert attempt(page, server) == {"handshake": "refused", "page": "refused"}
 
 
 def test_page_of_another_site_cannot_frame_ours(server, stranger):
-    with site(f"<iframe src='{server.url}'></iframe>") as (address, _), stranger() as page:
+    with site(f"<iframe src='{server.local_url}'></iframe>") as (address, _), stranger() as page:
         page.goto(address)
         page.wait_for_function("frames.length === 1")
         assert "root" not in page.frames[1].content()
@@ -108,7 +109,7 @@ def test_our_page_fetches_nothing_from_another_site(server, stranger, chromium):
         server.gui.add_html(f"<b>sample</b><img alt='' src='{address}/pixel.png'>")
         blocked = []
         page.on("console", lambda message: blocked.append(message.text) if address in message.text else None)
-        chromium.open_viewer(page, server.url, triangles=0)
+        chromium.open_viewer(page, server.local_url, triangles=0)
         page.get_by_text("sample").wait_for()
         assert any("Content Security Policy" in text for text in blocked), blocked
         page.goto(f"{address}/visit")

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 import viser
 
-from scenes.viewer.web_server import open_server
+from scenes.viewer.web_server import open_viewer_server
 
 
 @pytest.fixture
 def server():
-    with open_server(port=0, title="plain page") as running:
+    with open_viewer_server(port=0, title="plain page") as running:
         scene = running.scene
         scene.configure_environment_map(hdri=None)
         scene.configure_default_lights(enabled=False)
@@ -32,7 +32,7 @@ def test_the_page_loads_offline(server, open_page):
     page.get_by_text("this").wait_for()
     page.locator(".uplot canvas").wait_for()
     asked = open_page.traffic(page).urls
-    assert asked[0] == f"{server.url}/?fixedDpr=0.2"
+    assert asked[0] == f"{server.local_url}/?fixedDpr=0.2"
     assert f"ws://127.0.0.1:{server.get_port()}/" in asked
 
 
@@ -67,7 +67,7 @@ def test_picture_is_saved(server, open_page, chromium, tmp_path):
 
 @pytest.fixture
 def guarded():
-    with open_server(port=0, title="guarded", token="secret") as running:
+    with open_viewer_server(port=0, title="guarded", token="secret") as running:
         running.gui.add_markdown("behind a token")
         yield running
 
@@ -77,13 +77,13 @@ def test_the_address_with_token_opens_the_page_and_the_cookie_reopens_it(guarded
     """The cookie from the first visit also opens the websocket and a reload."""
     page = open_page(guarded)
     page.get_by_text("behind a token").wait_for()
-    page.goto(guarded.url)
+    page.goto(guarded.local_url)
     chromium.come_up(page, triangles=0)
     page.get_by_text("behind a token").wait_for()
 
 
 def test_a_request_without_the_token_gets_an_explanation(guarded, browser):
     page = browser.new_page()
-    reply = page.goto(guarded.url)
+    reply = page.goto(guarded.local_url)
     assert reply.status == 403 and "the complete address that was printed" in reply.text()
     page.close()

@@ -8,7 +8,7 @@ import pytest
 
 from scenes.field_labels import LABELS
 from scenes.viewer.page.solid import SIZE
-from scenes.viewer.tone import displayed_srgb
+from scenes.viewer.tone import compute_displayed_srgb
 
 FAULT = "ramp 3mm; wander 2s"
 
@@ -50,7 +50,7 @@ def test_bar_and_section_have_the_same_colours_and_the_label_of_the_field(shown,
             .map(name => nodes[name].message.props.color);
     }""")
     assert len(set(bar)) == len(bar) == len(painted) > 5
-    assert bar == [hexadecimal(displayed_srgb(colour)) for colour in painted]
+    assert bar == [hexadecimal(compute_displayed_srgb(colour)) for colour in painted]
     shown.ask("aim", depth=2e-3)
     reader.wait_for("depth", "2.00")
     title = page.locator("[data-colour]").last

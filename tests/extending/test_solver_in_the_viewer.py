@@ -144,7 +144,7 @@ def test_the_page_draws_it(shown, tmp_path):
     page = Page(session, frame, tmp_path, port=0)
     try:
         solid = page._solid
-        assert solid.show(frame, page._look.options)
+        assert solid.draw_frame(frame, page._look.options)
         pose = frame.snapshot.pose
         tool = solid._tool_frame
         np.testing.assert_allclose(tool.position, solid.scale * np.array(pose.position), rtol=1e-12)
@@ -152,10 +152,10 @@ def test_the_page_draws_it(shown, tmp_path):
         np.testing.assert_allclose(solid._force_frame.wxyz, [1, 0, 0, 0])
         assert solid._surface.visible and not any(band.visible for band in solid._bands)
         assert solid.levels is None, "no colours where there is no field"
-        assert not solid.show(frame, page._look.options), "what has not changed is not sent again"
+        assert not solid.draw_frame(frame, page._look.options), "what has not changed is not sent again"
         empty = frame.surface._replace(vertices=frame.surface.vertices[:0], faces=frame.surface.faces[:0])
         for surface in (empty, None):
-            assert solid.show(replace(frame, surface=surface), page._look.options)
+            assert solid.draw_frame(replace(frame, surface=surface), page._look.options)
             assert not solid._surface.visible and solid._tool.visible, "the tool alone"
     finally:
         page.close()

@@ -88,7 +88,7 @@ def test_through_what_the_viewer_sees(toy, motion, monkeypatch):
 
     try:
         while ticks < 400:
-            records = wait_for_value(simulation.poll, lambda new: new is not None and len(new) > 0)
+            records = wait_for_value(simulation.poll_loop_process, lambda new: new is not None and len(new) > 0)
             poses = [Pose(tuple(each[:3]), tuple(each[3:])) for each in records["tool_pose"].tolist()]
             expected = np.array([tissue.step(pose, DT).wrench for pose in poses])
             same(records["tissue_wrench"][whole(records)], expected[whole(records)])

@@ -12,7 +12,7 @@ from child_environment import child_environment
 import tissue_sim as ts
 from calibration.fit import ordinary
 from scenes.cli import main
-from scenes.commands.shared.text_table import TableSettings
+from scenes.commands.shared.text_table import PrintedTableSettings
 
 TRUE = {"C10": 1404.9, "C20": 699.4}
 #: Radius, m.
@@ -127,7 +127,7 @@ def test_tables_fit_on_80_columns(tmp_path, capsys, monkeypatch):
         '[[test]]\nkind = "uniaxial_tension"\nrecordings = ["pull.csv"]\n[fit]\n'
         'laws = ["neo_hooke", "reduced_polynomial_3", "ogden_3"]\n[noise]\nnominal_stress_Pa = 2000.0\n',
         encoding="utf-8")
-    monkeypatch.setattr("scenes.commands.shared.console.TABLES", TableSettings(pipe_width=80))
+    monkeypatch.setattr("scenes.commands.shared.console.TABLES", PrintedTableSettings(pipe_width=80))
     main(["calibrate", str(tmp_path / "pull.toml"), "-o", str(tmp_path / "out")])
     lines = capsys.readouterr().out.splitlines()
     end = next(i for i, line in enumerate(lines) if line.startswith("Best of"))

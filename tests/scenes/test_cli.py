@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from scenes.cli import COMMANDS, main, make_parser
+from scenes.cli import COMMANDS, main, make_command_line_parser
 from scenes.commands import material
 from tissue_sim.errors import MissingBackendError
 
@@ -63,7 +63,7 @@ def test_every_help_has_a_description_and_an_example(words, capsys):
 def test_example_of_a_help_is_valid(name):
     words = shlex.split(COMMANDS[name].EXAMPLE)
     assert words[0] == "tissue-sim"
-    _, rest = make_parser().parse_known_args(words[1:])
+    _, rest = make_command_line_parser().parse_known_args(words[1:])
     assert rest == []
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from scenes.cli import main
-from scenes.doctor import Check, clock, installation, platform_services, taichi_backend
+from scenes.doctor import CheckResult, clock, installation, platform_services, taichi_backend
 
 SECONDS = "0.05"
 
@@ -33,7 +33,7 @@ def test_the_text_output_has_one_line_per_check(capsys):
 
 
 def test_a_failed_check_fails_the_command(monkeypatch, capsys):
-    broken = Check("numpy", "fail", "not installed", "python -m pip install numpy")
+    broken = CheckResult("numpy", "fail", "not installed", "python -m pip install numpy")
     monkeypatch.setattr("scenes.doctor.run_checks", lambda clock_seconds: iter([broken]))
     assert main(["doctor"]) == 1
     text = capsys.readouterr().out
@@ -55,30 +55,30 @@ def test_lateness_is_measured_against_fixed_deadlines(monkeypatch):
 
     monkeypatch.setattr(clock.time, "perf_counter", perf_counter)
     monkeypatch.setattr(clock.time, "sleep", sleep)
-    lateness = clock.measure_lateness(0.010)
+    lateness = clock.measure_tick_lateness(0.010)
     assert lateness.shape == (10,)
     np.testing.assert_allclose(lateness * 1e3, [0, 0, 4.8, 3.8, 2.8, 1.8, 0.8, 0, 0, 0], atol=2e-3)
 
 
 @pytest.mark.parametrize(("lateness", "status"), [(1e-6, "ok"), (2e-3, "fail")])
 def test_clock_verdict(monkeypatch, lateness, status):
-    monkeypatch.setattr(clock, "measure_lateness", lambda seconds: np.full(1000, lateness))
-    check = clock.check_clock(1.0)
+    monkeypatch.setattr(clock, "measure_tick_lateness", lambda seconds: np.full(1000, lateness))
+    check = clock.check_clock_lateness(1.0)
     assert check.status == status and bool(check.remedy) == (status != "ok")
 
 
 def test_clock_warns_of_rare_late_ticks(monkeypatch):
     lateness = np.full(1000, 1e-6)
     lateness[::100] = 3e-3
-    monkeypatch.setattr(clock, "measure_lateness", lambda seconds: lateness)
-    check = clock.check_clock(1.0)
+    monkeypatch.setattr(clock, "measure_tick_lateness", lambda seconds: lateness)
+    check = clock.check_clock_lateness(1.0)
     assert check.status == "warn" and check.values["later_than_1_ms"] == pytest.approx(0.01)
 
 
 @pytest.mark.skipif(not hasattr(clock.os, "sched_getscheduler"), reason="this platform has one scheduler only")
 def test_the_scheduler_is_restored():
     before = clock.os.sched_getscheduler(0)
-    clock.check_clock(0.01)
+    clock.check_clock_lateness(0.01)
     assert clock.os.sched_getscheduler(0) == before
 
 
@@ -92,7 +92,7 @@ def test_missing_scheduler_is_a_warning_with_a_remedy(monkeypatch):
 
 
 def test_packages_come_from_one_folder():
-    assert installation.check_package_folders().status == "ok"
+    assert installation.check_common_package_folder().status == "ok"
 
 
 def test_a_shadowed_package_is_detected(tmp_path, monkeypatch):
@@ -101,7 +101,7 @@ def test_a_shadowed_package_is_detected(tmp_path, monkeypatch):
     stray.write_text("", encoding="utf-8")
     monkeypatch.delitem(sys.modules, "calibration", raising=False)
     monkeypatch.syspath_prepend(str(tmp_path))
-    check = installation.check_package_folders()
+    check = installation.check_common_package_folder()
     assert check.status == "fail" and str(stray) in check.finding and check.remedy
 
 
@@ -114,19 +114,19 @@ def test_a_missing_package_is_detected(monkeypatch):
         return installed(name)
 
     monkeypatch.setattr(importlib.metadata, "version", version)
-    checks = {check.name: check for check in installation.check_packages()}
+    checks = {check.name: check for check in installation.check_required_packages()}
     assert checks["sympy"].status == "fail" and checks["sympy"].remedy == "python -m pip install sympy"
     assert checks["numpy"].status == "ok" and checks["numpy"].finding == installed("numpy")
 
 
 def test_an_old_python_is_detected(monkeypatch):
     monkeypatch.setattr(installation.sys, "version_info", (3, 10, 4))
-    check = installation.check_python()
+    check = installation.check_python_version()
     assert check.status == "fail" and "3.11" in check.remedy
 
 
 def test_the_kernel_runs():
-    check = taichi_backend.check_kernel()
+    check = taichi_backend.check_taichi_kernel()
     if not installation.has_taichi_wheel():
         assert check.status == "warn"
     else:
@@ -138,9 +138,9 @@ def test_the_kernel_runs():
 def test_a_crashing_probe_keeps_its_results(monkeypatch):
     probe = "import os, sys; print(sys.argv[1], flush=True); print('noise', flush=True); os.abort()"
     monkeypatch.setattr(taichi_backend, "_PROBE", probe)
-    assert taichi_backend.find_other_backends() == ["cuda"]
+    assert taichi_backend.find_usable_gpu_backends() == ["cuda"]
     monkeypatch.setattr(taichi_backend.sys, "executable", "/no/such/python")
-    assert taichi_backend.find_other_backends() == []
+    assert taichi_backend.find_usable_gpu_backends() == []
 
 
 def test_a_used_port_is_detected(monkeypatch):

@@ -15,9 +15,15 @@ from calibration.effects.machine_compliance import MachineCompliance
 from calibration.effects.viscoelasticity import Viscoelasticity
 from scenes.cli import main
 from scenes.commands.demo.found_scene import make_before_and_after_scene
-from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, PLATES, HiddenEffect, draw_hidden_effect, judge_diagnosis
+from scenes.demo.hidden_effect import (
+    HIDEABLE_EFFECTS,
+    PLATES,
+    HiddenEffect,
+    choose_hidden_effect,
+    evaluate_diagnosis_success,
+)
 from scenes.demo.hidden_test import MEASUREMENT, build_plain_models
-from scenes.viewer.measurement import residual
+from scenes.viewer.measurement import compute_force_residual
 from scenes.viewer.session import Session
 
 RELAXING = 23
@@ -25,9 +31,9 @@ EFFECTS = {"viscoelasticity": Viscoelasticity, "machine_compliance": MachineComp
 
 
 def test_each_effect_is_drawn_and_equal_seeds_draw_equal_effects():
-    drawn = [draw_hidden_effect(seed) for seed in range(200)]
+    drawn = [choose_hidden_effect(seed) for seed in range(200)]
     assert {each.name for each in drawn} == {"", *(each.name for each in HIDEABLE_EFFECTS)}
-    assert [draw_hidden_effect(seed) for seed in range(200)] == drawn
+    assert [choose_hidden_effect(seed) for seed in range(200)] == drawn
     bounds = {each.name: each.sizes for each in HIDEABLE_EFFECTS}
     for each in drawn:
         for path, value in each.values.items():
@@ -40,14 +46,14 @@ def test_each_effect_changes_its_tests_and_has_a_description(hideable):
     hidden = HiddenEffect(hideable.name, {path: ends[1] for path, ends in hideable.sizes.items()}, hideable.tests)
     models = build_plain_models()
     for test, model in models.items():
-        assert (hidden.apply_to(test, model) != model) == (test in hideable.tests)
-    assert " = " in hidden.describe(models)
-    assert HiddenEffect().describe(models) == "nothing"
+        assert (hidden.make_test_model(test, model) != model) == (test in hideable.tests)
+    assert " = " in hidden.describe_values(models)
+    assert HiddenEffect().describe_values(models) == "nothing"
 
 
 def test_friction_is_applied_to_both_plates():
     friction = HiddenEffect("plate_friction", {"experiment.friction": 0.05}, (PLATES,))
-    model = friction.apply_to(PLATES, build_plain_models()[PLATES])
+    model = friction.make_test_model(PLATES, build_plain_models()[PLATES])
     assert model.experiment.base_interface == model.experiment.friction == 0.05
 
 
@@ -67,7 +73,7 @@ def test_friction_is_applied_to_both_plates():
 def test_the_diagnosis_is_judged(hidden, verdict, named, candidates, right, expected):
     effects = [FoundEffect(name=name, category="rig", title=name) for name in named]
     diagnosis = SimpleNamespace(verdict=verdict, effects=effects, indistinguishable=candidates)
-    is_right, sentence = judge_diagnosis(HiddenEffect(hidden), diagnosis)
+    is_right, sentence = evaluate_diagnosis_success(HiddenEffect(hidden), diagnosis)
     assert is_right is right and expected in sentence
 
 
@@ -89,7 +95,7 @@ def demo(tmp_path_factory):
 @pytest.mark.slow
 def test_the_demo_finds_the_effect_and_reveals_it_at_the_end(demo):
     out, text = demo
-    hidden = draw_hidden_effect(RELAXING)
+    hidden = choose_hidden_effect(RELAXING)
     assert hidden.name == "viscoelasticity"
     found = json.loads((out / "diagnosis" / "diagnosis.json").read_text(encoding="utf-8"))
     assert [each["name"] for each in found["effects"]] == [hidden.name]
@@ -113,7 +119,8 @@ def test_the_viewer_shows_both_models(demo):
     assert scene.kind.name == "needle_indentation" and scene.compared[0] == "without viscoelasticity"
     assert scene.material.viscoelastic.terms[0].g == pytest.approx(0.122, rel=0.15), "the material relaxes"
     with_it = ts.simulate(ts.Model(scene.experiment, scene.material))
-    assert residual(with_it, scene.measurement).rmse < 0.6 * residual(scene.compared[1], scene.measurement).rmse
+    without_it = compute_force_residual(scene.compared[1], scene.measurement)
+    assert compute_force_residual(with_it, scene.measurement).rmse < 0.6 * without_it.rmse
 
 
 @pytest.mark.slow
@@ -122,7 +129,8 @@ def test_a_rig_effect_is_part_of_the_curve_of_the_session(demo, monkeypatch):
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     scene = make_before_and_after_scene(result, out / "measured")
     asked = []
-    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurve.request", lambda self, model: asked.append(model))
+    monkeypatch.setattr("scenes.viewer.model_curve.ModelCurveWorker.request_curve",
+                        lambda self, model: asked.append(model))
     session = Session(replace(scene, rig=ts.Rig(backlash=1e-4)))
     try:
         assert asked[0].rig.backlash == 1e-4
@@ -138,7 +146,7 @@ def test_the_page_opens_after_the_run(demo, monkeypatch, tmp_path):
     (result,) = diagnose([out / "campaign.toml"], out / "diagnosis")
     shown = []
     monkeypatch.setattr("scenes.demo.hidden_test.run_hidden_demo", lambda *_, **__: SimpleNamespace(result=result))
-    monkeypatch.setattr("scenes.viewer.run.run_page", lambda scene, *_, **__: shown.append(scene) or 0)
+    monkeypatch.setattr("scenes.viewer.run.run_viewer_page", lambda scene, *_, **__: shown.append(scene) or 0)
     assert main(["demo", "--hidden", "--view", "--seed", "1", "-o", str(out), "--overwrite"]) == 0
     assert shown[0].kind.name == "needle_indentation" and shown[0].compared is not None
 

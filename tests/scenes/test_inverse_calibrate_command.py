@@ -20,8 +20,8 @@ import tissue_sim as ts
 from calibration.tasks.errors import WorkerError
 from calibration.tasks.executors import open_tasks
 from scenes.cli import main
-from scenes.commands.shared.progress import CampaignProgress
-from scenes.commands.shared.text_table import TableSettings
+from scenes.commands.shared.progress import CampaignProgressDisplay
+from scenes.commands.shared.text_table import PrintedTableSettings
 from tissue_sim.errors import ConvergenceError
 
 HEAD = """
@@ -122,7 +122,7 @@ def test_json_contains_the_whole_iteration_table(joint, tmp_path, capsys):
 
 @pytest.mark.slow
 def test_results_fit_on_80_columns(write, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("scenes.commands.shared.console.TABLES", TableSettings(pipe_width=80))
+    monkeypatch.setattr("scenes.commands.shared.console.TABLES", PrintedTableSettings(pipe_width=80))
     path = write(laws=("neo_hooke", "reduced_polynomial_2"), more="starts = 1")
     assert run(path, "-o", tmp_path / "out") == 0
     stdout, stderr = capsys.readouterr()
@@ -185,7 +185,7 @@ def test_unidentifiable_parameters_are_reported(write, tmp_path, capsys):
 def terminal(monkeypatch, height=24):
     """Stream that receives the stderr of a terminal of 80 columns."""
     stream = io.StringIO()
-    monkeypatch.setattr("scenes.commands.shared.campaigns.progress_console",
+    monkeypatch.setattr("scenes.commands.shared.campaigns.make_progress_console",
                         lambda quiet: Console(file=stream, force_terminal=True, width=80, height=height, quiet=quiet,
                                               legacy_windows=False, _environ={"TERM": "xterm"}))
     return stream
@@ -223,12 +223,12 @@ def test_remaining_time_follows_from_the_finished_tasks(monkeypatch):
     stream, now = terminal(monkeypatch), [100.0]
     monkeypatch.setattr("scenes.commands.shared.progress.time.monotonic", lambda: now[0])
     console = Console(file=stream, force_terminal=True, width=120, quiet=True)
-    progress = CampaignProgress(console)
+    progress = CampaignProgressDisplay(console)
 
     def shown():
         with console.capture() as captured:
             console.quiet = False
-            console.print(progress.render())
+            console.print(progress.render_display())
         return captured.get()
 
     progress.show_task("study: profiles", 0, 8)
@@ -303,7 +303,7 @@ KILLED = """
 import os, signal, sys
 from calibration.forward.simulation_cache import SimulationCache
 from scenes.cli import main
-from scenes.commands.shared.progress import CampaignProgress
+from scenes.commands.shared.progress import CampaignProgressDisplay
 
 keep, kept = SimulationCache.store_curve, []
 

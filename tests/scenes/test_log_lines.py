@@ -42,7 +42,7 @@ def test_lines_keep_their_interval(monkeypatch, capsys):
     now = 100.0
     monkeypatch.setattr(log_lines.time, "monotonic", lambda: now)
     monkeypatch.setattr(log_lines, "MIN_INTERVAL", 60.0)
-    status = log_lines.LogLines()
+    status = log_lines.TaskLogLines()
     for now in (101.0, 159.0, 161.0, 200.0, 230.0):
         status.update(f"at {now:g}")
     assert capsys.readouterr().err == "1:01 at 161\n2:10 at 230\n"

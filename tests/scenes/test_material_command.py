@@ -6,7 +6,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.cli import main
-from scenes.commands.material import read_settings
+from scenes.commands.material import parse_parameter_settings
 from tissue_sim.errors import InputError
 from tissue_sim.material.layer import Layer
 from tissue_sim.material.poroelasticity import Poroelasticity
@@ -216,4 +216,4 @@ def test_file_name_must_end_in_material_json(tmp_path, capsys):
 @pytest.mark.parametrize("settings", [["C10"], ["=3"], ["C10=x"], ["C10=1", "C10=2"], ["C10="]])
 def test_bad_settings(settings):
     with pytest.raises(InputError, match=r"^--set: "):
-        read_settings(settings)
+        parse_parameter_settings(settings)

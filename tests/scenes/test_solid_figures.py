@@ -7,9 +7,14 @@ import pytest
 from matplotlib.figure import Figure
 
 import tissue_sim as ts
-from scenes.colour_scale import colour_scale
+from scenes.colour_scale import choose_colour_scale
 from scenes.field_labels import LABELS
-from scenes.solid_figures import draw_cut, draw_surface, revolve_profile, tool_pose
+from scenes.solid_figures import (
+    choose_drawn_tool_pose,
+    draw_deformed_section,
+    draw_deformed_surface,
+    make_surface_of_revolution,
+)
 from tissue_sim.fem.solid.batches import ElementBatches
 from tissue_sim.fem.solid.fields import SolidFields
 from tissue_sim.mesh.hexahedra import HEX8P0, HEX27P1
@@ -55,12 +60,12 @@ def area(triangles):
 @pytest.mark.parametrize("field", LABELS)
 def test_a_cut_has_the_area_of_the_section_and_the_values_of_the_field(field, cylinder):
     axes = Figure().subplots()
-    draw_cut(axes, cylinder, field, -1, POSE, TOOL)
+    draw_deformed_section(axes, cylinder, field, -1, POSE, TOOL)
     section, = (each for each in axes.collections if hasattr(each, "_triangulation"))
     # At y = 0 the displacement is along x and depends on z only, so that the area is preserved.
     assert abs(area(drawn_triangles(section)).sum()) == pytest.approx(80.0 * 70.0, rel=1e-6)
     label, factor = LABELS[field]
-    scale = colour_scale(cylinder, field)
+    scale = choose_colour_scale(cylinder, field)
     assert (section.norm.vmin, section.norm.vmax) == (scale.low, scale.high) and scale.label.startswith(label)
     values = cylinder.at_nodes(field) * factor
     on_plane = np.abs(cylinder.mesh.nodes[:, 1]) < 1e-12
@@ -70,7 +75,7 @@ def test_a_cut_has_the_area_of_the_section_and_the_values_of_the_field(field, cy
 
 def test_the_tool_is_drawn_at_its_pose_and_angle(cylinder):
     axes = Figure().subplots()
-    draw_cut(axes, cylinder, "von_mises", -1, POSE, TOOL)
+    draw_deformed_section(axes, cylinder, "von_mises", -1, POSE, TOOL)
     outline = axes.patches[0].get_xy()
     tip = 1e3 * np.array([POSE.position[0], POSE.position[2]])
     assert np.linalg.norm(outline - tip, axis=1).min() < 1e-9
@@ -82,7 +87,7 @@ def test_the_tool_is_drawn_at_its_pose_and_angle(cylinder):
 
 def test_only_faces_towards_the_camera_are_drawn(cylinder):
     axes = Figure().subplots()
-    draw_surface(axes, cylinder, "displacement", -1, POSE, TOOL)
+    draw_deformed_surface(axes, cylinder, "displacement", -1, POSE, TOOL)
     mesh, = (each for each in axes.collections if hasattr(each, "_triangulation"))
     assert (area(drawn_triangles(mesh)) > -1e-9).all(), "no face is seen from behind"
     assert len(np.unique(mesh.get_facecolor().round(3), axis=0)) > 20
@@ -91,14 +96,15 @@ def test_only_faces_towards_the_camera_are_drawn(cylinder):
 def test_a_tool_behind_a_compliant_load_train_is_drawn_on_the_tissue():
     line = np.linspace(-0.02, 0.02, 5)
     fields = fields_of(create_block_mesh(line, line, line - 0.02, HEX8P0), np.zeros((125, 3)))
-    upright = tool_pose(fields, -1, Pose((0.0, 0.0, -6e-3)), ts.Tool("flat", radius=8e-3))
+    upright = choose_drawn_tool_pose(fields, -1, Pose((0.0, 0.0, -6e-3)), ts.Tool("flat", radius=8e-3))
     assert upright.position == pytest.approx((0.0, 0.0, -1e-3)), "the top is 1 mm below the scene's origin"
     above = Pose((0.0, 0.0, 2e-3))
-    assert tool_pose(fields, -1, above, ts.Tool("flat", radius=8e-3)) == above
+    assert choose_drawn_tool_pose(fields, -1, above, ts.Tool("flat", radius=8e-3)) == above
 
 
 def test_a_body_of_revolution_has_its_volume():
-    vertices, faces = revolve_profile(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]]), segments=400)
+    vertices, faces = make_surface_of_revolution(np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 3.0], [0.0, 3.0]]),
+                                                 segments=400)
     a, b, c = np.moveaxis(vertices[faces], 1, 0)
     assert np.einsum("ti,ti->", np.cross(a, b), c) / 6.0 == pytest.approx(12.0 * np.pi, rel=1e-4)
 

@@ -50,7 +50,7 @@ def test_headless_run_returns_the_forces(of_gel, capsys):
 class Staged:
     """Session whose simulation starts at the third frame; then `on_frame` and `refuses` define its behaviour."""
 
-    waits_for_curve = False
+    is_waiting_for_curve = False
 
     def __init__(self, scene, **options):
         self.scene, self.options, self.frames, self.posted, self.closed = scene, options, 0, [], False

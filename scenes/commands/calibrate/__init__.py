@@ -4,23 +4,23 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.commands.shared.campaigns import add_run_flags, show_campaign_progress
-from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.campaigns import add_campaign_flags, show_campaign_progress
+from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser
+from scenes.commands.shared.parsing import CommandParser
 
 SUMMARY = "fit strain-energy laws to the recordings of one or more campaigns"
 EXAMPLE = "tissue-sim calibrate campaign.toml -o results --workers 4"
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim calibrate`."""
     parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml",
                         help="campaign files; tissue-sim import writes them from recordings")
     parser.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT",
                         help="folder for material files, tables and the report; a folder of the same calibration is "
                              "resumed")
-    add_run_flags(parser, "the starts, profiles, laws and left-out tests of inverse fits")
+    add_campaign_flags(parser, "the starts, profiles, laws and left-out tests of inverse fits")
     parser.set_defaults(run=run)
 
 
@@ -30,7 +30,7 @@ def run(arguments) -> int:
 
     with show_campaign_progress(arguments, "fit.json") as progress:
         results = calibrate(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
-                            progress=progress.show_task, listen=progress.add_iteration,
+                            progress=progress.show_task, listen=progress.add_fit_iteration,
                             figures_format=arguments.figures_format,
                             workers=Workers(arguments.workers, arguments.dask))
     if arguments.json:
@@ -38,8 +38,8 @@ def run(arguments) -> int:
 
         print_json(to_json(results))
     else:
-        from scenes.commands.calibrate.results import print_results
+        from scenes.commands.calibrate.results import print_calibration_results
 
-        print_results(results, arguments.output, results_console())
+        print_calibration_results(results, arguments.output, make_results_console())
     has_material = all(result.best.status == "converged" for result in results)
     return ExitCode.DONE if has_material else ExitCode.GOAL_MISSED

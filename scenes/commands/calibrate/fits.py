@@ -24,7 +24,7 @@ from calibration.report.page import (
 from calibration.report.report_tables import describe_direction, describe_suggestion
 from calibration.report.units import ReportUnits
 from scenes.commands.calibrate.population import make_population_table
-from scenes.commands.shared.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import make_text_table, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class TableLayout:
+class FitTableLayout:
     """Sizes of the tables of fits.
 
     Attributes:
@@ -50,21 +50,21 @@ class TableLayout:
     max_regions: int = 3
 
 
-_LAYOUT = TableLayout()
+_LAYOUT = FitTableLayout()
 
 
-def print_fits(result: CalibrationResult, console: Console) -> None:
+def print_fit_tables(result: CalibrationResult, console: Console) -> None:
     """Print ranking, parameters and predictions of the laws, and remarks on them."""
     fits, tests, units = result.fits, {test.name: test
                                        for test in result.campaign.tests}, ReportUnits.choose_for_calibration(result)
-    heading, meaning = _ranking_criterion(result)
+    heading, meaning = _describe_ranking_criterion(result)
     console.print(_make_ranking_table(fits, heading, units))
     star = "" if fits[0].unusable else "* best usable law; "
     print_sentence(console, f"{star}{meaning}; stable: range of stable stretches")
     console.print()
-    console.print(_parameter_table(fits, units))
+    console.print(_make_parameter_table(fits, units))
     console.print()
-    if legend := _make_legend(fits):
+    if legend := _make_parameter_legend(fits):
         print_sentence(console, legend)
         console.print()
     if table := make_population_table(fits, units):
@@ -81,7 +81,7 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
         console.print()
     print_sentence(console, result.message)
     for sentence in (*_list_missing_predictions(result.predictions), *_list_identifiability_remarks(fits, units),
-                     *_list_misfit_remarks(fits, tests, units), *_list_accuracy_remarks(result, tests, units)):
+                     *_list_misfit_remarks(fits, tests, units), *_list_fit_accuracy_remarks(result, tests, units)):
         print_sentence(console, sentence)
     # The message of the result contains that of the first law if the law is unusable.
     for having, remarks in group_fits_by_remarks(fits, lambda fit: fit.warnings if fit.unusable is None else
@@ -90,10 +90,10 @@ def print_fits(result: CalibrationResult, console: Console) -> None:
         print_sentence(console, f"{names}: {remarks}")
     for fit in fits:
         if fit.fem_solves:
-            print_sentence(console, f"{fit.law}: {_describe_effort(fit)}")
+            print_sentence(console, f"{fit.law}: {_describe_computing_effort(fit)}")
 
 
-def _ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
+def _describe_ranking_criterion(result: CalibrationResult) -> tuple[str, str]:
     """Return column heading and explanation of the criterion that ranks the laws."""
     if all(fit.left_out is None for fit in result.fits):
         return "dBIC", "dBIC: BIC minus the best"
@@ -107,24 +107,24 @@ def _make_ranking_table(fits: Sequence[Fit], heading: str, units: ReportUnits) -
     best, pressure = fits[0], units.pressure
     forces = best.RMSE_N is not None or best.RMSE_Pa is None
     load = units.force if forces else pressure
-    table = text_table("law", heading, "R2", f"RMSE {load.name}", f"E0 {pressure.name}", f"mu0 {pressure.name}",
-                       "stable")
+    table = make_text_table("law", heading, "R2", f"RMSE {load.name}", f"E0 {pressure.name}", f"mu0 {pressure.name}",
+                            "stable")
     for fit in fits:
         error = fit.RMSE_N if forces else fit.RMSE_Pa
         above = None if fit.unusable else fit.BIC - best.BIC
-        table.add_row(_mark_best_law(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
+        table.add_row(_format_law_name(fit, best), format_number(above if heading == "dBIC" else fit.left_out, 3),
                       _format_R2(fit), "-" if error is None else f"{error / load.size:.4g}",
                       *format_initial_moduli(fit, units), format_stable_stretches(fit),
-                      style=_find_row_style(fit, best))
+                      style=_choose_row_style(fit, best))
     return table
 
 
-def _mark_best_law(fit: Fit, best: Fit) -> str:
+def _format_law_name(fit: Fit, best: Fit) -> str:
     """Return the name of a law, with a star if it is the best usable law; without a usable law none has a star."""
     return f"{fit.law} *" if fit is best and fit.unusable is None else fit.law
 
 
-def _find_row_style(fit: Fit, best: Fit) -> str | None:
+def _choose_row_style(fit: Fit, best: Fit) -> str | None:
     """Return the style of a row of the ranking: bold for the best usable law."""
     return "bold" if fit is best and fit.unusable is None else None
 
@@ -134,9 +134,9 @@ def _format_R2(fit: Fit) -> str:
     return f"{fit.R2:.5f}" if fit.R2 > -1 else f"{fit.R2:.3g}"
 
 
-def _parameter_table(fits: Sequence[Fit], units: ReportUnits) -> Table:
+def _make_parameter_table(fits: Sequence[Fit], units: ReportUnits) -> Table:
     """Return the table of the parameters of all laws with standard errors and profile-likelihood intervals."""
-    table = text_table("parameter", "value ± standard error", "95 % interval", text=3)
+    table = make_text_table("parameter", "value ± standard error", "95 % interval", text=3)
     table.columns[0].no_wrap, table.columns[0].overflow = False, "fold"
     table.columns[0].max_width = _LAYOUT.name_width
     for fit in fits:
@@ -152,7 +152,7 @@ def _parameter_table(fits: Sequence[Fit], units: ReportUnits) -> Table:
     return table
 
 
-def _make_legend(fits: Sequence[Fit]) -> str:
+def _make_parameter_legend(fits: Sequence[Fit]) -> str:
     """Return the legend: full names of abbreviated parameters, and parameters with finite-difference derivatives."""
     full_names = {symbol: name for fit in fits for name, symbol in fit.symbols.items() if symbol != name}
     parts = [f"{symbol}: {name}" for symbol, name in full_names.items()]
@@ -165,7 +165,7 @@ def _make_legend(fits: Sequence[Fit]) -> str:
 
 def _make_prediction_table(predictions: Sequence[Prediction], tests: Mapping[str, Test], units: ReportUnits) -> Table:
     """Return the table of the errors in tests to which a law was not fitted."""
-    table = text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
+    table = make_text_table("law", "predicts", "", "RMSE", "%", "by chance", text=3)
     table.columns[1].no_wrap, table.columns[1].overflow = False, "fold"
     last = None
     for p in predictions:
@@ -226,7 +226,8 @@ def _describe_misfit(region: RegionMisfitTest, test: Test, units: ReportUnits) -
     return f"{region.test} ({describe_region(region, test, units)}): {size}, {format_p_value_text(region.p)}"
 
 
-def _list_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test], units: ReportUnits) -> Iterator[str]:
+def _list_fit_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test],
+                               units: ReportUnits) -> Iterator[str]:
     """Yield sentences on the noise, the scatter between recordings, the mesh error and the self-weight of the fit."""
     tests_by_noise: dict[str, list[str]] = {}
     for noise in result.noise:
@@ -251,7 +252,7 @@ def _list_accuracy_remarks(result: CalibrationResult, tests: Mapping[str, Test],
     yield describe_self_weight(result.campaign, result.best)
 
 
-def _describe_effort(fit: Fit) -> str:
+def _describe_computing_effort(fit: Fit) -> str:
     """Return the computational effort of a fit in words."""
     return (f"{format_count(fit.iterations, 'solve')} from {format_count(fit.starts, 'start')}, "
             f"{format_count(fit.fem_solves, 'simulated test')} with profiles and predictions, {fit.cpu_s:.3g} s of "

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from calibration.report.population import iterate_population_rows
-from scenes.commands.shared.text_table import text_table
+from scenes.commands.shared.text_table import make_text_table
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -27,7 +27,7 @@ def make_population_table(fits: Sequence[Fit], units: ReportUnits) -> Table | No
     """
     if not any(fit.population for fit in fits):
         return None
-    table = text_table("between specimens", "mean ± standard error", "95 %", "SD", "95 %", text=5)
+    table = make_text_table("between specimens", "mean ± standard error", "95 %", "SD", "95 %", text=5)
     for fit in fits:
         if fit.population is None:
             continue

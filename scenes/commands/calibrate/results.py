@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calibration.fit.result import describe_method_agreement
-from scenes.commands.calibrate.fits import print_fits
+from scenes.commands.calibrate.fits import print_fit_tables
 from scenes.commands.shared.text_table import print_sentence
 
 if TYPE_CHECKING:
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from calibration.fit.result import CalibrationResult
 
 
-def print_results(results: Sequence[CalibrationResult], output: Path, console: Console) -> None:
+def print_calibration_results(results: Sequence[CalibrationResult], output: Path, console: Console) -> None:
     """Print tables and remarks of each campaign, and the written files.
 
     Args:
@@ -26,18 +26,19 @@ def print_results(results: Sequence[CalibrationResult], output: Path, console: C
     """
     for result in results:
         print_sentence(console, result.campaign.name)
-        print_fits(result, console)
+        print_fit_tables(result, console)
     for sentence in describe_method_agreement(results):
         print_sentence(console, sentence)
     for result in results:
         if result.resumed:
-            _print_path(console, f"read from {result.output}, where this calibration was already finished")
+            _print_sentence_with_path(console,
+                                      f"read from {result.output}, where this calibration was already finished")
         else:
-            _print_path(console, f"wrote {result.output / 'report.html'}")
+            _print_sentence_with_path(console, f"wrote {result.output / 'report.html'}")
     if len(results) > 1:
-        _print_path(console, f"wrote {output / 'summary.csv'}")
+        _print_sentence_with_path(console, f"wrote {output / 'summary.csv'}")
 
 
-def _print_path(console: Console, text: str) -> None:
+def _print_sentence_with_path(console: Console, text: str) -> None:
     """Print a sentence with a path on one line of any length, so that the path can be copied."""
     console.print(text, markup=False, emoji=False, soft_wrap=True)

@@ -6,11 +6,11 @@ import os
 from contextlib import contextmanager
 from pathlib import Path
 
-from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.log_lines import LogLines
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, make_integer_type
-from scenes.commands.view import add_page_flags, read_page_options
+from scenes.commands.shared.log_lines import TaskLogLines
+from scenes.commands.shared.parsing import CommandParser, add_json_flag, add_overwrite_flag, make_integer_parser
+from scenes.commands.view import add_page_flags, make_page_options
 
 SUMMARY = "measure a virtual specimen, calibrate its material and predict tests that the calibration did not use"
 EXAMPLE = "tissue-sim demo --hidden --view -o my-demo"
@@ -22,22 +22,22 @@ HIDDEN_FOLDER = Path("tissue-sim-demo-hidden")
 _MAX_SEED = 10_000
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim demo`."""
     parser.add_argument("--hidden", action="store_true",
                         help="hide a random effect (or none) in the specimen or the rig, diagnose the measurements, "
                              "then reveal the effect")
     parser.add_argument("-o", dest="output", type=Path, metavar="DIR",
                         help=f"folder of the results (default: {FOLDER} or {HIDDEN_FOLDER}, replaced by every run)")
-    parser.add_argument("--seed", type=make_integer_type(0), metavar="N",
+    parser.add_argument("--seed", type=make_integer_parser(0), metavar="N",
                         help="seed of the measurement noise (default: 0); with --hidden also of the hidden effect "
                              "(default: random)")
     parser.add_argument("--view", action="store_true",
                         help="then show the calibrated indentation test and the measurements on a page in the browser; "
                              "with --hidden the models with and without the found effect")
-    add_overwrite(parser)
+    add_overwrite_flag(parser)
     add_page_flags(parser)
-    add_json(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run, resume_hint="run the command again with --overwrite")
 
 
@@ -46,20 +46,20 @@ def run(arguments) -> int:
     # The demo replaces its default folder without a flag; a folder named by the user needs --overwrite.
     overwrite = arguments.overwrite or arguments.output is None
     if arguments.hidden:
-        return _run_hidden(arguments, arguments.output or HIDDEN_FOLDER, overwrite)
+        return _run_hidden_effect_demo(arguments, arguments.output or HIDDEN_FOLDER, overwrite)
     from scenes.demo.virtual_test import run_demo
 
     output = arguments.output or FOLDER
-    answer = run_demo(output, overwrite=overwrite, console=results_console(quiet=arguments.json),
+    answer = run_demo(output, overwrite=overwrite, console=make_results_console(quiet=arguments.json),
                       seed=arguments.seed or 0)
     if arguments.json:
         print_json(answer)
     if arguments.view:
-        return _show_page(arguments, output, Path(answer["material_file"]))
+        return _serve_result_page(arguments, output, Path(answer["material_file"]))
     return ExitCode.DONE
 
 
-def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
+def _run_hidden_effect_demo(arguments, output: Path, overwrite: bool) -> int:
     """Run the demo with a hidden effect."""
     import random
 
@@ -67,42 +67,43 @@ def _run_hidden(arguments, output: Path, overwrite: bool) -> int:
     from scenes.demo.hidden_test import run_hidden_demo
 
     seed = random.SystemRandom().randrange(_MAX_SEED) if arguments.seed is None else arguments.seed
-    answer = run_hidden_demo(output, seed=seed, overwrite=overwrite, progress=_show_progress(quiet=arguments.json),
-                             console=results_console(quiet=arguments.json),
+    answer = run_hidden_demo(output, seed=seed, overwrite=overwrite,
+                             progress=_display_demo_progress(quiet=arguments.json),
+                             console=make_results_console(quiet=arguments.json),
                              workers=Workers(min(2, os.cpu_count() or 1)))
     if arguments.json:
-        print_json(answer.to_json())
+        print_json(answer.make_json_object())
     if arguments.view:
         from scenes.commands.demo.found_scene import make_before_and_after_scene
-        from scenes.viewer.run import run_page
+        from scenes.viewer.run import run_viewer_page
 
-        return run_page(make_before_and_after_scene(answer.result, output / "measured"), answer.result.output,
-                        read_page_options(arguments), json=arguments.json)
+        return run_viewer_page(make_before_and_after_scene(answer.result, output / "measured"), answer.result.output,
+                               make_page_options(arguments), json=arguments.json)
     return ExitCode.DONE
 
 
 @contextmanager
-def _show_progress(*, quiet: bool):
+def _display_demo_progress(*, quiet: bool):
     """Show the progress inside the block; the display is removed before the results are printed.
 
     Yields:
         Function that shows the current task.
     """
-    from scenes.commands.shared.progress import CampaignProgress
+    from scenes.commands.shared.progress import CampaignProgressDisplay
 
-    with CampaignProgress(progress_console(quiet=quiet), lines=LogLines(quiet=quiet)) as progress:
+    with CampaignProgressDisplay(make_progress_console(quiet=quiet), lines=TaskLogLines(quiet=quiet)) as progress:
         yield progress.show_task
 
 
-def _show_page(arguments, output: Path, material_file: Path) -> int:
-    """Show the page of an indentation of the calibrated material, with the measurements."""
+def _serve_result_page(arguments, output: Path, material_file: Path) -> int:
+    """Serve the viewer's page with an indentation of the calibrated material and the measurements."""
     import tissue_sim as ts
     from scenes.demo.specimen import DEPTH, SPECIMEN
-    from scenes.viewer.run import run_page
-    from scenes.viewer.scene import Scene, read_measurements
+    from scenes.viewer.run import run_viewer_page
+    from scenes.viewer.scene import Scene, read_measurements_by_kind
     from tissue_sim.experiment.kinds.indentation import NEEDLE
 
     experiment = NEEDLE.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH))
-    measured = read_measurements(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
+    measured = read_measurements_by_kind(sorted((output / "measured").glob("*.csv")), NEEDLE.name)
     scene = Scene(NEEDLE, experiment, ts.load_material(material_file), material_file.name, measured)
-    return run_page(scene, material_file.parent, read_page_options(arguments), json=arguments.json)
+    return run_viewer_page(scene, material_file.parent, make_page_options(arguments), json=arguments.json)

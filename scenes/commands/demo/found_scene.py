@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tissue_sim as ts
-from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, add_effect
+from scenes.demo.hidden_effect import HIDEABLE_EFFECTS, NEEDLE, make_model_with_effect
 from scenes.demo.hidden_test import KINDS, build_plain_models
 from scenes.viewer.measurement import make_motion_protocol
-from scenes.viewer.scene import Scene, read_measurements
+from scenes.viewer.scene import Scene, read_measurements_by_kind
 
 if TYPE_CHECKING:
     from calibration import Diagnosis, DiagnosisResult
@@ -28,9 +28,9 @@ def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scen
         measured: folder of the recordings.
     """
     diagnosis = result.diagnosis
-    test = _select_test(diagnosis)
+    test = _select_most_informative_test(diagnosis)
     kind = ts.KINDS[KINDS[test]]
-    measurements = read_measurements(sorted(measured.glob("*.csv")), kind.name)
+    measurements = read_measurements_by_kind(sorted(measured.glob("*.csv")), kind.name)
     plain = build_plain_models()[test]
     fitted = {name: diagnosis.fit_before.parameters[name] for name in plain.material.parameters}
     found = plain = replace(plain, material=replace(plain.material, parameters=fitted, name="plain model"))
@@ -41,7 +41,7 @@ def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scen
         values = {number.path.partition("@")[0]: number.value for number in each.parameters
                   if number.path.startswith(("experiment.", "rig."))}
         if values and (not each.tests or test in each.tests):
-            found = add_effect(each.name, values, found)
+            found = make_model_with_effect(each.name, values, found)
     compared = None
     if diagnosis.effects:
         name = f"without {' and '.join(each.title for each in diagnosis.effects)}"
@@ -51,7 +51,7 @@ def make_before_and_after_scene(result: DiagnosisResult, measured: Path) -> Scen
     return Scene(kind, found.experiment, found.material, source, measurements, rig=found.rig, compared=compared)
 
 
-def _select_test(diagnosis: Diagnosis) -> str:
+def _select_most_informative_test(diagnosis: Diagnosis) -> str:
     """Return the name of the test that shows the found effects best."""
     if not diagnosis.effects or any(each.category == "tissue" for each in diagnosis.effects):
         return NEEDLE

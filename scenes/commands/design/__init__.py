@@ -5,18 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from scenes.commands.shared.campaigns import add_workers
-from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.campaigns import add_worker_flags
+from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.log_lines import LogLines
-from scenes.commands.shared.parsing import Parser, add_json, make_integer_type
+from scenes.commands.shared.log_lines import TaskLogLines
+from scenes.commands.shared.parsing import CommandParser, add_json_flag, make_integer_parser
 
 SUMMARY = "predict, before an experiment, the errors of the material parameters and which effects are detectable"
 EXAMPLE = "tissue-sim design plan.toml --replicates 3 --workers 2"
 
 
 @dataclass(frozen=True)
-class DesignFlagSettings:
+class DesignFlagDefaults:
     """Defaults and limits of the flags, as of `calibration.design_experiments`.
 
     Attributes:
@@ -31,31 +31,32 @@ class DesignFlagSettings:
 
 
 #: Defaults of the command.
-FLAGS = DesignFlagSettings()
+FLAGS = DesignFlagDefaults()
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim design`."""
     parser.add_argument("campaign", type=Path, metavar="CAMPAIGN.toml",
                         help='campaign file with method = "inverse_fem", the expected parameters as start, and force_N '
                              'under [noise]; each test has recordings or a motion such as protocol = "ramp 10mm; '
                              'hold 60s; unload"')
-    parser.add_argument("--replicates", type=make_integer_type(1), default=FLAGS.replicates, metavar="N",
+    parser.add_argument("--replicates", type=make_integer_parser(1), default=FLAGS.replicates, metavar="N",
                         help=f"number of recordings of each planned test (default: {FLAGS.replicates})")
-    parser.add_argument("--samples", type=make_integer_type(FLAGS.min_samples), default=FLAGS.samples, metavar="N",
+    parser.add_argument("--samples", type=make_integer_parser(FLAGS.min_samples), default=FLAGS.samples, metavar="N",
                         help=f"number of samples of a recording, evenly spaced in time (default: {FLAGS.samples})")
     parser.add_argument("--law", help="material law, one of the laws of the campaign (default: its first law)")
-    add_workers(parser, "the evaluation of the effects")
-    add_json(parser)
+    add_worker_flags(parser, "the evaluation of the effects")
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
 def run(arguments) -> int:
     """Predict and print the accuracy of the planned experiments."""
     from calibration import Workers, design_experiments
-    from scenes.commands.shared.progress import CampaignProgress
+    from scenes.commands.shared.progress import CampaignProgressDisplay
 
-    with CampaignProgress(progress_console(quiet=arguments.json), lines=LogLines(quiet=arguments.json)) as progress:
+    with CampaignProgressDisplay(make_progress_console(quiet=arguments.json),
+                                 lines=TaskLogLines(quiet=arguments.json)) as progress:
         design = design_experiments(arguments.campaign, law=arguments.law, replicates=arguments.replicates,
                                     samples=arguments.samples, progress=progress.show_task,
                                     workers=Workers(arguments.workers, arguments.dask))
@@ -64,7 +65,7 @@ def run(arguments) -> int:
 
         print_json(to_builtins(design))
     else:
-        from scenes.commands.design.results import print_design
+        from scenes.commands.design.results import print_design_tables
 
-        print_design(design, results_console())
+        print_design_tables(design, make_results_console())
     return ExitCode.DONE

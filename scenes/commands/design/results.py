@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from calibration.report.diagnosis_tables import format_candidate_label, format_candidate_labels, format_detectable_sizes
 from calibration.report.rounding import format_value_and_error
 from calibration.report.units import ReportUnits
-from scenes.commands.shared.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import make_text_table, print_sentence
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from calibration.diagnosis.design import Design
 
 
-def print_design(design: Design, console: Console) -> None:
+def print_design_tables(design: Design, console: Console) -> None:
     """Print the predicted accuracy of planned experiments as tables."""
     law = find_law(design.law)
     modulus = law.mu0({name: design.parameters[name] for name in law.parameters if name in design.parameters}) \
@@ -26,16 +26,16 @@ def print_design(design: Design, console: Console) -> None:
                                                  max(test.force_N for test in design.tests), modulus)
     noise = ReportUnits.choose_for_typical_sizes(1e-3, design.noise_N, modulus).force
     print_sentence(console, f"{design.campaign}: {law.title}, sensor noise {noise.format_quantity(design.noise_N, 3)}")
-    tables = [_make_tests_table(design, units), _parameters_table(design, units)]
-    effects = [_make_detectable_table(design, units), _make_undetectable_table(design)]
+    tables = [_make_planned_tests_table(design, units), _make_expected_errors_table(design, units)]
+    effects = [_make_detectable_effects_table(design, units), _make_undetectable_effects_table(design)]
     for table in [*tables, *(each for each in effects if each is not None)]:
         console.print()
         console.print(table)
 
 
-def _make_tests_table(design: Design, units: ReportUnits) -> Table:
+def _make_planned_tests_table(design: Design, units: ReportUnits) -> Table:
     """Return the table of the planned tests."""
-    table = text_table("planned test", "recordings", "samples", "depth", "largest force", "duration")
+    table = make_text_table("planned test", "recordings", "samples", "depth", "largest force", "duration")
     for test in design.tests:
         table.add_row(test.name, str(test.recordings), str(test.samples),
                       units.length.format_quantity(1e-3 * test.depth_mm, 3),
@@ -44,9 +44,9 @@ def _make_tests_table(design: Design, units: ReportUnits) -> Table:
     return table
 
 
-def _parameters_table(design: Design, units: ReportUnits) -> Table:
+def _make_expected_errors_table(design: Design, units: ReportUnits) -> Table:
     """Return the table of the parameters with their expected standard errors."""
-    table = text_table("parameter", "expected", "error")
+    table = make_text_table("parameter", "expected", "error")
     for name, value in design.parameters.items():
         unit, error = units.choose_parameter_unit(design.units[name]), design.standard_errors[name]
         known = {None: "not determined", 0.0: "fixed"}.get(error, "")
@@ -57,13 +57,13 @@ def _parameters_table(design: Design, units: ReportUnits) -> Table:
     return table
 
 
-def _make_detectable_table(design: Design, units: ReportUnits) -> Table | None:
+def _make_detectable_effects_table(design: Design, units: ReportUnits) -> Table | None:
     """Return the table of detectable effects, with their smallest detectable size and effects that look alike."""
     labels = format_candidate_labels(design.candidates)
     rows = [each for each in design.candidates if each.testable]
     if not rows:
         return None
-    table = text_table("effect", "detectable from", "similar to", text=3)
+    table = make_text_table("effect", "detectable from", "similar to", text=3)
     table.columns[2].no_wrap = False
     for each in rows:
         table.add_row(format_candidate_label(each), format_detectable_sizes(each, units),
@@ -72,12 +72,12 @@ def _make_detectable_table(design: Design, units: ReportUnits) -> Table | None:
     return table
 
 
-def _make_undetectable_table(design: Design) -> Table | None:
+def _make_undetectable_effects_table(design: Design) -> Table | None:
     """Return the table of undetectable effects, with the reason and the experiment that would detect them."""
     rows = [each for each in design.candidates if not each.testable]
     if not rows:
         return None
-    table = text_table("not detectable", "reason", "detectable with", text=3)
+    table = make_text_table("not detectable", "reason", "detectable with", text=3)
     for column in table.columns[1:]:
         column.no_wrap = False
     for each in rows:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from scenes.commands.shared.campaigns import add_run_flags, show_campaign_progress
-from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.campaigns import add_campaign_flags, show_campaign_progress
+from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser
+from scenes.commands.shared.parsing import CommandParser
 
 SUMMARY = "find where simulation and measurement disagree, and name the physical effect that the model lacks"
 EXAMPLE = "tissue-sim diagnose campaign.toml -o diagnosis --workers 2"
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim diagnose`."""
     parser.add_argument("campaigns", type=Path, nargs="+", metavar="CAMPAIGN.toml",
                         help='campaign files with method = "inverse_fem"')
@@ -21,7 +21,7 @@ def add_arguments(parser: Parser) -> None:
                         help="folder for the diagnosis and the report; a folder of the same diagnosis is resumed")
     parser.add_argument("--law", help="material law of the model, one of the laws of the campaign (default: its first "
                                       "law)")
-    add_run_flags(parser, "the starts, the effects and their fits")
+    add_campaign_flags(parser, "the starts, the effects and their fits")
     parser.set_defaults(run=run)
 
 
@@ -31,7 +31,7 @@ def run(arguments) -> int:
 
     with show_campaign_progress(arguments, "diagnosis.json") as progress:
         results = diagnose(arguments.campaigns, arguments.output, overwrite=arguments.overwrite,
-                           progress=progress.show_task, announce=progress.print_above,
+                           progress=progress.show_task, announce=progress.print_above_display,
                            figures_format=arguments.figures_format, law=arguments.law,
                            workers=Workers(arguments.workers, arguments.dask))
     if arguments.json:
@@ -41,5 +41,5 @@ def run(arguments) -> int:
     else:
         from scenes.commands.diagnose.results import print_diagnoses
 
-        print_diagnoses(results, results_console())
+        print_diagnoses(results, make_results_console())
     return ExitCode.DONE

@@ -18,7 +18,7 @@ from calibration.report.drawing import format_count
 from calibration.report.page import format_parameter_estimate
 from calibration.report.rounding import format_criterion_difference
 from calibration.report.units import ReportUnits
-from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
+from scenes.commands.shared.text_table import TABLES, make_text_table, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -38,26 +38,26 @@ def print_diagnoses(results: Sequence[DiagnosisResult], console: Console) -> Non
         console.print()
         for sentence in list_misfit_sentences(diagnosis):
             print_sentence(console, f"- {sentence}")
-        tables = (_make_effects_table(diagnosis, units), _parameters_table(diagnosis, units),
-                  _make_held_out_table(diagnosis, units))
+        tables = (_make_likely_effects_table(diagnosis, units), _make_parameter_changes_table(diagnosis, units),
+                  _make_held_out_errors_table(diagnosis, units))
         for table in tables:
             if table is not None:
                 console.print()
                 console.print(table)
         console.print()
-        for sentence in _list_remarks(diagnosis):
+        for sentence in _list_diagnosis_remarks(diagnosis):
             print_sentence(console, sentence)
         read = " (this diagnosis was already finished)" if result.resumed else ""
         console.print(f"{'read' if result.resumed else 'wrote'} {result.output / 'report.html'}{read}", markup=False,
                       emoji=False, soft_wrap=True)
 
 
-def _make_effects_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | None:
+def _make_likely_effects_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | None:
     """Return the table of the most likely effects that the tests can detect; None without such an effect."""
     detectable = [each for each in diagnosis.candidates if each.testable]
     if not detectable:
         return None
-    table = text_table("effect", "score", "dBIC", "explains", "odds against", "detectable from", text=1)
+    table = make_text_table("effect", "score", "dBIC", "explains", "odds against", "detectable from", text=1)
     for each in detectable[:TABLES.max_effects]:
         table.add_row(format_candidate_label(each), "-" if each.score is None else f"{each.score:.1f}",
                       "-" if each.delta_BIC is None else format_criterion_difference(each.delta_BIC),
@@ -67,11 +67,11 @@ def _make_effects_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | Non
     return table
 
 
-def _parameters_table(diagnosis: Diagnosis, units: ReportUnits) -> Table:
+def _make_parameter_changes_table(diagnosis: Diagnosis, units: ReportUnits) -> Table:
     """Return the table of the parameters before and after the found effects were added to the model."""
     before, after = diagnosis.fit_before, diagnosis.fit_after
     headings = ["parameter", "without effects", *([] if after is None else ["with effects", "error without"])]
-    table = text_table(*headings)
+    table = make_text_table(*headings)
     names = dict.fromkeys((*before.parameters, *(() if after is None else after.parameters)))
     for name in names:
         row = [(before if name in before.parameters else after or before).symbols[name]]
@@ -82,11 +82,11 @@ def _parameters_table(diagnosis: Diagnosis, units: ReportUnits) -> Table:
     return table
 
 
-def _make_held_out_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | None:
-    """Return the table of the errors in data that the fits did not use; None without such data."""
+def _make_held_out_errors_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | None:
+    """Return the table of the prediction errors in data that the fits did not use; None without such data."""
     if not diagnosis.held_out:
         return None
-    table = text_table("held-out data", "error before", "error after", "noise", "adequate")
+    table = make_text_table("held-out data", "error before", "error after", "noise", "adequate")
     for each in diagnosis.held_out:
         sizes = ["-" if size is None else units.force.format_quantity(size, 2)
                  for size in (each.before_N, each.after_N, each.noise_N)]
@@ -95,7 +95,7 @@ def _make_held_out_table(diagnosis: Diagnosis, units: ReportUnits) -> Table | No
     return table
 
 
-def _list_remarks(diagnosis: Diagnosis) -> Iterator[str]:
+def _list_diagnosis_remarks(diagnosis: Diagnosis) -> Iterator[str]:
     """Yield sentences on further effects, undetectable effects, the next experiments and the computing time."""
     detectable = sum(each.testable for each in diagnosis.candidates)
     if detectable > TABLES.max_effects:

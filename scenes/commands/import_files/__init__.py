@@ -6,15 +6,15 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.parsing import (
-    Parser,
-    add_json,
-    add_overwrite,
-    make_integer_type,
+    CommandParser,
+    add_json_flag,
+    add_overwrite_flag,
+    make_integer_parser,
     parse_interface,
-    parse_positive,
+    parse_positive_number,
 )
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.kinds.kind import KINDS
@@ -34,7 +34,7 @@ _GENERAL_SIZES = ("radius_mm", "area_mm2", "height_mm")
 _TEST_KEYS = ("tool", "tool_radius_mm", "friction", "speed_mm_s", "max_strain", "control")
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim import`."""
     parser.add_argument("files", type=Path, nargs="+", metavar="FILE",
                         help="data file: text in any common encoding, xlsx, xls, ods, mat, tdms, h5, or a file of an "
@@ -45,24 +45,25 @@ def add_arguments(parser: Parser) -> None:
     test = parser.add_argument_group(
         "information that the files do not contain (without the flag the campaign has a line to fill in)")
     test.add_argument("--kind", choices=tuple(KINDS), metavar="KIND", help=f"kind of test: {', '.join(KINDS)}")
-    test.add_argument("--shape", choices=_list_specimen_shapes(),
+    test.add_argument("--shape", choices=_list_shapes_with_size_flags(),
                       help="shape of the specimen (default: cylinder, or a prism with --area-mm2)")
-    test.add_argument("--radius-mm", type=parse_positive, metavar="N", help="radius of a cylindrical specimen")
-    test.add_argument("--area-mm2", type=parse_positive, metavar="N",
+    test.add_argument("--radius-mm", type=parse_positive_number, metavar="N", help="radius of a cylindrical specimen")
+    test.add_argument("--area-mm2", type=parse_positive_number, metavar="N",
                       help="cross-sectional area of the specimen, instead of the radius")
-    test.add_argument("--height-mm", type=parse_positive, metavar="N",
+    test.add_argument("--height-mm", type=parse_positive_number, metavar="N",
                       help="height of the specimen; gauge length in tension, thickness in shear")
     for key, size in specimen_sizes().items():
         if key not in _GENERAL_SIZES:
-            test.add_argument(f"--{key.replace('_', '-')}", type=parse_positive, metavar="N",
+            test.add_argument(f"--{key.replace('_', '-')}", type=parse_positive_number, metavar="N",
                               help=f"{size.field.replace('_', ' ')} of a specimen of shape {' or '.join(size.shapes)}")
     test.add_argument("--tool", metavar="SHAPE", help="shape of the indentation tool: flat, round, cone, sphere")
-    test.add_argument("--tool-radius-mm", type=parse_positive, metavar="N", help="radius of the indentation tool")
+    test.add_argument("--tool-radius-mm", type=parse_positive_number, metavar="N",
+                      help="radius of the indentation tool")
     test.add_argument("--friction", type=parse_interface, metavar="CONTACT",
                       help="contact between plates and specimen: bonded, stick, frictionless or a friction coefficient")
-    test.add_argument("--speed-mm-s", type=parse_positive, metavar="N",
+    test.add_argument("--speed-mm-s", type=parse_positive_number, metavar="N",
                       help="constant speed of the test, for files without a time or displacement column")
-    test.add_argument("--max-strain", type=parse_positive, metavar="N", help="largest strain used in the fit")
+    test.add_argument("--max-strain", type=parse_positive_number, metavar="N", help="largest strain used in the fit")
     test.add_argument("--control", choices=("displacement", "force"),
                       help="quantity that the machine controls: a force that stays equal to the last digit is held, or "
                            "its sensor is saturated (default: determined from the curve)")
@@ -89,14 +90,14 @@ def add_arguments(parser: Parser) -> None:
     columns.add_argument("--delimiter", metavar="C", help="delimiter of the columns of a text file (default: detected)")
     columns.add_argument("--decimal", choices=(".", ","), metavar=".|,",
                          help="decimal mark; the other one separates thousands (default: detected)")
-    columns.add_argument("--curve", action="append", type=make_integer_type(1), metavar="N",
+    columns.add_argument("--curve", action="append", type=make_integer_parser(1), metavar="N",
                          help="number of a recording in the file, from 1; once for each recording (default: all)")
     columns.add_argument("--one-material", action="store_true",
                          help="treat all tables of a file as replicates of one material, even if their titles differ")
-    columns.add_argument("--skip-lines", type=make_integer_type(0), default=0, metavar="N",
+    columns.add_argument("--skip-lines", type=make_integer_parser(0), default=0, metavar="N",
                          help="number of lines to skip at the top")
-    add_overwrite(parser)
-    add_json(parser)
+    add_overwrite_flag(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run, resume_hint="nothing was written")
 
 
@@ -117,9 +118,9 @@ def run(arguments) -> int:
     if arguments.json:
         print_json(to_json(imported))
     else:
-        from scenes.commands.import_files.results import print_imported
+        from scenes.commands.import_files.results import print_import_result
 
-        print_imported(imported, results_console())
+        print_import_result(imported, make_results_console())
     return ExitCode.DONE if imported.complete else ExitCode.GOAL_MISSED
 
 
@@ -141,7 +142,7 @@ def _make_import_options(arguments):
             to_si(unit)
         except InputError as error:
             raise InputError(f"{channel}: {error.problem}", field="--unit") from None
-    signs = {channel: _parse_number(text, "--sign")
+    signs = {channel: _parse_flag_number(text, "--sign")
              for channel, text in _parse_channel_values(arguments.sign, "--sign").items()}
     for channel, sign in signs.items():
         if sign not in (1, -1):
@@ -154,22 +155,22 @@ def _make_import_options(arguments):
     if arguments.radius_mm is not None and arguments.area_mm2 is not None:
         raise InputError("cannot be combined with --radius-mm. Give one of them", field="--area-mm2")
     hints = ColumnHints(_parse_channel_values(arguments.column, "--column"), units,
-                        {channel: _parse_positive_number(text) for channel, text in scales.items()},
+                        {channel: _parse_scale_factor(text) for channel, text in scales.items()},
                         {channel: int(sign) for channel, sign in signs.items()}, arguments.kind, arguments.format,
-                        _parse_sheets(arguments.sheet), arguments.delimiter, arguments.skip_lines,
+                        _parse_sheet_selection(arguments.sheet), arguments.delimiter, arguments.skip_lines,
                         measures=_parse_channel_values(arguments.measure, "--measure"), decimal=arguments.decimal,
                         curve=arguments.curve, one_material=arguments.one_material)
-    specimen = _make_specimen_keys(arguments)
+    specimen = _make_specimen_table(arguments)
     test = {key: value for key in _TEST_KEYS if (value := getattr(arguments, key)) is not None}
     return ImportOptions(hints, specimen, test, laws, arguments.zero)
 
 
-def _list_specimen_shapes() -> tuple[str, ...]:
+def _list_shapes_with_size_flags() -> tuple[str, ...]:
     """Return the shapes of specimens whose sizes are flags."""
     return tuple(dict.fromkeys(shape for size in specimen_sizes().values() for shape in size.shapes))
 
 
-def _make_specimen_keys(arguments) -> dict[str, float | str]:
+def _make_specimen_table(arguments) -> dict[str, float | str]:
     """Return the keys of the specimen in the campaign.
 
     Raises:
@@ -208,7 +209,7 @@ def _parse_channel_values(texts: Sequence[str], flag: str) -> dict[str, str]:
     return found
 
 
-def _parse_number(text: str, flag: str) -> float:
+def _parse_flag_number(text: str, flag: str) -> float:
     """Convert the value of a flag to a number."""
     try:
         return float(text)
@@ -216,15 +217,15 @@ def _parse_number(text: str, flag: str) -> float:
         raise InputError(f"must be a number; got {text!r}", field=flag) from None
 
 
-def _parse_positive_number(text: str) -> float:
+def _parse_scale_factor(text: str) -> float:
     """Convert a value of ``--scale`` to a positive number."""
-    value = _parse_number(text, "--scale")
+    value = _parse_flag_number(text, "--scale")
     if not 0 < value < float("inf"):
         raise InputError(f"must be positive; got {text}. Use --sign to reverse a column", field="--scale")
     return value
 
 
-def _parse_sheets(names: list[str] | None) -> Any:
+def _parse_sheet_selection(names: list[str] | None) -> Any:
     """Return the sheets of ``--sheet``: one, a list of several, or None; a number is an index from 1."""
     if names is None:
         return None

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from rich.markup import escape
 
 from calibration.importing.assumption_table import HEADINGS, list_unused_columns, make_assumption_rows
-from scenes.commands.shared.text_table import TABLES, print_sentence, text_table
+from scenes.commands.shared.text_table import TABLES, make_text_table, print_sentence
 from tissue_sim.units import get_display_unit
 
 if TYPE_CHECKING:
@@ -20,9 +20,10 @@ if TYPE_CHECKING:
 _DELIMITER_NAMES = {"\t": "tab", " ": "spaces", ",": "comma", ";": "semicolon", "|": "bar", None: ""}
 
 
-def print_imported(imported: Imported, console: Console) -> None:
+def print_import_result(imported: Imported, console: Console) -> None:
     """Print the recordings, the assumptions, warnings, written files and missing information of an import."""
-    files = text_table("file", "format", "test", "samples", "Hz", "reaches", "contact", "cycles", "segments", text=3)
+    files = make_text_table("file", "format", "test", "samples", "Hz", "reaches", "contact", "cycles", "segments",
+                            text=3)
     for column in (0, 1, 2, 6, 8):
         files.columns[column].no_wrap, files.columns[column].overflow = False, "fold"
     files.columns[8].justify = "left"
@@ -30,15 +31,15 @@ def print_imported(imported: Imported, console: Console) -> None:
             for number, motion in enumerate(part.motions, start=1)]
     for name, part, number, motion in rows[:TABLES.max_recordings]:
         several = f" {number}" if len(part.motions) > 1 else ""
-        files.add_row(part.file.name + several, _describe_format(part), name,
+        files.add_row(part.file.name + several, _describe_file_format(part), name,
                       str(len(part.reading.recordings[number - 1])),
-                      "-" if motion.rate is None else f"{motion.rate:.3g}", _format_reach(part, motion),
-                      _format_contact(motion), str(motion.cycles), ", ".join(_list_segment_names(motion)))
+                      "-" if motion.rate is None else f"{motion.rate:.3g}", _format_largest_motion(part, motion),
+                      _format_contact_displacement(motion), str(motion.cycles), ", ".join(_summarise_segments(motion)))
     console.print(files)
     if len(rows) > TABLES.max_recordings:
         print_sentence(console, f"and {len(rows) - TABLES.max_recordings} more recordings")
     console.print()
-    _print_assumptions(imported, console)
+    _print_assumption_table(imported, console)
     for test in imported.tests:
         print_sentence(console, f"{test.name}: {test.kind or 'kind unknown'}; {test.reason}")
     for each in list_unused_columns(imported.tests):
@@ -58,13 +59,13 @@ def print_imported(imported: Imported, console: Console) -> None:
         print_sentence(console, f"next: tissue-sim calibrate {imported.output} -o results")
 
 
-def _print_assumptions(imported: Imported, console: Console) -> None:
+def _print_assumption_table(imported: Imported, console: Console) -> None:
     """Print the table of the assumptions, without columns that are empty in all rows."""
     rows = [row.cells for row in make_assumption_rows(imported.tests)]
     if not rows:
         return
     used = [i for i in range(len(HEADINGS)) if any(cells[i] for cells in rows)]
-    table = text_table(*(HEADINGS[i] for i in used), text=len(used))
+    table = make_text_table(*(HEADINGS[i] for i in used), text=len(used))
     for column in table.columns:
         column.no_wrap, column.overflow = False, "fold"
     for cells in rows:
@@ -73,7 +74,7 @@ def _print_assumptions(imported: Imported, console: Console) -> None:
     console.print()
 
 
-def _describe_format(part: Part) -> str:
+def _describe_file_format(part: Part) -> str:
     """Return format, delimiter, number style and encoding of a file, such as ``bluehill, comma``."""
     understood = part.understanding
     mark = _DELIMITER_NAMES.get(understood.delimiter, str(understood.delimiter))
@@ -84,7 +85,7 @@ def _describe_format(part: Part) -> str:
     return ", ".join(filter(None, (understood.format, mark, comma, thousands, encoding)))
 
 
-def _format_reach(part: Part, motion: Motion) -> str:
+def _format_largest_motion(part: Part, motion: Motion) -> str:
     """Return the largest displacement, stretch or shear strain of a motion in its display unit.
 
     A question mark follows a value whose unit is unknown.
@@ -95,7 +96,7 @@ def _format_reach(part: Part, motion: Motion) -> str:
     return f"{max(motion.reach, key=abs) * factor:.4g} {unit}".strip()
 
 
-def _format_contact(motion: Motion) -> str:
+def _format_contact_displacement(motion: Motion) -> str:
     """Return the displacement of the first contact, as in the file, with its 95 % interval."""
     contact = motion.contact
     if contact is None or contact.status == "none":
@@ -107,7 +108,7 @@ def _format_contact(motion: Motion) -> str:
     return f"{factor * contact.displacement:.3g} ({low:.3g} to {high:.3g}){unit}"
 
 
-def _list_segment_names(motion: Motion) -> list[str]:
+def _summarise_segments(motion: Motion) -> list[str]:
     """Return the names of the segments; of more than four segments the number of each, such as ``8 ramp``."""
     names = [segment.name for segment in motion.segments]
     if len(names) <= 4:

@@ -9,23 +9,29 @@ from pathlib import Path
 
 from haptics.devices.back_ends import HAPTIC_DEVICES, MOTIONS
 from scenes.catalogue import SCENES
-from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
 from scenes.commands.shared.experiment_flags import (
     MOTION_FLAGS,
     add_experiment_flags,
-    check_scene,
-    make_experiment,
-    make_protocol,
-    refuse_corrections,
+    make_experiment_from_flags,
+    make_protocol_from_flags,
+    refuse_curve_corrections,
+    require_known_scene,
 )
-from scenes.commands.shared.parsing import Parser, add_json, make_integer_type, parse_non_negative, parse_positive
+from scenes.commands.shared.parsing import (
+    CommandParser,
+    add_json_flag,
+    make_integer_parser,
+    parse_non_negative_number,
+    parse_positive_number,
+)
 from scenes.commands.shared.tissue_flags import (
     add_reduced_flag,
     add_solver_flags,
-    check_solver,
-    read_material,
-    read_reduced,
+    load_material_or_default,
+    load_reduced_model,
+    require_known_solver,
 )
 from tissue_sim.errors import InputError
 
@@ -36,7 +42,7 @@ _UPDATE_INTERVAL = 0.25
 
 
 @dataclass(frozen=True)
-class LoopDefaults:
+class LoopFlagDefaults:
     """Default values of the flags.
 
     Coupling, passivity controller and energy limit apply to devices with a force limit only. Their values keep the
@@ -62,17 +68,17 @@ class LoopDefaults:
     energy_limit: float = 1.0
 
 
-DEFAULTS = LoopDefaults()
+DEFAULTS = LoopFlagDefaults()
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim loop`."""
     parser.add_argument("scene", metavar="SCENE", nargs="?", default="needle_indentation",
                         help=f"test to simulate: {', '.join(SCENES)} (default: %(default)s)")
     parser.add_argument("--material", type=Path, metavar="FILE",
                         help="material file NAME.material.json (default: silicone of the reference study, law "
                              "reduced_polynomial_2)")
-    parser.add_argument("--seconds", type=parse_positive, metavar="N", default=60.0,
+    parser.add_argument("--seconds", type=parse_positive_number, metavar="N", default=60.0,
                         help="duration of the loop; Ctrl-C ends it earlier (default: 60)")
     add_solver_flags(parser)
     add_reduced_flag(parser)
@@ -85,23 +91,23 @@ def add_arguments(parser: Parser) -> None:
                         help="haptic device that moves the tool and displays the force, instead of --motion: one of "
                              f"{', '.join(HAPTIC_DEVICES)}; 'virtual:sine:depth_mm=5' simulates a hand that follows a "
                              "sine motion and yields to the force")
-    source.add_argument("--top-speed-mm-s", type=parse_positive, metavar="N", default=200.0,
+    source.add_argument("--top-speed-mm-s", type=parse_positive_number, metavar="N", default=200.0,
                         help="speed limit of the random motion (default: 200)")
-    source.add_argument("--frequency-hz", type=parse_positive, metavar="N", default=1.0,
+    source.add_argument("--frequency-hz", type=parse_positive_number, metavar="N", default=1.0,
                         help="frequency of the sine motion (default: 1)")
-    source.add_argument("--sideways-mm", type=parse_non_negative, metavar="N",
+    source.add_argument("--sideways-mm", type=parse_non_negative_number, metavar="N",
                         help="largest lateral displacement of the random motion, along x and y in both directions "
                              "(default: 0; with --reduced the size of its box of poses)")
-    source.add_argument("--turn-deg", type=parse_non_negative, metavar="N",
+    source.add_argument("--turn-deg", type=parse_non_negative_number, metavar="N",
                         help="largest rotation of the random motion, about any axis (default: 0; with --reduced the "
                              "size of its box of poses)")
-    source.add_argument("--seed", type=make_integer_type(0), metavar="N", default=0,
+    source.add_argument("--seed", type=make_integer_parser(0), metavar="N", default=0,
                         help="seed of the random motion (default: 0)")
     timing = parser.add_argument_group("timing and safety")
-    timing.add_argument("--spin-us", type=parse_non_negative, metavar="N", default=0.0,
+    timing.add_argument("--spin-us", type=parse_non_negative_number, metavar="N", default=0.0,
                         help="busy-wait this long before each tick instead of sleeping: more exact ticks, but a higher "
                              "processor load (default: 0)")
-    timing.add_argument("--budget-us", type=parse_non_negative, metavar="N", default=DEFAULTS.budget_us,
+    timing.add_argument("--budget-us", type=parse_non_negative_number, metavar="N", default=DEFAULTS.budget_us,
                         help="time limit of a simulation step; a step that reaches it returns the force of the last "
                              "equilibrium, extrapolated with its stiffness; 0: no limit (default: "
                              f"{DEFAULTS.budget_us:g})")
@@ -110,27 +116,27 @@ def add_arguments(parser: Parser) -> None:
                              "(default: auto)")
     timing.add_argument("--no-real-time", action="store_true",
                         help="do not request real-time scheduling (SCHED_FIFO) and locked memory")
-    timing.add_argument("--force-limit-N", type=parse_positive, metavar="N",
+    timing.add_argument("--force-limit-N", type=parse_positive_number, metavar="N",
                         help=f"largest rendered force (default: {DEFAULTS.force_limit:g}, or the limit of the device)")
-    timing.add_argument("--force-rate-N", type=parse_positive, metavar="N", default=DEFAULTS.force_rate,
+    timing.add_argument("--force-rate-N", type=parse_positive_number, metavar="N", default=DEFAULTS.force_rate,
                         help=f"largest change of the rendered force per tick (default: {DEFAULTS.force_rate:g})")
-    timing.add_argument("--coupling-stiffness-N-m", type=parse_non_negative, metavar="N",
+    timing.add_argument("--coupling-stiffness-N-m", type=parse_non_negative_number, metavar="N",
                         help="stiffness of the virtual coupling, a spring between device and tool; 0: no coupling "
                              f"(default: {DEFAULTS.coupling_stiffness:g} for a device with a force limit, otherwise 0)")
-    timing.add_argument("--coupling-damping-N-s-m", type=parse_non_negative, metavar="N",
+    timing.add_argument("--coupling-damping-N-s-m", type=parse_non_negative_number, metavar="N",
                         help=f"damping of the virtual coupling (default: {DEFAULTS.coupling_damping:g})")
-    timing.add_argument("--passivity-damping-N-s-m", type=parse_non_negative, metavar="N",
+    timing.add_argument("--passivity-damping-N-s-m", type=parse_non_negative_number, metavar="N",
                         help="largest damping of the passivity controller, which acts while the hand has received more "
                              "energy than it put in; 0: no controller (default: "
                              f"{DEFAULTS.passivity_damping:g} for a device with a force limit, otherwise 0)")
-    timing.add_argument("--energy-limit-J", type=parse_positive, metavar="N",
+    timing.add_argument("--energy-limit-J", type=parse_positive_number, metavar="N",
                         help="switch the force off when the hand has received this much more energy than it put in "
                              f"(default: {DEFAULTS.energy_limit:g} for a device with a force limit, otherwise none)")
     timing.add_argument("--ring", type=Path, metavar="FILE",
                         help="file of the ring buffer, from which viewers and recorders read the ticks (default: a "
                              "temporary file in memory)")
     add_experiment_flags(parser)
-    add_json(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
@@ -140,8 +146,8 @@ def run(arguments) -> int:
     Raises:
         InputError: flags that contradict each other, or values that scene, motion or device do not accept.
     """
-    check_scene(arguments.scene)
-    refuse_corrections(arguments)
+    require_known_scene(arguments.scene)
+    refuse_curve_corrections(arguments)
     name = arguments.device or arguments.motion or ("protocol" if arguments.protocol else "random")
     if arguments.device and arguments.motion:
         raise InputError("cannot be combined with --device. Give one of them", field="--motion")
@@ -152,24 +158,28 @@ def run(arguments) -> int:
         if getattr(arguments, flag) is not None and name != "random":
             raise InputError("applies only to the random motion of the other flags; leave --motion and --device out, "
                              "or write random:sideways_mm=...,turn_deg=...", field="--" + flag.replace("_", "-"))
-    check_solver(arguments.solver)
-    reduced = read_reduced(arguments)
+    require_known_solver(arguments.solver)
+    reduced = load_reduced_model(arguments)
 
     from haptics.loop.loop import LoopSettings
     from haptics.loop.process import LoopError, LoopProcess
     from haptics.loop.tissue_factory import make_real_time_tissue_factory
     from tissue_sim import Model
 
-    material = reduced.model.material if reduced and not arguments.material else read_material(arguments.material)
-    protocol = make_protocol(arguments)
-    model = Model(reduced.model.experiment if reduced else make_experiment(arguments, protocol, material), material)
+    if reduced and not arguments.material:
+        material = reduced.model.material
+    else:
+        material = load_material_or_default(arguments.material)
+    protocol = make_protocol_from_flags(arguments)
+    model = Model(reduced.model.experiment if reduced else make_experiment_from_flags(arguments, protocol, material),
+                  material)
     settings = LoopSettings(seconds=arguments.seconds, spin=arguments.spin_us * 1e-6,
                             real_time=not arguments.no_real_time)
     if reduced:
-        limit_to_box(arguments, reduced)
-    device = open_source(arguments, name, protocol, lifts=reduced is None or reduced.lifting == 0)
+        limit_motion_to_reduced_model(arguments, reduced)
+    device = open_tool_motion_source(arguments, name, protocol, lifts=reduced is None or reduced.lifting == 0)
     device.set_approach(model.experiment.approach)
-    rendering = make_rendering(arguments, device.largest_force)
+    rendering = make_force_rendering(arguments, device.largest_force)
     # With a coupling, inertia is stable in time; but if inertia makes most steps late, the force is up to six times too
     # large (docs/haptic_rendering.md).
     inertia = "off" if rendering.coupling is not None and arguments.inertia == "auto" else arguments.inertia
@@ -179,20 +189,20 @@ def run(arguments) -> int:
                                                 mesh=reduced)
     process = LoopProcess(make_tissue, device, rendering, settings, ring_path=arguments.ring)
     try:
-        report, interrupted = run_to_end(process, arguments.seconds, quiet=arguments.json)
+        report, interrupted = run_loop_to_end(process, arguments.seconds, quiet=arguments.json)
     except LoopError as error:
         print(f"tissue-sim: {error}", file=sys.stderr)
         return ExitCode.GOAL_MISSED
     if arguments.json:
         print_json({"scene": arguments.scene, "motion": name, **report.as_json()})
     else:
-        from scenes.commands.loop.report import print_report
+        from scenes.commands.loop.report import print_loop_report
 
-        print_report(report, results_console())
+        print_loop_report(report, make_results_console())
     return ExitCode.INTERRUPTED if interrupted else ExitCode.DONE
 
 
-def limit_to_box(arguments, reduced) -> None:
+def limit_motion_to_reduced_model(arguments, reduced) -> None:
     """Set ``sideways_mm`` and ``turn_deg`` of the arguments to the box of poses of a reduced model where they are None.
 
     A tilted tool moves sideways as it goes deeper, which leaves less of the box for lateral motion.
@@ -212,7 +222,7 @@ def limit_to_box(arguments, reduced) -> None:
                              f"{asked:g}", field=f"--{name.replace('_', '-')}")
 
 
-def open_source(arguments, name: str, protocol, *, lifts: bool = True):
+def open_tool_motion_source(arguments, name: str, protocol, *, lifts: bool = True):
     """Open the motion or the haptic device that moves the tool.
 
     Args:
@@ -239,7 +249,7 @@ def open_source(arguments, name: str, protocol, *, lifts: bool = True):
     return open_motion(motions_of_flags.get(name, name))
 
 
-def make_rendering(arguments, largest_force: float):
+def make_force_rendering(arguments, largest_force: float):
     """Return the force rendering of the flags: limits, virtual coupling, passivity controller and energy limit.
 
     Args:
@@ -260,22 +270,22 @@ def make_rendering(arguments, largest_force: float):
                          "smaller limit, or raise the limit in the settings of the device", field="--force-limit-N")
     has_limit = math.isfinite(largest_force)
 
-    def with_default(value: float | None, device_default: float) -> float:
+    def choose_value_or_default(value: float | None, device_default: float) -> float:
         return value if value is not None else device_default if has_limit else 0.0
 
-    stiffness = with_default(arguments.coupling_stiffness_N_m, DEFAULTS.coupling_stiffness)
+    stiffness = choose_value_or_default(arguments.coupling_stiffness_N_m, DEFAULTS.coupling_stiffness)
     damping = arguments.coupling_damping_N_s_m
     if damping and not stiffness:
         raise InputError("requires a coupling. Add --coupling-stiffness-N-m", field="--coupling-damping-N-s-m")
     coupling = VirtualCoupling(stiffness, DEFAULTS.coupling_damping if damping is None else damping) \
         if stiffness else None
-    passivity_damping = with_default(arguments.passivity_damping_N_s_m, DEFAULTS.passivity_damping)
+    passivity_damping = choose_value_or_default(arguments.passivity_damping_N_s_m, DEFAULTS.passivity_damping)
     energy_limit = arguments.energy_limit_J or (DEFAULTS.energy_limit if has_limit else math.inf)
     return ForceRendering(ForceLimits(limit, arguments.force_rate_N), coupling,
                           controller_damping=passivity_damping or None, energy_limit=EnergyLimit(energy_limit))
 
 
-def run_to_end(process, seconds: float, *, quiet: bool):
+def run_loop_to_end(process, seconds: float, *, quiet: bool):
     """Run the loop process to its end, with a status line on a terminal.
 
     Args:
@@ -291,18 +301,18 @@ def run_to_end(process, seconds: float, *, quiet: bool):
         KeyboardInterrupt: Ctrl-C before the first tick.
     """
     from haptics.loop.process import LoopError
-    from scenes.commands.loop.report import LiveLine
+    from scenes.commands.loop.report import LoopStatusLine
 
-    console = progress_console(quiet=quiet)
+    console = make_progress_console(quiet=quiet)
     with process, console.status("starting") as status:
         try:
             process.wait_until_ready(progress=status.update)
             with process.ring() as ring:
-                live = LiveLine(ring, seconds)
+                live = LoopStatusLine(ring, seconds)
                 console.print(f"ring: {process.ring_path}", markup=False, soft_wrap=True)
                 while (report := process.wait(_UPDATE_INTERVAL)) is None:
                     if not console.quiet:
-                        status.update(live.text())
+                        status.update(live.format_new_status())
             return report, False
         except KeyboardInterrupt:
             # The loop may tick already although this process has not read the message yet.

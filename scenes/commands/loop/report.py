@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from haptics.loop.ticker import TICKER
-from scenes.commands.shared.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import make_text_table, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -28,7 +28,7 @@ _FLAG_DESCRIPTIONS = {
 }
 
 
-class LiveLine:
+class LoopStatusLine:
     """Status of a running loop in one line, read from its ring buffer without disturbing the loop.
 
     Args:
@@ -39,7 +39,7 @@ class LiveLine:
     def __init__(self, ring: RingReader, seconds: float):
         self._ring, self._seconds, self._number = ring, seconds, 0
 
-    def text(self) -> str:
+    def format_new_status(self) -> str:
         """Return the status line for the ticks since the last call."""
         ticks = self._ring.since(self._number)
         self._number, records = ticks.number, ticks.records
@@ -52,11 +52,11 @@ class LiveLine:
                 f"late {newest['late']}, missed {newest['missed']}")
 
 
-def print_report(report: LoopReport, console: Console) -> None:
+def print_loop_report(report: LoopReport, console: Console) -> None:
     """Print the report of the loop: a table of lateness and compute time, then one sentence for each other result."""
     from rich.text import Text
 
-    table = text_table("", "p50", "p99", "p99.9", "max")
+    table = make_text_table("", "p50", "p99", "p99.9", "max")
     answer = report.as_json()
     for title, key in (("lateness [us]", "lateness_us"), ("compute time [us]", "compute_us")):
         # As text: rich reads brackets as markup.

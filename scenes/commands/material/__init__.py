@@ -5,9 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from scenes.commands.shared.console import print_json, results_console
+from scenes.commands.shared.console import make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, check_output, parse_positive
+from scenes.commands.shared.parsing import (
+    CommandParser,
+    add_json_flag,
+    add_overwrite_flag,
+    check_output_file,
+    parse_positive_number,
+)
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -32,26 +38,26 @@ _EXPORT = ("convert a material file to the format of another program",
            "tissue-sim material export m.material.json --to abaqus -o m.inp")
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the actions of `tissue-sim material` and their arguments."""
     actions = parser.add_subparsers(title="actions", metavar="ACTION", required=True)
 
-    def action(name, texts, run) -> Parser:
+    def add_action(name, texts, run) -> CommandParser:
         inner = actions.add_parser(name, help=texts[0], description=texts[0], epilog=f"example:\n  {texts[1]}")
         inner.set_defaults(run=run)
-        add_json(inner)
+        add_json_flag(inner)
         return inner
 
-    new = action("new", _NEW, run_new)
+    new = add_action("new", _NEW, write_new_material)
     new.add_argument("--law", required=True,
                      help="material law: neo_hooke, mooney_rivlin, reduced_polynomial_1 to _3, ogden_1 to _3, or a law "
                           "of an installed package")
     new.add_argument("--set", dest="settings", action="append", default=[], metavar="NAME=VALUE",
                      help="value of a parameter of the law, in Pa (exponents without unit); once for each parameter")
     bulk = new.add_mutually_exclusive_group()
-    bulk.add_argument("--bulk-ratio", type=parse_positive, metavar="N",
+    bulk.add_argument("--bulk-ratio", type=parse_positive_number, metavar="N",
                       help="bulk modulus K over shear modulus mu0, 2 to 1e6")
-    bulk.add_argument("--bulk-modulus-pa", type=parse_positive, metavar="N",
+    bulk.add_argument("--bulk-modulus-pa", type=parse_positive_number, metavar="N",
                       help="bulk modulus K in Pa, 2 to 1e6 times mu0")
     bulk.add_argument("--incompressible", action="store_true", help="incompressible material (default)")
     new.add_argument("--prony", action="append", default=[], metavar="G,TAU_S",
@@ -64,21 +70,21 @@ def add_arguments(parser: Parser) -> None:
                      help="material of a named region of the specimen mesh, from another material file; its parameters "
                           "are copied without standard errors; once for each region")
     new.add_argument("--name", default="", help="name of the material")
-    new.add_argument("--density-kg-m3", type=parse_positive, metavar="N", help="density of the material")
+    new.add_argument("--density-kg-m3", type=parse_positive_number, metavar="N", help="density of the material")
     new.add_argument("-o", dest="output", type=Path, required=True, metavar="FILE",
                      help="material file NAME.material.json")
-    add_overwrite(new)
-    show, check = action("show", _SHOW, run_show), action("check", _CHECK, run_check)
-    export = action("export", _EXPORT, run_export)
+    add_overwrite_flag(new)
+    show, check = add_action("show", _SHOW, print_material_file), add_action("check", _CHECK, check_material_stability)
+    export = add_action("export", _EXPORT, export_material_file)
     for each in (show, check, export):
         each.add_argument("file", type=Path, metavar="FILE", help="material file NAME.material.json")
     export.add_argument("--to", required=True, metavar="PROGRAM",
                         help="abaqus (also read by CalculiX), or a program that an installed package adds")
     export.add_argument("-o", dest="output", type=Path, required=True, metavar="OUT", help="output file")
-    add_overwrite(export)
+    add_overwrite_flag(export)
 
 
-def run_new(arguments) -> int:
+def write_new_material(arguments) -> int:
     """Write a material file from the parameters of the flags.
 
     Raises:
@@ -86,17 +92,18 @@ def run_new(arguments) -> int:
     """
     import tissue_sim as ts
 
-    check_output(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".material.json",))
+    check_output_file(arguments.output, "-o", overwrite=arguments.overwrite, suffixes=(".material.json",))
     if arguments.bulk_ratio is not None:
         bulk = ts.Bulk("bulk_ratio", arguments.bulk_ratio)
     elif arguments.bulk_modulus_pa is not None:
         bulk = ts.Bulk("K_Pa", arguments.bulk_modulus_pa)
     else:
         bulk = ts.Bulk()
-    material = ts.Material(arguments.law, read_settings(arguments.settings), bulk, density=arguments.density_kg_m3,
-                           name=arguments.name, viscoelastic=read_prony(arguments.prony, arguments.moduli),
-                           regions=read_regions(arguments.region))
-    check_bulk(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
+    material = ts.Material(arguments.law, parse_parameter_settings(arguments.settings), bulk,
+                           density=arguments.density_kg_m3,
+                           name=arguments.name, viscoelastic=parse_prony_terms(arguments.prony, arguments.moduli),
+                           regions=load_region_materials(arguments.region))
+    check_bulk_modulus_range(material, "--bulk-ratio" if arguments.bulk_ratio is not None else "--bulk-modulus-pa")
     ts.write_material_file(ts.MaterialFile.of(material), arguments.output)
     if arguments.json:
         print_json({"material_file": str(arguments.output)})
@@ -104,13 +111,13 @@ def run_new(arguments) -> int:
         from calibration.report.units import format_pressure
 
         relaxed = "" if material.viscoelastic is None else f", long-term mu {format_pressure(material.mu_long_term)}"
-        results_console().print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "
-                                f"mu0 {format_pressure(material.mu0)}{relaxed}", markup=False, soft_wrap=True)
+        make_results_console().print(f"wrote {arguments.output}: E0 {format_pressure(material.E0)}, "
+                                     f"mu0 {format_pressure(material.mu0)}{relaxed}", markup=False, soft_wrap=True)
     return ExitCode.DONE
 
 
-def check_bulk(material, option: str) -> None:
-    """Check the bulk modulus of a material against the range of the finite elements.
+def check_bulk_modulus_range(material, option: str) -> None:
+    """Raise an error if the ratio K / mu0 of a material is outside the verified range of the finite elements.
 
     Args:
         material: new material.
@@ -129,7 +136,7 @@ def check_bulk(material, option: str) -> None:
                          f"got {ratio:.4g}. Change the value, or use --incompressible", field=option)
 
 
-def read_settings(settings: list[str]) -> dict[str, float]:
+def parse_parameter_settings(settings: list[str]) -> dict[str, float]:
     """Read parameters from texts such as ``C10=1404.9``.
 
     Returns:
@@ -153,7 +160,7 @@ def read_settings(settings: list[str]) -> dict[str, float]:
     return parameters
 
 
-def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) -> Prony | None:
+def parse_prony_terms(terms: list[str], moduli: Literal["instantaneous", "long_term"]) -> Prony | None:
     """Read a Prony series from texts such as ``0.3,2`` (g = 0.3, tau = 2 s).
 
     Args:
@@ -185,7 +192,7 @@ def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) 
         raise error.located(field="--prony") from None
 
 
-def read_regions(regions: list[str]) -> dict[str, Material]:
+def load_region_materials(regions: list[str]) -> dict[str, Material]:
     """Load the materials of regions from texts such as ``tumour=stiff.material.json``.
 
     Returns:
@@ -208,40 +215,45 @@ def read_regions(regions: list[str]) -> dict[str, Material]:
     return read
 
 
-def run_show(arguments) -> int:
+def print_material_file(arguments) -> int:
     """Print a material file."""
-    from scenes.commands.material.summary import print_summary, summarise
+    from scenes.commands.material.summary import print_material_summary, summarise_material_file
     from tissue_sim import read_material_file
 
-    summary = summarise(read_material_file(arguments.file))
+    summary = summarise_material_file(read_material_file(arguments.file))
     if arguments.json:
         print_json(summary)
     else:
-        print_summary(summary, results_console())
+        print_material_summary(summary, make_results_console())
     return ExitCode.DONE
 
 
-def run_check(arguments) -> int:
+def check_material_stability(arguments) -> int:
     """Check the stability of a material; `ExitCode.GOAL_MISSED` if it is unstable in its valid range."""
-    from scenes.commands.material.summary import describe_effects, describe_instability, describe_moduli, summarise
+    from scenes.commands.material.summary import (
+        describe_drucker_instability,
+        list_effect_lines,
+        list_moduli_lines,
+        summarise_material_file,
+    )
     from tissue_sim import read_material_file
 
     material_file = read_material_file(arguments.file)
-    instability = describe_instability(material_file)
-    summary = summarise(material_file)
-    notes = describe_effects(summary)
+    instability = describe_drucker_instability(material_file)
+    summary = summarise_material_file(material_file)
+    notes = list_effect_lines(summary)
     # The moduli are printed only where effects may make instantaneous and long-term moduli differ.
-    notes = [*describe_moduli(summary), *notes] if notes else []
+    notes = [*list_moduli_lines(summary), *notes] if notes else []
     if arguments.json:
         print_json({"material_file": str(arguments.file), "stable": instability is None,
                     "message": instability or "good", "notes": notes})
     else:
         for sentence in (*notes, f"{arguments.file}: {instability or 'good'}"):
-            results_console().print(sentence, markup=False, soft_wrap=True)
+            make_results_console().print(sentence, markup=False, soft_wrap=True)
     return ExitCode.DONE if instability is None else ExitCode.GOAL_MISSED
 
 
-def run_export(arguments) -> int:
+def export_material_file(arguments) -> int:
     """Write a material in the format of another program.
 
     Raises:
@@ -252,7 +264,7 @@ def run_export(arguments) -> int:
     from tissue_sim.atomic_write import write_text
     from tissue_sim.exports import EXPORTERS
 
-    check_output(arguments.output, "-o", overwrite=arguments.overwrite)
+    check_output_file(arguments.output, "-o", overwrite=arguments.overwrite)
     write = EXPORTERS.find(arguments.to, "--to")
     material = load_material(arguments.file)
     try:
@@ -263,5 +275,5 @@ def run_export(arguments) -> int:
     if arguments.json:
         print_json({"file": str(arguments.output), "to": arguments.to})
     else:
-        results_console().print(f"wrote {arguments.output} for {arguments.to}", markup=False, soft_wrap=True)
+        make_results_console().print(f"wrote {arguments.output} for {arguments.to}", markup=False, soft_wrap=True)
     return ExitCode.DONE

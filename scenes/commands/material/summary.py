@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 RANGE_TOLERANCE = 0.01
 
 
-def summarise(material_file: MaterialFile) -> dict[str, Any]:
+def summarise_material_file(material_file: MaterialFile) -> dict[str, Any]:
     """Return the JSON object of ``material show``; the names of the keys contain the units.
 
     It holds formula, parameters, moduli, effects beyond the hyperelastic law, stability in each loading mode, valid
@@ -53,7 +53,7 @@ def summarise(material_file: MaterialFile) -> dict[str, Any]:
     }
 
 
-def describe_instability(material_file: MaterialFile) -> str | None:
+def describe_drucker_instability(material_file: MaterialFile) -> str | None:
     """Describe the loss of Drucker stability of a law inside the valid stretch range of its file.
 
     The law must be stable in uniaxial, planar and equibiaxial loading, also in each region. A file without a valid
@@ -110,7 +110,7 @@ def find_valid_stretch_range(material_file: MaterialFile) -> tuple[float, float]
     return float(low), float(high)
 
 
-def describe_moduli(summary: dict[str, Any]) -> list[str]:
+def list_moduli_lines(summary: dict[str, Any]) -> list[str]:
     """Return lines with the moduli: one line of an elastic material; instantaneous and long-term of a relaxing one."""
     K = "incompressible" if summary["incompressible"] else f"K {format_pressure(summary['K_Pa'])}"
     E0, mu0 = format_pressure(summary["E0_Pa"]), format_pressure(summary["mu0_Pa"])
@@ -122,7 +122,7 @@ def describe_moduli(summary: dict[str, Any]) -> list[str]:
             f"{format_pressure(summary['mu_long_term_Pa'])}; the parameters above are {stated} values"]
 
 
-def describe_effects(summary: dict[str, Any]) -> list[str]:
+def list_effect_lines(summary: dict[str, Any]) -> list[str]:
     """Return one line for each effect beyond the hyperelastic law, such as viscoelasticity, and for each region."""
     lines = []
     if series := summary["viscoelastic"]:
@@ -156,15 +156,15 @@ def _format_with_error(entry: dict[str, Any], key: str, absent: float | None = N
     return f"{entry.get(key, absent):.6g}" + ("" if error is None else f" +- {error:.2g}")
 
 
-def print_summary(summary: dict[str, Any], console: Console) -> None:
-    """Print the object of `summarise` as text and a table."""
+def print_material_summary(summary: dict[str, Any], console: Console) -> None:
+    """Print the object of `summarise_material_file` as text and a table."""
     from rich.table import Table
 
-    def line(text: str) -> None:
+    def print_line(text: str) -> None:
         console.print(text, markup=False, soft_wrap=True)
 
-    line(f"{summary['name'] or 'unnamed'}: {summary['title']} ({summary['law']})")
-    line(summary["formula"])
+    print_line(f"{summary['name'] or 'unnamed'}: {summary['title']} ({summary['law']})")
+    print_line(summary["formula"])
     table = Table("parameter", "value", "standard error", "unit")
     for column in table.columns[1:3]:
         column.justify = "right"
@@ -172,31 +172,31 @@ def print_summary(summary: dict[str, Any], console: Console) -> None:
         error = parameter.get("standard_error")
         table.add_row(name, f"{parameter['value']:.6g}", "-" if error is None else f"{error:.3g}", parameter["unit"])
     console.print(table)
-    for sentence in describe_moduli(summary):
-        line(sentence)
-    for sentence in describe_effects(summary):
-        line(sentence)
+    for sentence in list_moduli_lines(summary):
+        print_line(sentence)
+    for sentence in list_effect_lines(summary):
+        print_line(sentence)
     if summary["density_kg_m3"] is not None:
-        line(f"density {summary['density_kg_m3']:g} kg/m3")
+        print_line(f"density {summary['density_kg_m3']:g} kg/m3")
     low, high = summary["stability"]["stretch_range"]
     for mode, (lower, upper) in summary["stability"]["modes"].items():
         ends = " and ".join(name for name, lost in (("below", lower > low), ("above", upper < high)) if lost)
-        line(f"stable in {mode} loading: stretch {lower:.3g} to {upper:.3g} "
-             f"({f'unstable {ends}' if ends else 'no instability found'})")
+        print_line(f"stable in {mode} loading: stretch {lower:.3g} to {upper:.3g} "
+                   f"({f'unstable {ends}' if ends else 'no instability found'})")
     for title in ("valid_range", "provenance"):
         content = summary[title]
-        line(f"{title.replace('_', ' ')}: {'not stated' if not content else ''}".rstrip())
+        print_line(f"{title.replace('_', ' ')}: {'not stated' if not content else ''}".rstrip())
         for key, value in (content or {}).items():
             if value not in (None, [], {}):
-                line(f"  {key}: {_format_entry(value)}")
+                print_line(f"  {key}: {_format_summary_entry(value)}")
 
 
-def _format_entry(value: Any) -> str:
+def _format_summary_entry(value: Any) -> str:
     """Format an entry of valid range or provenance on one line."""
     if isinstance(value, list | tuple):
         if all(isinstance(entry, dict) for entry in value):
             return ", ".join(str(entry["file"]) for entry in value)
-        return " to ".join(_format_entry(entry) for entry in value)
+        return " to ".join(_format_summary_entry(entry) for entry in value)
     if isinstance(value, dict):
-        return ", ".join(f"{key} {_format_entry(entry)}" for key, entry in value.items())
+        return ", ".join(f"{key} {_format_summary_entry(entry)}" for key, entry in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)

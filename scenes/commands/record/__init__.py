@@ -9,10 +9,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.parsing import Parser, add_json
-from scenes.stop_signals import stopped_by_signals
+from scenes.commands.shared.parsing import CommandParser, add_json_flag
+from scenes.stop_signals import call_stop_at_signals
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ EXAMPLE = "tissue-sim record protocol.toml -o run --dry-run"
 CAMPAIGN = "campaign.toml"
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim record`."""
     parser.add_argument("protocol", type=Path, metavar="PROTOCOL.toml",
                         help="campaign file with a protocol for each test and the tables [limits], [devices], [record] "
@@ -44,7 +44,7 @@ def add_arguments(parser: Parser) -> None:
     parser.add_argument("--resume", action="store_true",
                         help="record the missing recordings of an interrupted run; the stage is homed, and zero and "
                              "contact are checked again")
-    add_json(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
@@ -54,17 +54,17 @@ def run(arguments) -> int:
     Raises:
         InputError: an invalid protocol file, or flags that do not suit its tests and devices.
     """
-    from scenes.commands.record.bench import is_virtual, open_bench
+    from scenes.commands.record.bench import make_bench_devices, uses_virtual_rig
     from scenes.commands.record.protocol_file import read_protocol_file
-    from scenes.commands.record.results import print_plans, print_run
+    from scenes.commands.record.results import print_recording_plans, print_run_state
 
     protocol = read_protocol_file(arguments.protocol)
     tests = _select_tests(protocol, arguments.test)
-    console = results_console(quiet=arguments.json)
+    console = make_results_console(quiet=arguments.json)
     if arguments.dry_run:
         from haptics.recorder.plan import check_plans_against_limits
 
-        bench = open_bench(protocol, tests[0])
+        bench = make_bench_devices(protocol, tests[0])
         seconds = sum(check_plans_against_limits([protocol.plans[test.name]], protocol.limits, bench.stage,
                                                  1.0 / bench.sensor.rate)
                       for test in tests)
@@ -74,21 +74,22 @@ def run(arguments) -> int:
                  "replicates": protocol.plans[test.name].replicates} for test in tests]})
         else:
             used = protocol.devices
-            devices = ("Devices: virtual rig; no motor moves." if is_virtual(protocol) else
+            devices = ("Devices: virtual rig; no motor moves." if uses_virtual_rig(protocol) else
                        f"Devices: sensor {used.sensor}, stage {used.stage}; the motor moves only with --arm.")
-            print_plans([protocol.plans[test.name] for test in tests], protocol.limits, bench, devices, seconds,
-                        console)
+            print_recording_plans([protocol.plans[test.name] for test in tests], protocol.limits, bench, devices,
+                                  seconds,
+                                  console)
         return ExitCode.DONE
     if arguments.output is None:
         raise InputError("is required without --dry-run. Name the folder of the run with -o DIR", field="--output")
-    virtual = is_virtual(protocol)
+    virtual = uses_virtual_rig(protocol)
     if not virtual and not arguments.arm:
         raise InputError("is required, because a real motor moves. Check the motion with --dry-run, clear the path of "
                          "the stage, then add --arm", field="--arm")
     if not virtual and len(tests) > 1:
         raise InputError("is required, because only one test can be mounted. Name it: "
                          f"{', '.join(test.name for test in tests)}", field="--test")
-    return _record_tests(arguments, protocol, tests, console, print_run)
+    return _record_tests(arguments, protocol, tests, console, print_run_state)
 
 
 def _select_tests(protocol: ProtocolFile, name: str | None) -> list[Any]:
@@ -124,7 +125,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
     from haptics.recorder.live import LiveProgressFile
     from haptics.recorder.recorder import Recorder
     from haptics.recorder.run_folder import RunFolder
-    from scenes.commands.record.bench import open_bench
+    from scenes.commands.record.bench import make_bench_devices
     from tissue_sim import __version__
 
     folder = RunFolder(arguments.output, protocol.digest)
@@ -136,10 +137,10 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
                                                              "stage": protocol.devices.stage}}
     stopped: str | None = None
     live = LiveProgressFile(arguments.output)
-    with (folder, _watch_for_stop_request(arguments.json) as stop_request, _show_status(arguments.json) as show_status,
-          live.run_writing_thread()):
+    with (folder, _watch_for_stop_request(arguments.json) as stop_request,
+          _display_run_status(arguments.json) as show_status, live.run_writing_thread()):
 
-        def watch(moment: RunProgress) -> None:
+        def publish_and_show_progress(moment: RunProgress) -> None:
             live.set_progress(moment)
             show_status(moment)
 
@@ -148,10 +149,10 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
             if not folder.list_missing_replicates(plan.name, plan.replicates):
                 continue
             try:
-                recorder = Recorder(open_bench(protocol, test), plan, protocol.limits, folder, about=about,
-                                    stop_request=stop_request, on_progress=watch)
+                recorder = Recorder(make_bench_devices(protocol, test), plan, protocol.limits, folder, about=about,
+                                    stop_request=stop_request, on_progress=publish_and_show_progress)
                 # Copied before the motion starts, because a file may change or disappear during the run.
-                for path in protocol.files:
+                for path in protocol.referenced_files:
                     folder.copy_file(path)
                 recorder.run()
             except (StoppedError, DeviceError) as error:
@@ -160,7 +161,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
         if not stopped and not any(folder.list_missing_replicates(plan.name, plan.replicates)
                                    for plan in protocol.plans.values()):
             folder.update_state(state="complete")
-        _write_campaign(protocol, folder)
+        _write_campaign_file(protocol, folder)
     if arguments.json:
         print_json({"state": "stopped" if stopped else folder.state["state"], "message": stopped,
                     "folder": arguments.output,
@@ -177,7 +178,7 @@ def _record_tests(arguments, protocol: ProtocolFile, tests: list[Any], console: 
     return ExitCode.DONE
 
 
-def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
+def _write_campaign_file(protocol: ProtocolFile, folder: RunFolder) -> None:
     """Write the campaign file of the finished recordings; without recordings write nothing."""
     from tissue_sim.atomic_write import write_text
 
@@ -188,7 +189,7 @@ def _write_campaign(protocol: ProtocolFile, folder: RunFolder) -> None:
         missing = [f"{name}_{number}.csv" for name, plan in protocol.plans.items()
                    for number in folder.list_missing_replicates(name, plan.replicates)]
         words = f"# Not recorded yet: {', '.join(missing)}.\n" if missing else ""
-        write_text(folder.folder / CAMPAIGN, words + protocol.campaign_text(recordings, folder.copy_file))
+        write_text(folder.folder / CAMPAIGN, words + protocol.make_campaign_text(recordings, folder.copy_file))
 
 
 @contextmanager
@@ -203,25 +204,25 @@ def _watch_for_stop_request(quiet: bool) -> Iterator[Callable[[], str | None]]:
     """
     requests: list[str] = []
 
-    def read_keyboard() -> None:
+    def wait_for_enter_key() -> None:
         sys.stdin.readline()
         requests.append("stopped at the keyboard")
 
     if not quiet and sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=read_keyboard, name="emergency stop", daemon=True).start()
-    with stopped_by_signals(lambda: requests.append("stopped by a signal (Ctrl-C, or the end of the session)"),
-                            ignore_repeats=True):
+        threading.Thread(target=wait_for_enter_key, name="emergency stop", daemon=True).start()
+    with call_stop_at_signals(lambda: requests.append("stopped by a signal (Ctrl-C, or the end of the session)"),
+                              ignore_repeats=True):
         yield lambda: requests[0] if requests else None
 
 
 @contextmanager
-def _show_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
+def _display_run_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
     """Show position, force and progress of the run on a terminal; elsewhere, or if `quiet`, show nothing.
 
     Yields:
         Function that displays a state of the run.
     """
-    console = progress_console(quiet=quiet)
+    console = make_progress_console(quiet=quiet)
     if console.quiet:
         yield lambda progress: None
         return
@@ -231,10 +232,10 @@ def _show_status(quiet: bool) -> Iterator[Callable[[RunProgress], None]]:
                   transient=True) as progress:
         task = progress.add_task("starting; press Enter to stop", total=1.0)
 
-        def watch(moment: RunProgress) -> None:
+        def update_status_line(moment: RunProgress) -> None:
             replicate = f" {moment.replicate}" if moment.replicate else ""
             progress.update(task, completed=moment.fraction, description=(
                 f"{moment.test}{replicate} {moment.phase}: {moment.position * 1e3:7.3f} mm {moment.force:7.3f} N; "
                 "press Enter to stop"))
 
-        yield watch
+        yield update_status_line

@@ -33,11 +33,11 @@ PROTOCOL_TABLES = ("devices", "virtual", "limits", "record")
 _EXPECTED = "a protocol (TOML)"
 
 
-class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+class _ProtocolTable(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Base class of the tables; unknown keys are errors."""
 
 
-class DevicesTable(_Table, frozen=True, kw_only=True):
+class DevicesTable(_ProtocolTable, frozen=True, kw_only=True):
     """Table ``[devices]``: force sensor and stage of the run.
 
     Attributes:
@@ -49,7 +49,7 @@ class DevicesTable(_Table, frozen=True, kw_only=True):
     stage: str = "virtual:"
 
 
-class VirtualTable(_Table, frozen=True, kw_only=True):
+class VirtualTable(_ProtocolTable, frozen=True, kw_only=True):
     """Table ``[virtual]``: specimen, rig and devices of the virtual rig.
 
     Attributes:
@@ -75,7 +75,7 @@ class VirtualTable(_Table, frozen=True, kw_only=True):
     remembers: bool = False
 
 
-class LimitsTable(_Table, frozen=True, kw_only=True):
+class LimitsTable(_ProtocolTable, frozen=True, kw_only=True):
     """Table ``[limits]``: limits of the motion; a run stops beyond them.
 
     Attributes:
@@ -103,7 +103,7 @@ class LimitsTable(_Table, frozen=True, kw_only=True):
     on_stop: Literal["stand", "retract"] = "stand"
 
 
-class RecordTable(_Table, frozen=True, kw_only=True):
+class RecordTable(_ProtocolTable, frozen=True, kw_only=True):
     """Table ``[record]``: procedure and metadata of the recordings.
 
     Attributes:
@@ -142,7 +142,7 @@ class RecordTable(_Table, frozen=True, kw_only=True):
     notes: str | None = None
 
 
-class _ProtocolTables(_Table, frozen=True, kw_only=True):
+class _ProtocolTables(_ProtocolTable, frozen=True, kw_only=True):
     """All tables of `PROTOCOL_TABLES`."""
 
     devices: DevicesTable = DevicesTable()
@@ -178,11 +178,11 @@ class ProtocolFile:
     content: Mapping[str, Any]
 
     @property
-    def files(self) -> list[Path]:
+    def referenced_files(self) -> list[Path]:
         """Files of meshes, tool profiles and rigs that the tests use."""
         return list_named_files(self.content, self.path.parent)
 
-    def campaign_text(self, recordings: Mapping[str, list[str]], file_name: Callable[[Path], str]) -> str:
+    def make_campaign_text(self, recordings: Mapping[str, list[str]], file_name: Callable[[Path], str]) -> str:
         """Return the campaign file (TOML) of the recordings; tests without recordings are left out.
 
         Args:
@@ -214,19 +214,20 @@ def read_protocol_file(path: Path) -> ProtocolFile:
             raise InputError("is required, because a motor moves. Give force_N, lowest_mm, highest_mm, speed_mm_s, "
                              "duration_s, stiffness_N_per_mm and force_margin_N", field="limits")
         tables = decode(tables_content, _ProtocolTables)
-        campaign = _read_campaign(path, content)
-        lag = _measure_lag(tables.record, path.parent)
-        plans = {test.name: _make_plan(test, tables.record, lag, number, content,
-                                       prism=test.specimen is not None and test.specimen.name in campaign.prisms)
+        campaign = _read_planned_campaign(path, content)
+        lag = _measure_sensor_lag(tables.record, path.parent)
+        plans = {test.name: _make_test_plan(test, tables.record, lag, number, content,
+                                            prism=test.specimen is not None and test.specimen.name in campaign.prisms)
                  for number, test in enumerate(campaign.tests)}
         protocol = ProtocolFile(path, hashlib.sha256(text.encode()).hexdigest(), campaign, plans,
-                                _convert_limits(tables.limits), tables.devices, tables.virtual, tables.record, content)
+                                _convert_limits_to_si(tables.limits), tables.devices, tables.virtual, tables.record,
+                                content)
         if "fit" in content:
-            _check_campaign(protocol)
+            _check_future_campaign(protocol)
         return protocol
 
 
-def _check_campaign(protocol: ProtocolFile) -> None:
+def _check_future_campaign(protocol: ProtocolFile) -> None:
     """Check that ``tissue-sim calibrate`` will accept the campaign of the recordings, before anything is measured.
 
     Raises:
@@ -237,7 +238,7 @@ def _check_campaign(protocol: ProtocolFile) -> None:
         for name, in recordings.values():
             Path(folder, name).touch()
         path = Path(folder, "campaign.toml")
-        path.write_text(protocol.campaign_text(recordings, lambda file: str(file.resolve())), encoding="utf-8")
+        path.write_text(protocol.make_campaign_text(recordings, lambda file: str(file.resolve())), encoding="utf-8")
         try:
             load_campaign(path)
         except InputError as error:
@@ -245,7 +246,7 @@ def _check_campaign(protocol: ProtocolFile) -> None:
                              field=error.field) from None
 
 
-def _read_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
+def _read_planned_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
     """Read the tests as a planned campaign; the tables ``[fit]`` and ``[noise]`` are ignored.
 
     Raises:
@@ -273,7 +274,7 @@ def _read_campaign(path: Path, content: Mapping[str, Any]) -> Campaign:
         Path(file.name).unlink(missing_ok=True)
 
 
-def _measure_lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
+def _measure_sensor_lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
     """Return the lag of the sensor with its 95 % interval, measured in the recording ``lag_from``; None without one."""
     if record.lag_from is None:
         return None
@@ -281,14 +282,14 @@ def _measure_lag(record: RecordTable, folder: Path) -> dict[str, Any] | None:
     return {"value_s": found.value, "interval95_s": list(found.interval), "from": record.lag_from}
 
 
-def _make_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
-               content: Mapping[str, Any], *, prism: bool) -> IndentationPlan:
+def _make_test_plan(test: Any, record: RecordTable, lag: dict[str, Any] | None, number: int,
+                    content: Mapping[str, Any], *, prism: bool) -> IndentationPlan:
     """Return the plan of a test: its motion, replicates, search for contact and metadata.
 
     Args:
         test: test of the campaign.
         record: table ``[record]``.
-        lag: lag of the sensor, from `_lag`.
+        lag: lag of the sensor with its 95 % interval, from `_measure_sensor_lag`; None: not measured.
         number: index of the test.
         content: whole content of the file.
         prism: whether the specimen is a prism of known cross-section only.
@@ -322,7 +323,7 @@ def _make_specimen_metadata(specimen: Specimen, *, prism: bool) -> dict[str, Any
     return {"name": specimen.name, "shape": specimen.shape, **specimen.stated}
 
 
-def _convert_limits(table: LimitsTable) -> MotionLimits:
+def _convert_limits_to_si(table: LimitsTable) -> MotionLimits:
     """Convert the table ``[limits]`` to SI units."""
     return MotionLimits(table.force_N, table.lowest_mm * 1e-3, table.highest_mm * 1e-3, table.speed_mm_s * 1e-3,
                         table.duration_s, table.stiffness_N_per_mm * 1e3, table.force_margin_N, table.sensor_silence_s,

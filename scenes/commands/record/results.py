@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.text_table import print_sentence, text_table
+from scenes.commands.shared.text_table import make_text_table, print_sentence
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from haptics.safety.motion_guard import MotionLimits
 
 
-def print_plans(plans: Sequence[IndentationPlan], limits: MotionLimits, bench: Bench, devices: str, seconds: float,
-                console: Console) -> None:
+def print_recording_plans(plans: Sequence[IndentationPlan], limits: MotionLimits, bench: Bench, devices: str,
+                          seconds: float, console: Console) -> None:
     """Print the planned motion, its duration, the devices and the stop conditions.
 
     Args:
@@ -29,7 +29,7 @@ def print_plans(plans: Sequence[IndentationPlan], limits: MotionLimits, bench: B
         seconds: least duration of all recordings, s.
         console: console of the results.
     """
-    table = text_table("test", "motion", "recordings", "preconditioning", "duration", text=2)
+    table = make_text_table("test", "motion", "recordings", "preconditioning", "duration", text=2)
     table.columns[1].no_wrap = False
     for plan in plans:
         table.add_row(plan.name, plan.motion_summary, f"{plan.replicates}", f"{plan.preconditioning}",
@@ -45,12 +45,12 @@ def print_plans(plans: Sequence[IndentationPlan], limits: MotionLimits, bench: B
                             "After a stop the tool "
                             + ("retracts, unless the position of the stage is unreliable." if limits.retracts else
                                "stays where it is."))
-    print_sentence(console, f"{_describe_crash(bench.stage.runs_on)} "
+    print_sentence(console, f"{_describe_motion_after_crash(bench.stage.runs_on)} "
                             + ("The encoder detects a stalled motor." if bench.stage.measures_position else
                                "A stalled motor is not detected, because the stage reports its commanded position."))
 
 
-def _describe_crash(seconds: float) -> str:
+def _describe_motion_after_crash(seconds: float) -> str:
     """Describe the behaviour of the stage after a crash of the program; `seconds` is how long it can move on."""
     if seconds == 0.0:
         return "If this program crashes, the stage stops."
@@ -58,7 +58,7 @@ def _describe_crash(seconds: float) -> str:
             f"If this program crashes, the stage moves on for at most {seconds:g} s.")
 
 
-def print_run(folder: RunFolder, console: Console) -> None:
+def print_run_state(folder: RunFolder, console: Console) -> None:
     """Print the recordings of a run, its stops and the next command."""
     state = folder.state
     print_sentence(console, f"{len(state['done'])} recordings in {folder.folder}: {', '.join(state['done']) or 'none'}")

@@ -8,51 +8,51 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.console import progress_console
-from scenes.commands.shared.log_lines import LogLines
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, make_integer_type
+from scenes.commands.shared.console import make_progress_console
+from scenes.commands.shared.log_lines import TaskLogLines
+from scenes.commands.shared.parsing import CommandParser, add_json_flag, add_overwrite_flag, make_integer_parser
 
 if TYPE_CHECKING:
-    from scenes.commands.shared.progress import CampaignProgress
+    from scenes.commands.shared.progress import CampaignProgressDisplay
 
 
-def add_run_flags(parser: Parser, tasks: str) -> None:
+def add_campaign_flags(parser: CommandParser, tasks: str) -> None:
     """Add the flags of a command that runs campaigns, and its default ``resume_hint``.
 
     Args:
         parser: parser of the command.
         tasks: tasks that the processes share, in words for the help.
     """
-    add_workers(parser, tasks)
-    add_figures_format(parser)
-    add_overwrite(parser)
-    add_json(parser)
+    add_worker_flags(parser, tasks)
+    add_figures_format_flag(parser)
+    add_overwrite_flag(parser)
+    add_json_flag(parser)
     parser.set_defaults(resume_hint="no campaign was finished. Run the same command to start again")
 
 
 @contextmanager
-def show_campaign_progress(arguments: Namespace, last_file: str) -> Iterator[CampaignProgress]:
+def show_campaign_progress(arguments: Namespace, last_file: str) -> Iterator[CampaignProgressDisplay]:
     """Show the progress of campaigns, and on Ctrl-C set ``arguments.resume_hint`` to the results that are kept.
 
     Args:
         arguments: parsed arguments with ``campaigns``, ``output``, ``overwrite``, ``json`` and ``resume_hint``.
         last_file: name of the file that a finished campaign has in its folder.
     """
-    from scenes.commands.shared.progress import CampaignProgress
+    from scenes.commands.shared.progress import CampaignProgressDisplay
 
-    stamp = read_folder_stamp(arguments.output)
+    stamp = read_result_folder_stamp(arguments.output)
     try:
-        with CampaignProgress(progress_console(quiet=arguments.json), len(arguments.campaigns),
-                              LogLines(quiet=arguments.json)) as progress:
+        with CampaignProgressDisplay(make_progress_console(quiet=arguments.json), len(arguments.campaigns),
+                                     TaskLogLines(quiet=arguments.json)) as progress:
             yield progress
     except KeyboardInterrupt:
         # Until the run writes its stamp, --overwrite leaves the results of another run in the folder.
-        if not arguments.overwrite or read_folder_stamp(arguments.output) != stamp:
-            arguments.resume_hint = describe_resumption(arguments, last_file)
+        if not arguments.overwrite or read_result_folder_stamp(arguments.output) != stamp:
+            arguments.resume_hint = describe_how_to_resume(arguments, last_file)
         raise
 
 
-def add_workers(parser: Parser, tasks: str) -> None:
+def add_worker_flags(parser: CommandParser, tasks: str) -> None:
     """Add ``--workers`` and ``--dask``.
 
     Args:
@@ -60,19 +60,19 @@ def add_workers(parser: Parser, tasks: str) -> None:
         tasks: tasks that the processes share, in words for the help.
     """
     group = parser.add_mutually_exclusive_group()
-    group.add_argument("--workers", type=make_integer_type(1), default=1, metavar="N",
+    group.add_argument("--workers", type=make_integer_parser(1), default=1, metavar="N",
                        help=f"number of processes that share {tasks} (default: 1)")
     group.add_argument("--dask", metavar="ADDRESS",
                        help="share the tasks on a running dask cluster: tcp://HOST:PORT, or its scheduler file")
 
 
-def add_figures_format(parser: Parser) -> None:
+def add_figures_format_flag(parser: CommandParser) -> None:
     """Add ``--figures-format``."""
     parser.add_argument("--figures-format", choices=("svg", "pdf", "png"),
                         help="also write each figure of the report as a file of this format")
 
 
-def read_folder_stamp(output: Path) -> tuple[int, int] | None:
+def read_result_folder_stamp(output: Path) -> tuple[int, int] | None:
     """Identify the calibration or diagnosis to which a result folder belongs.
 
     Returns:
@@ -86,7 +86,7 @@ def read_folder_stamp(output: Path) -> tuple[int, int] | None:
     return file.st_mtime_ns, file.st_ino
 
 
-def describe_resumption(arguments: Namespace, last_file: str) -> str:
+def describe_how_to_resume(arguments: Namespace, last_file: str) -> str:
     """Describe the results that an interrupted command has kept, and how to resume it.
 
     Args:

@@ -21,18 +21,18 @@ def print_json(content: dict[str, Any]) -> None:
         ValueError: NaN or infinity, which JSON does not represent.
         TypeError: a value of a type without a JSON form. Paths are printed as strings.
     """
-    print(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_path_to_str))
+    print(json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False, default=_convert_path_for_json))
 
 
-def _path_to_str(value: Any) -> str:
+def _convert_path_for_json(value: Any) -> str:
     """Convert a path to a string for JSON."""
     if isinstance(value, Path):
         return str(value)
-    raise TypeError(f"{type(value).__name__} has no JSON form")
+    raise TypeError(f"value must be a JSON type or a path; got {value!r}. Convert it before printing.")
 
 
-def results_console(*, quiet: bool = False) -> Console:
-    """Return the console of the results: stdout, or no output if `quiet` (``--json``)."""
+def make_results_console(*, quiet: bool = False) -> Console:
+    """Return a console that prints results on stdout, or prints nothing if `quiet` (``--json``)."""
     from rich.console import Console
 
     class ResultsConsole(Console):
@@ -45,8 +45,8 @@ def results_console(*, quiet: bool = False) -> Console:
     return ResultsConsole(quiet=quiet, width=width, highlight=False, soft_wrap=False)
 
 
-def progress_console(*, quiet: bool = False) -> Console:
-    """Return the console of the progress: stderr, or no output if `quiet` or if stderr is not a terminal."""
+def make_progress_console(*, quiet: bool = False) -> Console:
+    """Return a console that shows progress on stderr, or nothing if `quiet` or if stderr is not a terminal."""
     from rich.console import Console
 
     return Console(stderr=True, quiet=quiet or not sys.stderr.isatty(), highlight=False)

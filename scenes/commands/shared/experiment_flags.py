@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from scenes.catalogue import SCENES
 from scenes.commands.shared.parsing import (
-    Parser,
-    make_integer_type,
-    make_range_type,
+    CommandParser,
+    make_integer_parser,
+    make_number_parser,
     parse_interface,
-    parse_non_negative,
-    parse_positive,
+    parse_non_negative_number,
+    parse_positive_number,
 )
 from tissue_sim.errors import InputError, nearest
 from tissue_sim.experiment.tools.tool import (
@@ -55,7 +55,7 @@ MOTION_FLAGS = MotionFlagSettings()
 DEFAULT_CYLINDER_SIZES = {"radius_mm": 40.0, "height_mm": 70.0}
 
 
-def add_experiment_flags(parser: Parser, *, motion: bool = True) -> None:
+def add_experiment_flags(parser: CommandParser, *, motion: bool = True) -> None:
     """Add the flags of motion, specimen, and tool with interfaces, each in its argument group.
 
     Args:
@@ -64,29 +64,29 @@ def add_experiment_flags(parser: Parser, *, motion: bool = True) -> None:
             dimensions and has no flag --solid.
     """
     if motion:
-        _add_motion(parser)
+        _add_motion_flags(parser)
     needs = "; requires --solid" if motion else ""
-    _add_specimen(parser, needs)
-    _add_tool(parser, needs)
+    _add_specimen_flags(parser, needs)
+    _add_tool_flags(parser, needs)
 
 
-def _add_motion(parser: Parser) -> None:
+def _add_motion_flags(parser: CommandParser) -> None:
     """Add the flags of the motion."""
     motion = parser.add_argument_group("motion")
-    motion.add_argument("--depth-mm", type=parse_positive, metavar="N",
+    motion.add_argument("--depth-mm", type=parse_positive_number, metavar="N",
                         help=f"largest tool displacement of a single ramp (default: {MOTION_FLAGS.depth_mm:g})")
     motion.add_argument("--protocol", metavar="TEXT",
                         help="motion in segments instead of --depth-mm, such as 'approach 2mm; ramp 10mm @0.248mm/s; "
                              "hold 60s; unload; reload; retract 2mm' or 'repeat 3 (ramp 5mm; unload)'")
-    motion.add_argument("--points", type=make_integer_type(2, MOTION_FLAGS.max_points), metavar="N",
+    motion.add_argument("--points", type=make_integer_parser(2, MOTION_FLAGS.max_points), metavar="N",
                         default=MOTION_FLAGS.points,
                         help="number of samples of the ramp, or of each moving segment, its first one included "
                              "(default: 21)")
-    motion.add_argument("--speed-mm-s", type=parse_positive, metavar="N", default=0.248,
+    motion.add_argument("--speed-mm-s", type=parse_positive_number, metavar="N", default=0.248,
                         help="speed of the tool where the protocol states none (default: 0.248)")
 
 
-def _add_specimen(parser: Parser, needs: str) -> None:
+def _add_specimen_flags(parser: CommandParser, needs: str) -> None:
     """Add the flags of the specimen: shape, sizes, mesh file and self-weight.
 
     Args:
@@ -100,7 +100,7 @@ def _add_specimen(parser: Parser, needs: str) -> None:
     for key, (declaration, name, shapes) in specimen_sizes().items():
         size = DEFAULT_CYLINDER_SIZES.get(key)
         default = "" if size is None else f" (default of the cylinder: {size:g})"
-        specimen.add_argument(f"--{key.replace('_', '-')}", type=_make_size_type(declaration), metavar="N",
+        specimen.add_argument(f"--{key.replace('_', '-')}", type=_make_size_parser(declaration), metavar="N",
                               help=f"{name.replace('_', ' ')} of a specimen of shape {' or '.join(shapes)}{default}")
     specimen.add_argument("--mesh", type=Path, metavar="FILE",
                           help="mesh of a specimen of any shape: .msh, .vtu, .vtk or .inp file of tetrahedra or "
@@ -115,21 +115,21 @@ def _add_specimen(parser: Parser, needs: str) -> None:
                                "highest plane, or all faces that point upwards)")
     specimen.add_argument("--gravity", action="store_true",
                           help="apply self-weight; the specimen settles before the test")
-    specimen.add_argument("--density-kg-m3", type=parse_positive, metavar="N",
+    specimen.add_argument("--density-kg-m3", type=parse_positive_number, metavar="N",
                           help="density of the specimen with --gravity (default: density of the material file)")
     specimen.add_argument("--height-is", choices=("moulded", "placed"),
                           help="with --gravity: whether --height-mm is the height before (moulded) or after (placed) "
                                "the specimen settles (default: moulded)")
 
 
-def _add_tool(parser: Parser, needs: str) -> None:
-    """Add the flags of the tool and of the contact at its faces; arguments as of `_add_specimen`."""
+def _add_tool_flags(parser: CommandParser, needs: str) -> None:
+    """Add the flags of the tool and of the contact at its faces; arguments as of `_add_specimen_flags`."""
     tool = parser.add_argument_group("tool and interfaces (default: as the scene defines)")
     tool.add_argument("--tool", metavar="SHAPE",
                       help=f"{', '.join(list_shapes_without_file())}, or a file with the columns r and z of its "
                            "profile")
     for key, (declaration, name, shapes) in tool_sizes().items():
-        tool.add_argument(f"--{key.replace('_', '-')}", type=_make_size_type(declaration), metavar="N",
+        tool.add_argument(f"--{key.replace('_', '-')}", type=_make_size_parser(declaration), metavar="N",
                           help=f"{name.replace('_', ' ')} of a tool of shape {' or '.join(shapes)}")
     tool.add_argument("--friction", type=parse_interface, metavar="CONTACT",
                       help="contact at the face of the tool: bonded, stick (no slip, can lift off), frictionless or a "
@@ -139,24 +139,26 @@ def _add_tool(parser: Parser, needs: str) -> None:
     tool.add_argument("--friction-base", type=parse_interface, metavar="CONTACT",
                       help="contact at the base of the specimen, as for --friction (default between two plates: the "
                            "contact at the face of the tool)")
-    tool.add_argument("--adhesion-N", type=parse_positive, metavar="N", help="pull-off force of the face of the tool")
-    tool.add_argument("--adhesion-length-mm", type=parse_positive, metavar="N", help="gap over which the adhesion acts")
+    tool.add_argument("--adhesion-N", type=parse_positive_number, metavar="N",
+                      help="pull-off force of the face of the tool")
+    tool.add_argument("--adhesion-length-mm", type=parse_positive_number, metavar="N",
+                      help="gap over which the adhesion acts")
     tool.add_argument("--contact-law", action="append", default=[], metavar="NAME:KEY=N,...",
                       help="additional contact law from an installed package; may be given several times")
-    tool.add_argument("--tilt-mm", type=parse_positive, metavar="N",
+    tool.add_argument("--tilt-mm", type=parse_positive_number, metavar="N",
                       help="height difference across the face of a tilted tool; corrects the force curve")
-    tool.add_argument("--offset-mm", type=make_range_type(-1e3, 1e3), metavar="N",
+    tool.add_argument("--offset-mm", type=make_number_parser(-1e3, 1e3), metavar="N",
                       help=f"distance of the needle from the axis of the specimen{needs}")
-    tool.add_argument("--tilt-deg", type=make_range_type(-80.0, 80.0), metavar="N",
+    tool.add_argument("--tilt-deg", type=make_number_parser(-80.0, 80.0), metavar="N",
                       help="angle between the needle and the axis of the specimen; the needle moves along its own "
                            f"axis{needs}")
-    tool.add_argument("--slip", type=make_range_type(0.0, 1.0), metavar="N",
+    tool.add_argument("--slip", type=make_number_parser(0.0, 1.0), metavar="N",
                       help="fraction of the bonded faces that slips: interpolates between the bonded and the "
                            "frictionless test")
 
 
-def check_scene(name: str) -> None:
-    """Check the name of a scene.
+def require_known_scene(name: str) -> None:
+    """Raise an error if no scene has this name.
 
     Raises:
         InputError: unknown scene; the message names the nearest one.
@@ -165,7 +167,7 @@ def check_scene(name: str) -> None:
         raise InputError(f"unknown scene {name!r}{nearest(name, SCENES)}")
 
 
-def make_protocol(arguments) -> Protocol:
+def make_protocol_from_flags(arguments) -> Protocol:
     """Return the motion of the tool: the ramp of ``--depth-mm`` or the segments of ``--protocol``.
 
     Raises:
@@ -182,7 +184,7 @@ def make_protocol(arguments) -> Protocol:
     return Protocol.parse(arguments.protocol, arguments.points, speed)
 
 
-def refuse_corrections(arguments) -> None:
+def refuse_curve_corrections(arguments) -> None:
     """Refuse the flags of corrections of whole force curves, which do not exist in real time.
 
     Args:
@@ -197,7 +199,7 @@ def refuse_corrections(arguments) -> None:
                              f"{remedy}", field=f"--{name.replace('_', '-')}")
 
 
-def make_experiment(arguments, protocol: Protocol, material: Material) -> Experiment:
+def make_experiment_from_flags(arguments, protocol: Protocol, material: Material) -> Experiment:
     """Return the experiment of a scene with the changes of the flags.
 
     Args:
@@ -239,18 +241,18 @@ def make_experiment(arguments, protocol: Protocol, material: Material) -> Experi
 
         changes["adhesion"] = Adhesion(arguments.adhesion_N, arguments.adhesion_length_mm * 1e-3)
     if arguments.contact_law:
-        changes["contact_laws"] = [_read_contact_law(text) for text in arguments.contact_law]
+        changes["contact_laws"] = [_parse_contact_law(text) for text in arguments.contact_law]
     if arguments.tilt_mm is not None:
         changes["tilt"] = arguments.tilt_mm * 1e-3
     if arguments.slip is not None:
         changes["slip"] = arguments.slip
     if arguments.offset_mm is not None or arguments.tilt_deg is not None:
         changes["approach"] = ts.Approach((arguments.offset_mm or 0.0) * 1e-3, math.radians(arguments.tilt_deg or 0.0))
-    return scene.experiment(specimen=_make_specimen(arguments, weight), protocol=protocol,
-                            tool=_make_tool(arguments, shape, profile, scene_tool), **changes)
+    return scene.experiment(specimen=_make_specimen_from_flags(arguments, weight), protocol=protocol,
+                            tool=_make_tool_from_flags(arguments, shape, profile, scene_tool), **changes)
 
 
-def _make_specimen(arguments, weight: dict[str, Any]) -> Specimen:
+def _make_specimen_from_flags(arguments, weight: dict[str, Any]) -> Specimen:
     """Return the specimen of the flags; `weight` holds its arguments of self-weight."""
     stated = {key: value for key in specimen_sizes() if (value := getattr(arguments, key)) is not None}
     mesh_options = {name: value for name in ("mesh_unit", "mesh_base", "mesh_top")
@@ -271,7 +273,7 @@ def _make_specimen(arguments, weight: dict[str, Any]) -> Specimen:
         raise InputError(error.problem, field=f"--{(error.field or '').replace('_', '-')}") from None
 
 
-def _read_contact_law(text: str) -> ContactLaw:
+def _parse_contact_law(text: str) -> ContactLaw:
     """Read a contact law from text such as ``tacky_film:tack_Pa=30,thickness_mm=0.3``.
 
     Raises:
@@ -290,15 +292,15 @@ def _read_contact_law(text: str) -> ContactLaw:
     return from_keys(CONTACT_LAWS.find(name, "--contact-law"), content, f"--contact-law {name}")
 
 
-def _make_size_type(declaration: Declaration):
-    """Return the argument type of a size of a specimen or a tool, in the unit of its flag."""
+def _make_size_parser(declaration: Declaration):
+    """Return a function for argparse's ``type`` that checks a size of a specimen or a tool, in the unit of its flag."""
     low, high = (bound / declaration.factor for bound in declaration.bounds)
     if declaration.absent == 0:
-        return parse_non_negative
-    return parse_positive if declaration.unit == "m" else make_range_type(low, high)
+        return parse_non_negative_number
+    return parse_positive_number if declaration.unit == "m" else make_number_parser(low, high)
 
 
-def _make_tool(arguments, shape: str, profile: Path | None, scene_tool: Tool) -> Tool:
+def _make_tool_from_flags(arguments, shape: str, profile: Path | None, scene_tool: Tool) -> Tool:
     """Return the tool of the scene with the changes of the flags.
 
     Args:

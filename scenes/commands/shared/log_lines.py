@@ -15,15 +15,15 @@ if TYPE_CHECKING:
 MIN_INTERVAL = 60.0
 
 
-class Status(Protocol):
+class TaskDisplay(Protocol):
     """Display of the current task of a command."""
 
     def update(self, sentence: str) -> None:
-        """Show this sentence from now on."""
+        """Replace the displayed sentence."""
 
 
-class LogLines:
-    """`Status` that prints at most one line per `MIN_INTERVAL` on stderr.
+class TaskLogLines:
+    """`TaskDisplay` that prints at most one line per `MIN_INTERVAL` on stderr.
 
     Args:
         quiet: print nothing (``--json``).
@@ -34,7 +34,7 @@ class LogLines:
         self._start = self._last = time.monotonic()
 
     def update(self, sentence: str) -> None:
-        """Print the elapsed time and the sentence, if the last line is old enough."""
+        """Print the elapsed time and the sentence, unless a line was printed within the last `MIN_INTERVAL`."""
         now = time.monotonic()
         if self._quiet or now - self._last < MIN_INTERVAL:
             return
@@ -43,11 +43,11 @@ class LogLines:
 
 
 @contextmanager
-def show_status(console: Console, sentence: str, *, quiet: bool) -> Iterator[Status]:
+def display_task(console: Console, sentence: str, *, quiet: bool) -> Iterator[TaskDisplay]:
     """Show the current task on the progress console or, without a terminal, as log lines.
 
     Args:
-        console: progress console; see `scenes.commands.shared.console.progress_console`.
+        console: progress console; see `scenes.commands.shared.console.make_progress_console`.
         sentence: first task.
         quiet: show nothing (``--json``).
 
@@ -55,7 +55,7 @@ def show_status(console: Console, sentence: str, *, quiet: bool) -> Iterator[Sta
         Display whose `update` replaces the sentence.
     """
     if console.quiet:
-        yield LogLines(quiet=quiet)
+        yield TaskLogLines(quiet=quiet)
         return
     with console.status(sentence) as status:
         yield status

@@ -11,7 +11,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.interfaces import INTERFACES
 
 
-class Parser(argparse.ArgumentParser):
+class CommandParser(argparse.ArgumentParser):
     """Argument parser that raises `InputError`, accepts no abbreviations and keeps the line breaks of its epilog."""
 
     def __init__(self, **options):
@@ -24,27 +24,27 @@ class Parser(argparse.ArgumentParser):
         """Raise the message of argparse as an `InputError`."""
         raise InputError(f"{message}; see '{self.prog} --help'")
 
-    def option_names(self) -> Iterable[str]:
+    def list_option_names(self) -> Iterable[str]:
         """Return the names of all options, such as ``--json``."""
         return (option for action in self._actions for option in action.option_strings)
 
 
-def describe_planned(feature: str) -> str:
+def describe_planned_feature(feature: str) -> str:
     """Return the error message for a planned feature, named at the beginning of the sentence."""
     return f"{feature} is not available in this version. 'tissue-sim --help' lists the available commands"
 
 
-def add_json(parser: Parser) -> None:
+def add_json_flag(parser: CommandParser) -> None:
     """Add ``--json``."""
     parser.add_argument("--json", action="store_true", help="print one JSON object on stdout and nothing else")
 
 
-def add_overwrite(parser: Parser) -> None:
+def add_overwrite_flag(parser: CommandParser) -> None:
     """Add ``--overwrite``."""
     parser.add_argument("--overwrite", action="store_true", help="replace existing output")
 
 
-def parse_positive(text: str) -> float:
+def parse_positive_number(text: str) -> float:
     """Convert an argument to a finite number above zero."""
     value = _parse_number_or_nan(text)
     if not value > 0:
@@ -52,7 +52,7 @@ def parse_positive(text: str) -> float:
     return value
 
 
-def parse_non_negative(text: str) -> float:
+def parse_non_negative_number(text: str) -> float:
     """Convert an argument to a finite number of zero or more."""
     value = _parse_number_or_nan(text)
     if not value >= 0:
@@ -60,14 +60,14 @@ def parse_non_negative(text: str) -> float:
     return value
 
 
-def make_range_type(lowest: float, highest: float):
-    """Return an argument type for numbers above `lowest` and below `highest`."""
-    def number_between(text: str) -> float:
+def make_number_parser(lowest: float, highest: float):
+    """Return a function for argparse's ``type`` that converts text to a number between `lowest` and `highest`."""
+    def parse_number_in_range(text: str) -> float:
         value = _parse_number_or_nan(text)
         if not lowest < value < highest:
             raise argparse.ArgumentTypeError(f"must be between {lowest:.3g} and {highest:.3g}; got {text!r}")
         return value
-    return number_between
+    return parse_number_in_range
 
 
 def parse_interface(text: str) -> str | float:
@@ -90,9 +90,12 @@ def _parse_number_or_nan(text: str) -> float:
     return value if math.isfinite(value) else math.nan
 
 
-def make_integer_type(lowest: int, highest: int | None = None):
-    """Return an argument type for whole numbers from `lowest` to `highest` (None: without upper limit)."""
-    def whole_number(text: str) -> int:
+def make_integer_parser(lowest: int, highest: int | None = None):
+    """Return a function for argparse's ``type`` that converts text to an integer from `lowest` to `highest`.
+
+    `highest` None: no upper limit.
+    """
+    def parse_whole_number(text: str) -> int:
         try:
             value = int(text)
         except ValueError:
@@ -102,11 +105,11 @@ def make_integer_type(lowest: int, highest: int | None = None):
         if highest is not None and value > highest:
             raise argparse.ArgumentTypeError(f"must be at most {highest}; got {text!r}")
         return value
-    return whole_number
+    return parse_whole_number
 
 
-def check_output(path: Path | None, option: str, *, overwrite: bool, suffixes: tuple[str, ...] = ()) -> None:
-    """Check an output file before the computation starts.
+def check_output_file(path: Path | None, option: str, *, overwrite: bool, suffixes: tuple[str, ...] = ()) -> None:
+    """Raise an error if an output file cannot be written as asked; commands call it before the computation.
 
     Args:
         path: output file; None is accepted.

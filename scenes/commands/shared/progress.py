@@ -13,8 +13,8 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from scenes.commands.shared.log_lines import LogLines, format_duration
-from scenes.commands.shared.text_table import text_table
+from scenes.commands.shared.log_lines import TaskLogLines, format_duration
+from scenes.commands.shared.text_table import make_text_table
 from tissue_sim.laws import find_law
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _COMPILING = "loading the solver (the first run on a computer compiles it, about
 
 
 @dataclass(frozen=True)
-class ProgressSettings:
+class ProgressDisplaySettings:
     """Layout and timing of the live progress.
 
     Attributes:
@@ -47,10 +47,10 @@ class ProgressSettings:
     estimate_after: float = 1.0
 
 
-_SETTINGS = ProgressSettings()
+_SETTINGS = ProgressDisplaySettings()
 
 
-class CampaignProgress:
+class CampaignProgressDisplay:
     """Live display of the progress of `calibration.calibrate` and `calibration.diagnose`; a context manager.
 
     The display disappears when the block ends.
@@ -61,7 +61,7 @@ class CampaignProgress:
         lines: log lines where the console is quiet because stderr is no terminal; None: no log lines.
     """
 
-    def __init__(self, console: Console, campaigns: int = 1, lines: LogLines | None = None):
+    def __init__(self, console: Console, campaigns: int = 1, lines: TaskLogLines | None = None):
         self._console, self._campaigns, self._lines = console, campaigns, lines
         self._sentence, self._start, self._last_report = "reading", time.monotonic(), time.monotonic()
         self._part_start = self._start
@@ -70,10 +70,10 @@ class CampaignProgress:
         self._done, self._total, self._has_finished_task = 0, 0, False
         self._started_campaigns: list[str] = []
         self._spinner = Spinner("dots")
-        self._live = Live(console=console, get_renderable=self.render, transient=True, refresh_per_second=8,
+        self._live = Live(console=console, get_renderable=self.render_display, transient=True, refresh_per_second=8,
                           redirect_stdout=False, redirect_stderr=False)
 
-    def __enter__(self) -> CampaignProgress:
+    def __enter__(self) -> CampaignProgressDisplay:
         """Start the live display."""
         if not self._console.quiet:
             self._live.start()
@@ -104,11 +104,11 @@ class CampaignProgress:
             solves = f", {self._solves} solves" if self._solves else ""
             self._lines.update(f"{sentence}{f': {done} of {of}' if of else ''}{solves}")
 
-    def print_above(self, sentence: str) -> None:
+    def print_above_display(self, sentence: str) -> None:
         """Print a sentence above the live display, where it stays."""
         self._console.print(sentence, style="dim", markup=False, emoji=False, highlight=False)
 
-    def add_iteration(self, campaign: str, law: str, iteration: DescentIteration) -> None:
+    def add_fit_iteration(self, campaign: str, law: str, iteration: DescentIteration) -> None:
         """Add one iteration of a fit to the table; a new campaign or law starts a new table."""
         if self._campaign_and_law != (campaign, law):
             self._campaign_and_law, self._rows = (campaign, law), []
@@ -119,7 +119,7 @@ class CampaignProgress:
         if self._lines is not None and not self._live.is_started:
             self._lines.update(f"{campaign}: {law}, {self._solves} solves")
 
-    def render(self) -> Group:
+    def render_display(self) -> Group:
         """Return the display: iteration table, current task, and a line with progress bar and times."""
         now = time.monotonic()
         seconds, width, number = round(now - self._start), _SETTINGS.bar_width, len(self._started_campaigns)
@@ -127,7 +127,7 @@ class CampaignProgress:
         bar = ProgressBar(total=self._total, completed=self._done, width=width) if self._total else \
             ProgressBar(width=width, pulse=True, animation_time=now)
         line.add_row(self._spinner, bar, Text(f"{self._done} of {self._total}" if self._total else ""),
-                     Text(format_duration(seconds)), Text(self._remaining_time(now)),
+                     Text(format_duration(seconds)), Text(self._estimate_remaining_time(now)),
                      Text(f"{self._solves} solves" if self._solves else ""),
                      Text(f"campaign {max(number, 1)} of {self._campaigns}" if self._campaigns > 1 else ""))
         parts: list[RenderableType] = [self._make_iteration_table()] if self._rows else []
@@ -137,7 +137,7 @@ class CampaignProgress:
             parts.append(Text(_COMPILING, style="dim"))
         return Group(*parts)
 
-    def _remaining_time(self, now: float) -> str:
+    def _estimate_remaining_time(self, now: float) -> str:
         """Estimate the remaining time of the current part from its finished tasks; empty without an estimate."""
         elapsed = self._last_report - self._part_start
         if not 0 < self._done < self._total or elapsed < _SETTINGS.estimate_after:
@@ -151,7 +151,7 @@ class CampaignProgress:
         names = list(self._rows[-1].parameters)
         # The last component of a parameter path, such as bulk_ratio of bulk.bulk_ratio, is enough as a heading.
         headings = [f"{name.rpartition('.')[2]} {law.units.get(name, '')}".removesuffix("1").strip() for name in names]
-        table = text_table("start", "run", *headings, "error", "RMSE", "mesh", text=0)
+        table = make_text_table("start", "run", *headings, "error", "RMSE", "mesh", text=0)
         for column in table.columns[2:2 + len(names)]:
             column.no_wrap, column.overflow = False, "fold"
         visible_rows = max(self._console.size.height - _SETTINGS.other_lines, _SETTINGS.min_rows)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.parsing import Parser
+from scenes.commands.shared.parsing import CommandParser
 from tissue_sim.errors import InputError, nearest
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ _RESOLUTIONS = {"realtime": f"realtime (the finest of {', '.join(_REALTIME_LEVEL
                 "fast": "fast (force error about 1 %%)", "accurate": "accurate (force error about 0.2 %%)"}
 
 
-def add_solver_flags(parser: Parser, resolutions: Sequence[str] = tuple(_RESOLUTIONS)) -> None:
+def add_solver_flags(parser: CommandParser, resolutions: Sequence[str] = tuple(_RESOLUTIONS)) -> None:
     """Add the flags of the solver and its resolution.
 
     Args:
@@ -37,14 +37,14 @@ def add_solver_flags(parser: Parser, resolutions: Sequence[str] = tuple(_RESOLUT
                         help="same as --solver solid")
 
 
-def add_reduced_flag(parser: Parser) -> None:
+def add_reduced_flag(parser: CommandParser) -> None:
     """Add ``--reduced``, which replaces the specimen, tool and solver of the other flags."""
     parser.add_argument("--reduced", type=Path, metavar="FILE",
                         help="reduced model from `tissue-sim reduce` (NAME.reduced.npz); it contains specimen, tool "
                              "and interfaces")
 
 
-def read_reduced(arguments) -> ReducedModel | None:
+def load_reduced_model(arguments) -> ReducedModel | None:
     """Load the reduced model of ``--reduced``, and set ``solver`` and the default ``depth_mm`` of the arguments.
 
     Returns:
@@ -77,8 +77,8 @@ def read_reduced(arguments) -> ReducedModel | None:
     return reduced
 
 
-def check_solver(name: str) -> None:
-    """Check the name of a solver without importing the solver.
+def require_known_solver(name: str) -> None:
+    """Raise an error if no solver has this name; solvers are not imported.
 
     Raises:
         InputError: unknown solver; the message names the nearest one.
@@ -89,7 +89,7 @@ def check_solver(name: str) -> None:
         raise InputError(f"unknown solver {name!r}{nearest(name, SOLVERS)}", field="--solver")
 
 
-def read_material(path: Path | None) -> Material:
+def load_material_or_default(path: Path | None) -> Material:
     """Return the material of a file, or for None the silicone of the reference study."""
     import tissue_sim as ts
 

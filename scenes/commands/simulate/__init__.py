@@ -6,14 +6,24 @@ import sys
 from pathlib import Path
 
 from scenes.catalogue import SCENES
-from scenes.commands.shared.console import print_json, progress_console, results_console
+from scenes.commands.shared.console import make_progress_console, make_results_console, print_json
 from scenes.commands.shared.exit_code import ExitCode
-from scenes.commands.shared.experiment_flags import add_experiment_flags, check_scene, make_experiment, make_protocol
-from scenes.commands.shared.log_lines import show_status
-from scenes.commands.shared.parsing import Parser, add_json, add_overwrite, check_output
-from scenes.commands.shared.tissue_flags import add_solver_flags, check_solver
-from scenes.commands.simulate.replicates import add_rig_flags, list_output_files, make_rig, read_replicates
-from scenes.commands.simulate.report import as_json, print_curve, print_solver
+from scenes.commands.shared.experiment_flags import (
+    add_experiment_flags,
+    make_experiment_from_flags,
+    make_protocol_from_flags,
+    require_known_scene,
+)
+from scenes.commands.shared.log_lines import display_task
+from scenes.commands.shared.parsing import CommandParser, add_json_flag, add_overwrite_flag, check_output_file
+from scenes.commands.shared.tissue_flags import add_solver_flags, require_known_solver
+from scenes.commands.simulate.replicates import (
+    add_rig_flags,
+    list_output_files,
+    make_rig_from_flags,
+    simulate_replicate_readings,
+)
+from scenes.commands.simulate.report import make_json_object, print_force_curve, print_solution_quality
 from scenes.field_labels import LABELS
 from scenes.provenance import describe_provenance
 from tissue_sim.errors import ConvergenceError, InputError
@@ -25,7 +35,7 @@ EXAMPLE = ("tissue-sim simulate needle_indentation --material m.material.json --
 FIGURE_SUFFIXES = (".png", ".svg", ".pdf")
 
 
-def add_arguments(parser: Parser) -> None:
+def add_arguments(parser: CommandParser) -> None:
     """Declare the arguments of `tissue-sim simulate`."""
     parser.add_argument("scene", metavar="SCENE", help=f"test to simulate: {', '.join(SCENES)}")
     parser.add_argument("--material", type=Path, required=True, metavar="FILE",
@@ -41,8 +51,8 @@ def add_arguments(parser: Parser) -> None:
                         help="field that colours the mesh of --figure (default: von_mises)")
     parser.add_argument("--no-force-error", action="store_true",
                         help="do not estimate the force error; saves the second simulation on another mesh")
-    add_overwrite(parser)
-    add_json(parser)
+    add_overwrite_flag(parser)
+    add_json_flag(parser)
     parser.set_defaults(run=run)
 
 
@@ -53,15 +63,15 @@ def run(arguments) -> int:
         InputError: files that cannot be written, or flags and values that the test does not accept.
         ConvergenceError: the solver stopped early; its partial curve was printed and written.
     """
-    check_scene(arguments.scene)
+    require_known_scene(arguments.scene)
     outputs = list_output_files(arguments.output, arguments.replicates)
     for path in outputs:
-        check_output(path, "-o", overwrite=arguments.overwrite, suffixes=(".csv",))
-        check_output(path.with_suffix(".json"), "-o", overwrite=arguments.overwrite)
-    check_output(arguments.figure, "--figure", overwrite=arguments.overwrite, suffixes=FIGURE_SUFFIXES)
+        check_output_file(path, "-o", overwrite=arguments.overwrite, suffixes=(".csv",))
+        check_output_file(path.with_suffix(".json"), "-o", overwrite=arguments.overwrite)
+    check_output_file(arguments.figure, "--figure", overwrite=arguments.overwrite, suffixes=FIGURE_SUFFIXES)
     if arguments.field is not None and arguments.figure is None:
         raise InputError("requires a figure. Add --figure F.png", field="--field")
-    check_solver(arguments.solver)
+    require_known_solver(arguments.solver)
 
     import tissue_sim as ts
     from tissue_sim.recording.file import require_overwritable_sidecar
@@ -69,7 +79,7 @@ def run(arguments) -> int:
 
     for path in outputs:
         require_overwritable_sidecar(path)
-    protocol, rig = make_protocol(arguments), make_rig(arguments)
+    protocol, rig = make_protocol_from_flags(arguments), make_rig_from_flags(arguments)
     points = rig.count_readings(protocol.time)
     if outputs and points < MIN_POINTS:
         raise InputError(f"a recording needs at least {MIN_POINTS} samples; got {points}. Add samples, or leave out -o",
@@ -78,17 +88,17 @@ def run(arguments) -> int:
 
     from scenes.commands.material.summary import list_range_warnings
 
-    experiment = make_experiment(arguments, protocol, material_file.material)
+    experiment = make_experiment_from_flags(arguments, protocol, material_file.material)
     # The solver needs the compliance of the rig only; the sensor is applied below, once for each replicate.
     model = ts.Model(experiment, material_file.material, rig.motion_only)
     failure = None
     estimates_error = not (arguments.no_force_error or experiment.slip) and arguments.solver == "axisymmetric"
-    with show_status(progress_console(quiet=arguments.json), "simulating", quiet=arguments.json) as status:
+    with display_task(make_progress_console(quiet=arguments.json), "simulating", quiet=arguments.json) as status:
         try:
             recording = ts.simulate(
                 model, resolution=arguments.resolution, fields=True, solver=arguments.solver,
                 estimate_error=not arguments.no_force_error,
-                progress=lambda done, of: status.update(describe_progress(done, of, estimates_error)))
+                progress=lambda done, of: status.update(describe_simulation_progress(done, of, estimates_error)))
         except ConvergenceError as error:
             if error.recording is None:
                 raise
@@ -96,8 +106,8 @@ def run(arguments) -> int:
     if arguments.figure is not None and recording.fields is None:
         raise InputError(f"requires fields, which the solver {arguments.solver!r} does not compute. Leave --figure out",
                          field="--figure")
-    recordings = read_replicates(rig, recording.with_metadata(**describe_provenance(arguments.scene, experiment)),
-                                 arguments.replicates)
+    recordings = simulate_replicate_readings(
+        rig, recording.with_metadata(**describe_provenance(arguments.scene, experiment)), arguments.replicates)
     for path, written in zip(outputs, recordings, strict=bool(outputs)):
         ts.write_recording(written, path)
     if arguments.figure is not None:
@@ -107,10 +117,10 @@ def run(arguments) -> int:
     warnings = [*list_range_warnings(material_file, recording, experiment.specimen.height),
                 *recording.metadata.get("solver", {}).get("warnings", [])]
     if arguments.json:
-        print_json(as_json(recordings, arguments.resolution, failure, warnings,
-                           replicates=arguments.replicates is not None))
+        print_json(make_json_object(recordings, arguments.resolution, failure, warnings,
+                                    replicates=arguments.replicates is not None))
     else:
-        print_results(recordings, arguments, [*outputs, arguments.figure])
+        print_simulation_results(recordings, arguments, [*outputs, arguments.figure])
         for warning in warnings:
             print(f"tissue-sim: warning: {warning}", file=sys.stderr)
     if failure is not None:
@@ -119,7 +129,7 @@ def run(arguments) -> int:
     return ExitCode.DONE
 
 
-def describe_progress(done: int, samples: int, estimates_error: bool) -> str:
+def describe_simulation_progress(done: int, samples: int, estimates_error: bool) -> str:
     """Return the progress of a simulation in words.
 
     Args:
@@ -134,13 +144,13 @@ def describe_progress(done: int, samples: int, estimates_error: bool) -> str:
     return f"simulating: {done} of {samples} samples"
 
 
-def print_results(recordings, arguments, written: list[Path | None]) -> None:
+def print_simulation_results(recordings, arguments, written: list[Path | None]) -> None:
     """Print the first recording, remarks on its solution and the names of the written files."""
-    console = results_console()
-    print_curve(recordings[0], arguments.scene.replace("_", " "), console)
+    console = make_results_console()
+    print_force_curve(recordings[0], arguments.scene.replace("_", " "), console)
     if len(recordings) > 1:
         console.print(f"replicate 1 of {len(recordings)} is shown", markup=False)
-    print_solver(recordings[0], console)
+    print_solution_quality(recordings[0], console)
     for path in written:
         if path is not None and path.exists():
             console.print(f"wrote {path}", markup=False, soft_wrap=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from scenes.commands.shared.parsing import Parser, make_integer_type, parse_non_negative
+from scenes.commands.shared.parsing import CommandParser, make_integer_parser, parse_non_negative_number
 from tissue_sim.errors import InputError
 
 if TYPE_CHECKING:
@@ -17,21 +17,21 @@ if TYPE_CHECKING:
 MAX_REPLICATES = 1000
 
 
-def add_rig_flags(parser: Parser) -> None:
+def add_rig_flags(parser: CommandParser) -> None:
     """Add the flags of rig file, noise, replicates and seed."""
     rig = parser.add_argument_group("rig")
     rig.add_argument("--rig", type=Path, metavar="FILE",
                      help="rig file NAME.rig.json with the properties of load frame and sensor (default: an ideal rig)")
-    rig.add_argument("--noise-N", type=parse_non_negative, metavar="N",
+    rig.add_argument("--noise-N", type=parse_non_negative_number, metavar="N",
                      help="standard deviation of the force noise (default: value of the rig file, or 0)")
-    rig.add_argument("--replicates", type=make_integer_type(1, MAX_REPLICATES), metavar="N",
+    rig.add_argument("--replicates", type=make_integer_parser(1, MAX_REPLICATES), metavar="N",
                      help="number of recordings with independent noise; -o CURVE.csv writes CURVE_1.csv, "
                           "CURVE_2.csv, ...")
-    rig.add_argument("--seed", type=make_integer_type(0), metavar="N",
+    rig.add_argument("--seed", type=make_integer_parser(0), metavar="N",
                      help="seed of the noise; equal seeds give equal files (default: value of the rig file, or 0)")
 
 
-def make_rig(arguments) -> Rig:
+def make_rig_from_flags(arguments) -> Rig:
     """Return the rig of ``--rig`` with the noise and the seed of the flags.
 
     Raises:
@@ -60,8 +60,8 @@ def list_output_files(curve: Path | None, replicates: int | None) -> list[Path]:
     return [curve.with_name(f"{curve.stem}_{number}{curve.suffix}") for number in range(1, replicates + 1)]
 
 
-def read_replicates(rig: Rig, recording: Recording, replicates: int | None) -> Sequence[Recording]:
-    """Apply the sensor of a rig to a recording of true forces.
+def simulate_replicate_readings(rig: Rig, recording: Recording, replicates: int | None) -> Sequence[Recording]:
+    """Return replicates: the recording of true forces as the sensor of a rig measures it, with noise.
 
     The seeds of the replicates follow from the seed of the rig. The first replicates do not change when their number
     grows.

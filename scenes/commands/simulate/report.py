@@ -18,8 +18,9 @@ if TYPE_CHECKING:
 OPTIONAL_KEYS = ("force_error", "penetration_mm", "penetration_tolerance_mm", "slipping_points", "self_weight")
 
 
-def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception | None, warnings: list[str], *,
-            replicates: bool = False) -> dict[str, Any]:
+def make_json_object(recordings: Sequence[Recording], resolution: str, failure: Exception | None, warnings: list[str],
+                     *,
+                     replicates: bool = False) -> dict[str, Any]:
     """Return the object of ``simulate --json``; the names of the keys contain the units.
 
     Args:
@@ -35,7 +36,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
         "displacement_mm": (recording.displacement * 1e3).tolist(),
         "time_s": recording.time.tolist(),
         "force_N": recording.force.tolist(),
-        **_list_force_vectors(recording),
+        **_make_wrench_entries(recording),
         **{name: labels.tolist() for name, labels in recording.labels.items()},
         "status": solver.get("status", "failed" if failure else "converged"),
         "message": str(failure) if failure else solver.get("message", ""),
@@ -52,7 +53,7 @@ def as_json(recordings: Sequence[Recording], resolution: str, failure: Exception
     return answer
 
 
-def _list_force_vectors(recording: Recording) -> dict[str, Any]:
+def _make_wrench_entries(recording: Recording) -> dict[str, Any]:
     """Return force and torque vectors on the tool as JSON entries; empty for an axisymmetric simulation."""
     if "Fx" not in recording:
         return {}
@@ -61,12 +62,12 @@ def _list_force_vectors(recording: Recording) -> dict[str, Any]:
             "torque_vector_Nm": [list(map(float, row)) for row in zip(*torque, strict=True)]}
 
 
-def print_curve(recording: Recording, title: str, console: Console) -> None:
+def print_force_curve(recording: Recording, title: str, console: Console) -> None:
     """Print force against displacement, with time and segment if the protocol has several segments."""
     from rich.table import Table
     from rich.text import Text
 
-    rows = select_rows(recording)
+    rows = select_printed_samples(recording)
     table = Table(title=title)
     columns = []
     segments = [str(name) for name in recording.labels.get("segment", ())]
@@ -80,7 +81,7 @@ def print_curve(recording: Recording, title: str, console: Console) -> None:
         factor, prefix = (1e3, "m") if 0 < abs(values).max() < 0.1 and unit == "N" else (1.0, "")
         # Text instead of str, because rich interprets brackets in a str as markup.
         table.add_column(Text(f"{quantity} [{prefix}{unit}]"), justify="right")
-        columns.append(format_column(values[rows] * factor))
+        columns.append(format_number_column(values[rows] * factor))
     for row in zip(*columns, strict=True):
         table.add_row(*row)
     console.print(table)
@@ -89,8 +90,8 @@ def print_curve(recording: Recording, title: str, console: Console) -> None:
         console.print(sentence, markup=False)
 
 
-def select_rows(recording: Recording) -> np.ndarray:
-    """Return the indices of the printed samples, at most `TableSettings.max_curve_rows`.
+def select_printed_samples(recording: Recording) -> np.ndarray:
+    """Return the indices of the printed samples, at most `PrintedTableSettings.max_curve_rows`.
 
     A short curve is printed completely. Of a long one the last sample of each segment is printed (unless the segments
     would take more than half of the rows), and evenly spaced samples.
@@ -107,7 +108,7 @@ def select_rows(recording: Recording) -> np.ndarray:
     return np.union1d(ends, np.linspace(0, samples - 1, TABLES.max_curve_rows - ends.size).round().astype(int))
 
 
-def print_solver(recording: Recording, console: Console) -> None:
+def print_solution_quality(recording: Recording, console: Console) -> None:
     """Print size, cost and force error of the solution, and remarks on contact and self-weight."""
     solver = recording.metadata.get("solver")
     if not solver:
@@ -115,11 +116,11 @@ def print_solver(recording: Recording, console: Console) -> None:
     mesh = solver["mesh"]
     console.print(f"{mesh['elements']} elements, {mesh['freedoms']} degrees of freedom, {solver['newton_iterations']} "
                   f"Newton iterations, {solver['wall_s']:.2f} s", markup=False)
-    for sentence in describe_solution(solver):
+    for sentence in list_solution_remarks(solver):
         console.print(sentence, markup=False, soft_wrap=True)
 
 
-def describe_solution(solver: dict) -> Iterator[str]:
+def list_solution_remarks(solver: dict) -> Iterator[str]:
     """Yield one sentence each on force error, penetration, friction and self-weight, as far as they apply."""
     if solver.get("force_error") is not None:
         yield (f"estimated force error: {100 * solver['force_error']:.2g} % of the largest force, from a comparison "
@@ -136,7 +137,7 @@ def describe_solution(solver: dict) -> Iterator[str]:
                f"{weight['gravity_m_s2']:g} m/s2)")
 
 
-def format_column(values: np.ndarray, digits: int = 5) -> list[str]:
+def format_number_column(values: np.ndarray, digits: int = 5) -> list[str]:
     """Format the numbers of a column with equal decimals; the largest number shows `digits` significant digits."""
     largest = float(abs(values).max())
     decimals = max(0, digits - 1 - math.floor(math.log10(largest))) if largest > 0 else digits - 1

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from haptics.recorder.live import UPDATE_INTERVAL
-from scenes.stop_signals import stopped_by_signals
+from scenes.stop_signals import call_stop_at_signals
 from scenes.viewer.bench.sources import BenchSource, BenchView
-from scenes.viewer.plots import curve_options, round_axis_range
-from scenes.viewer.web_server import ViewerServer, describe_exposure, open_server
+from scenes.viewer.plots import make_sample_plot_options, round_axis_range
+from scenes.viewer.web_server import ViewerServer, describe_network_access, open_viewer_server
 
 
 class BenchPage:
@@ -23,32 +23,33 @@ class BenchPage:
 
     Args:
         source: Source of the views.
-        host, port, exposed, token: As in `scenes.viewer.web_server.open_server`.
+        host, port, exposed, token: As in `scenes.viewer.web_server.open_viewer_server`.
         dark: Start with the dark colour scheme.
     """
 
     def __init__(self, source: BenchSource, host: str, port: int, *, exposed: bool = False, token: str = "",
                  dark: bool = False):
         self.source, self._dark = source, dark
-        self.server: ViewerServer = open_server(host, port, exposed=exposed, title="tissue_sim: bench",
-                                                token=token)
-        self.server.set_theme(dark_mode=dark, control_layout="fixed", control_width="large")
+        self.server: ViewerServer = open_viewer_server(host, port, exposed=exposed, title="tissue_sim: bench",
+                                                       token=token)
+        self.server.set_page_theme(dark_mode=dark, control_layout="fixed", control_width="large")
         gui, empty = self.server.gui, np.zeros(2)
         self._status = gui.add_html("")
         self._ranges: dict[str, tuple] = {}
-        self._plots = {name: gui.add_uplot((empty, empty), **curve_options(label, (0.0, 1.0), (0.0, 1.0), dark=dark))
+        self._plots = {name: gui.add_uplot((empty, empty),
+                                           **make_sample_plot_options(label, (0.0, 1.0), (0.0, 1.0), dark=dark))
                        for name, label in (("depth", "depth [mm]"), ("time", "time [s]"))}
 
-    def show(self, view: BenchView) -> None:
-        """Update texts and plots."""
-        self._status.content = bench_html(view)
+    def show_view(self, view: BenchView) -> None:
+        """Update the texts and the plots of the page to a state of the bench."""
+        self._status.content = bench_status_html(view)
         finite = np.isfinite(view.displacement)
         order = np.argsort(view.displacement[finite], kind="stable")
-        self._draw("depth", "depth [mm]", view.displacement[finite][order], view.forces[finite][order])
+        self._draw_force_plot("depth", "depth [mm]", view.displacement[finite][order], view.forces[finite][order])
         self._plots["depth"].visible = bool(finite.any())
-        self._draw("time", "time [s]", view.time, view.forces)
+        self._draw_force_plot("time", "time [s]", view.time, view.forces)
 
-    def _draw(self, name: str, label: str, x: np.ndarray, force: np.ndarray) -> None:
+    def _draw_force_plot(self, name: str, label: str, x: np.ndarray, force: np.ndarray) -> None:
         if x.size < 2:
             return
         ranges = (round_axis_range((float(x.min()), float(x.max())), self._ranges.get(name, (None, None))[0]),
@@ -56,11 +57,11 @@ class BenchPage:
         plot = self._plots[name]
         if ranges != self._ranges.get(name):
             self._ranges[name] = ranges
-            for key, value in curve_options(label, *ranges, dark=self._dark).items():
+            for key, value in make_sample_plot_options(label, *ranges, dark=self._dark).items():
                 setattr(plot, key, value)
         plot.data = (x, force)
 
-    def run(self, stop: threading.Event, seconds: float | None = None) -> None:
+    def run_until_stopped(self, stop: threading.Event, seconds: float | None = None) -> None:
         """Read the bench source and update the page at intervals of 0.2 s.
 
         Args:
@@ -69,7 +70,7 @@ class BenchPage:
         """
         waited = 0.0
         while not stop.is_set() and (seconds is None or waited < seconds):
-            self.show(self.source.read())
+            self.show_view(self.source.read())
             stop.wait(UPDATE_INTERVAL)
             waited += UPDATE_INTERVAL
 
@@ -79,9 +80,9 @@ class BenchPage:
         self.source.close()
 
 
-def bench_html(view: BenchView) -> str:
-    """Show the title, the progress, a message, and force and depth in large digits as HTML."""
-    def number(key: str, label: str, value: float | None, decimals: int, unit: str) -> str:
+def bench_status_html(view: BenchView) -> str:
+    """Return HTML with the title, the progress, a message, and force and depth in large digits."""
+    def format_value_html(key: str, label: str, value: float | None, decimals: int, unit: str) -> str:
         text = "–" if value is None else f"{round(value, decimals) + 0.0:.{decimals}f}"
         return (f'<div style="flex:1"><div style="font-size:0.75em;opacity:0.7">{label}</div>'
                 f'<div style="font-size:1.7em;font-weight:600;font-variant-numeric:tabular-nums">'
@@ -95,8 +96,8 @@ def bench_html(view: BenchView) -> str:
         f'font-size:0.85em">{escape(view.message)}</div>')
     return (f'<div style="padding:0.5em 0.75em"><div data-testid="doing" style="font-weight:600">{escape(view.title)}'
             f'</div>{bar}{message}<div style="display:flex;margin-top:0.4em">'
-            f'{number("force", "force", view.force, 3, "N")}'
-            f'{number("depth", "depth", view.depth, 3, "mm")}</div></div>')
+            f'{format_value_html("force", "force", view.force, 3, "N")}'
+            f'{format_value_html("depth", "depth", view.depth, 3, "mm")}</div></div>')
 
 
 def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float | None = None,
@@ -116,15 +117,16 @@ def run_bench_page(source: BenchSource, page: dict[str, Any], *, seconds: float 
     shown = BenchPage(source, page["host"], page["port"], exposed=page["exposed"], token=page["token"],
                       dark=page["dark"])
     try:
-        address = shown.server.address()
+        address = shown.server.make_page_address()
         print(json_format.dumps({"url": address}) if json else f"{address}   (Ctrl-C stops)", flush=True)
         if page["exposed"]:
-            print(f"tissue-sim: warning: {describe_exposure(page['host'], shown.server.get_port())}", file=sys.stderr)
+            exposure = describe_network_access(page["host"], shown.server.get_port())
+            print(f"tissue-sim: warning: {exposure}", file=sys.stderr)
         if page["open"]:
             webbrowser.open_new_tab(address)
         stop = threading.Event()
-        with stopped_by_signals(stop.set):
-            shown.run(stop, seconds)
+        with call_stop_at_signals(stop.set):
+            shown.run_until_stopped(stop, seconds)
     finally:
         shown.close()
     return 0

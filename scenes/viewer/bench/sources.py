@@ -18,7 +18,7 @@ from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class CurveSettings:
+class BenchCurveSettings:
     """Size of the drawn curves.
 
     Attributes:
@@ -31,7 +31,7 @@ class CurveSettings:
 
 
 #: Curves of every bench.
-CURVE = CurveSettings()
+CURVE = BenchCurveSettings()
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class BenchSource(ABC):
         return
 
 
-class RunSource(BenchSource):
+class RecordRunSource(BenchSource):
     """Source that reads the folder of a run of ``tissue-sim record``, which another process writes.
 
     Args:
@@ -90,7 +90,7 @@ class RunSource(BenchSource):
         if state is None:
             return BenchView(f"No run in {self._folder} yet", "Start the run with: tissue-sim record PROTOCOL.toml -o "
                                                               f"{self._folder}")
-        time, displacement, force = self._read_recording()
+        time, displacement, force = self._read_thinned_recording()
         done = len(state.get("done", []))
         messages = {"running": "The recorder does not respond. It may have been killed.", "complete": "", "new": ""}
         if live is None:
@@ -110,13 +110,13 @@ class RunSource(BenchSource):
             return content if isinstance(content, dict) else None
         return None
 
-    def _read_recording(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the present recording so far, or else the last one, thinned to about `CurveSettings.points` rows.
+    def _read_thinned_recording(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the present recording so far, or else the last one, thinned to about `BenchCurveSettings.points` rows.
 
         Returns:
             Time, s, displacement, mm, and force, N, each of shape (n,).
         """
-        partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_modification_time, default=None)
+        partial = max(self._folder.glob(f"*{PARTIAL_SUFFIX}"), key=_get_modification_time, default=None)
         if partial is not None and partial != self._partial:
             self._partial, self._rows, self._read = partial, [], 0
         if self._partial is not None and self._partial.exists():
@@ -132,7 +132,7 @@ class RunSource(BenchSource):
         return rows[:, 0], rows[:, 1], rows[:, 2]
 
 
-class DevicesSource(BenchSource):
+class ConnectedDevicesSource(BenchSource):
     """Source that reads a force sensor and the position of a stage.
 
     Args:
@@ -167,7 +167,7 @@ class DevicesSource(BenchSource):
             if self._stage is not None:
                 position = 1e3 * self._stage.position().position
         except DeviceError as error:
-            return self._make_view(str(error))
+            return self._make_bench_view(str(error))
         self._rows.extend((sample.received, position, sample.values[self._axis]) for sample in samples)
         while self._rows and self._rows[-1][0] - self._rows[0][0] > CURVE.time_span:
             self._rows.popleft()
@@ -175,9 +175,9 @@ class DevicesSource(BenchSource):
             message = "The sensor is at the limit of its range. Reduce the force."
         elif any(sample.status & SampleStatus.FAULT for sample in samples):
             message = "The sensor reports a fault. Check the sensor and its cable."
-        return self._make_view(message)
+        return self._make_bench_view(message)
 
-    def _make_view(self, message: str) -> BenchView:
+    def _make_bench_view(self, message: str) -> BenchView:
         rows = np.array(list(self._rows)[:: max(1, len(self._rows) // CURVE.points)]).reshape(-1, 3)
         last = self._rows[-1] if self._rows else None
         return BenchView("sensor" if self._stage is None else "sensor and stage", message or (
@@ -192,7 +192,7 @@ class DevicesSource(BenchSource):
         self._sensor.stop()
 
 
-def _modification_time(path: Path) -> float:
+def _get_modification_time(path: Path) -> float:
     try:
         return path.stat().st_mtime
     except OSError:  # the recorder has renamed the file

@@ -11,22 +11,22 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.viewer.colours import colour_bar_html
-from scenes.viewer.frame import Commands, Frame, Phase
+from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
 from scenes.viewer.page.calibration_controls import CalibrationControls
 from scenes.viewer.page.curve_plots import CurvePlots
 from scenes.viewer.page.material_controls import MaterialControls
 from scenes.viewer.page.motion_controls import MotionControls
-from scenes.viewer.page.notices import reply_to
-from scenes.viewer.page.readouts import readouts_html, status_html, title_html
+from scenes.viewer.page.notices import make_browser_reply
+from scenes.viewer.page.readouts import readouts_html, scene_title_html, status_html
 from scenes.viewer.page.saving import SaveControls
 from scenes.viewer.page.scene_controls import SceneControls
-from scenes.viewer.page.solid import SolidPicture
+from scenes.viewer.page.solid import ScenePicture
 from scenes.viewer.page.view_controls import ViewControls
-from scenes.viewer.web_server import LOOPBACK, SERVER, open_server
+from scenes.viewer.web_server import LOOPBACK, SERVER, open_viewer_server
 
 
 @dataclass(frozen=True)
-class PageSettings:
+class PageUpdateSettings:
     """Rate of updates and width of the page.
 
     Attributes:
@@ -38,7 +38,7 @@ class PageSettings:
     panel_width: int = 380
 
 
-_SETTINGS = PageSettings()
+_SETTINGS = PageUpdateSettings()
 
 
 class Page:
@@ -48,7 +48,7 @@ class Page:
         session: Receives the commands of the users.
         frame: First frame, from which the controls take their initial values.
         materials: Folder from which material files are listed and into which they are saved.
-        host, port, exposed, token: As in `scenes.viewer.web_server.open_server`.
+        host, port, exposed, token: As in `scenes.viewer.web_server.open_viewer_server`.
         low_graphics: Draw fewer segments, for browsers that render without a graphics card.
         dark: Start with the dark colour scheme.
 
@@ -59,24 +59,25 @@ class Page:
         InputError: The port is in use, the host is invalid, or the folder does not exist.
     """
 
-    def __init__(self, session: Commands, frame: Frame, materials: Path, *, host: str = LOOPBACK,
+    def __init__(self, session: CommandReceiver, frame: SessionFrame, materials: Path, *, host: str = LOOPBACK,
                  port: int = SERVER.port, exposed: bool = False, token: str = "", low_graphics: bool = False,
                  dark: bool = False):
         self._frames = 0
         self._tasks: queue.SimpleQueue[Callable[[], None]] = queue.SimpleQueue()
-        self.server = server = open_server(host, port, exposed=exposed, token=token)
+        self.server = server = open_viewer_server(host, port, exposed=exposed, token=token)
         try:
             self._add_controls(session, frame, materials, low_graphics, dark)
         except BaseException:
             server.stop()
             raise
 
-    def _add_controls(self, session: Commands, frame: Frame, materials: Path, low_graphics: bool, dark: bool) -> None:
+    def _add_controls(self, session: CommandReceiver, frame: SessionFrame, materials: Path, low_graphics: bool,
+                      dark: bool) -> None:
         server, gui = self.server, self.server.gui
-        self._solid = SolidPicture(server, frame.scene, low_graphics=low_graphics)
-        self._solid.on_drag(lambda depth, across, reply: session.post(
+        self._solid = ScenePicture(server, frame.scene, low_graphics=low_graphics)
+        self._solid.register_drag_callback(lambda depth, across, reply: session.post(
             "aim", reply=reply, depth=depth, **({} if across is None else {"across": across})))
-        self._title = gui.add_html(title_html(frame.scene))
+        self._title = gui.add_html(scene_title_html(frame.scene))
         self._status = gui.add_html(status_html(frame))
         self._restart = gui.add_button("Restart", icon=viser.Icon.REFRESH, color="red", visible=False)
         self._readouts = gui.add_html(readouts_html(frame))
@@ -84,7 +85,7 @@ class Page:
         tabs = gui.add_tab_group()
         with tabs.add_tab("Motion"):
             self._motion = MotionControls(server, session, frame)
-            self._motion.on_drag_mode = self._solid.set_drag_mode
+            self._motion.on_drag_mode = self._solid.set_drag_direction
         with tabs.add_tab("Material"):
             self._material = MaterialControls(server, session, frame, materials)
         with tabs.add_tab("Calibrate"):
@@ -98,22 +99,22 @@ class Page:
         curves = gui.add_panel()
         with curves.add_tab("Curves"):
             self._plots = CurvePlots(server, session, frame)
-        self._look.on_dark = self._set_dark
-        self._look.set_dark(dark)
+        self._look.on_dark = self._apply_colour_scheme
+        self._look.set_colour_scheme(dark)
         gui.main_panel.dock_right()
         gui.main_panel.set_width(_SETTINGS.panel_width)
         curves.dock_left()
         curves.set_width(_SETTINGS.panel_width)
 
         @self._restart.on_click
-        def _(event: viser.GuiEvent) -> None:
-            session.post("restart", reply=reply_to(event))
+        def restart_simulation_on_click(event: viser.GuiEvent) -> None:
+            session.post("restart", reply=make_browser_reply(event))
 
         @server.on_client_connect
-        def _(client: viser.ClientHandle) -> None:
-            self._look.place_camera(client, "iso")
+        def set_camera_on_connect(client: viser.ClientHandle) -> None:
+            self._look.move_camera_to_preset(client, "iso")
 
-    def show(self, frame: Frame) -> None:
+    def show(self, frame: SessionFrame) -> None:
         """Send the changes since the last frame to the browsers; without a connected browser, send nothing."""
         while not self._tasks.empty():
             self._tasks.get()()
@@ -121,15 +122,15 @@ class Page:
         if not self.server.get_clients():
             return
         with self.server.atomic():
-            self._look.show(frame)
+            self._look.update_controls(frame)
             levels = self._solid.levels
-            self._solid.show(frame, self._look.options)
+            self._solid.draw_frame(frame, self._look.options)
             if self._solid.levels is not None and self._solid.levels is not levels:
                 label, _ = LABELS[self._look.options.field]
                 self._bar.content = colour_bar_html(self._solid.levels, self._solid.colours, label)
-            self._saving.show(frame)
+            self._saving.record_frame(frame)
             if self._frames % _SETTINGS.update_interval == 0:
-                self._update_panels(frame)
+                self._update_texts_and_controls(frame)
         # Without the flush viser waits 1/60 s, and longer if the next frame is then incomplete.
         self.server.flush()
 
@@ -137,22 +138,22 @@ class Page:
         """Stop the server and close all connections."""
         self.server.stop()
 
-    def _update_panels(self, frame: Frame) -> None:
-        """Update texts, controls and plots."""
-        for handle, html in ((self._title, title_html(frame.scene)), (self._status, status_html(frame)),
+    def _update_texts_and_controls(self, frame: SessionFrame) -> None:
+        """Update the texts, the controls of all tabs and the plots."""
+        for handle, html in ((self._title, scene_title_html(frame.scene)), (self._status, status_html(frame)),
                              (self._readouts, readouts_html(frame))):
             if handle.content != html:
                 handle.content = html
         stopped = frame.phase is Phase.DIED
         if self._restart.visible != stopped:
             self._restart.visible = stopped
-        self._motion.show(frame)
-        self._material.show(frame)
-        self._calibration.show(frame)
-        self._scene.show(frame)
-        self._plots.show(frame)
+        self._motion.update_controls(frame)
+        self._material.update_controls(frame)
+        self._calibration.update_controls(frame)
+        self._scene.update_controls(frame)
+        self._plots.update_plots(frame)
 
 
-    def _set_dark(self, dark: bool) -> None:
-        self.server.set_theme(dark_mode=dark)
-        self._plots.set_dark(dark)
+    def _apply_colour_scheme(self, dark: bool) -> None:
+        self.server.set_page_theme(dark_mode=dark)
+        self._plots.set_colour_scheme(dark)

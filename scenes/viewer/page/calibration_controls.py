@@ -10,9 +10,9 @@ import viser
 import tissue_sim as ts
 from scenes.viewer.calibration_run import CalibrationState, UploadedRecording
 from scenes.viewer.calibration_task import CalibrationResult
-from scenes.viewer.frame import Commands, Frame
+from scenes.viewer.frame import CommandReceiver, SessionFrame
 from scenes.viewer.material_files import SUFFIX
-from scenes.viewer.page.notices import reply_to, send_file
+from scenes.viewer.page.notices import make_browser_reply, send_download
 from scenes.viewer.recording_upload import read_recording_upload
 from scenes.viewer.scene import Scene
 from tissue_sim.units import get_display_unit
@@ -30,7 +30,7 @@ class CalibrationControls:
         folder: Folder into which calibrated materials are saved.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame, folder: Path):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame, folder: Path):
         gui = server.gui
         self._shown: tuple[CalibrationState, Scene] | None = None
         self._upload = gui.add_upload_button("Upload recording", icon=viser.Icon.UPLOAD, mime_type="*/*",
@@ -47,41 +47,41 @@ class CalibrationControls:
         # Placed below the result, so that the result is visible without scrolling.
         self._recordings = gui.add_html("")
         self._remove = gui.add_button("Remove all recordings", icon=viser.Icon.TRASH, color="gray")
-        self.show(frame)
+        self.update_controls(frame)
 
         @self._upload.on_upload
-        def _(event: viser.GuiEvent) -> None:
+        def add_recordings_on_upload(event: viser.GuiEvent) -> None:
             file = self._upload.value
             try:
                 uploads = read_recording_upload(file.name, file.content)
             except ts.InputError as error:
-                reply_to(event)(str(error))
+                make_browser_reply(event)(str(error))
                 return
             done = f"Read {', '.join(upload.name for upload in uploads)}."
-            session.post("add_recordings", reply=reply_to(event, done), uploads=uploads)
+            session.post("add_recordings", reply=make_browser_reply(event, done), uploads=uploads)
 
         for button, command in ((self._remove, "remove_recordings"), (self._begin, "calibrate"),
                                 (self._cancel, "cancel_calibration")):
-            self._post_on_click(session, button, command)
+            self._post_command_on_click(session, button, command)
 
         @self._save.on_click
-        def _(event: viser.GuiEvent) -> None:
+        def save_material_on_click(event: viser.GuiEvent) -> None:
             name = self._name.value.strip().removesuffix(SUFFIX)
             state = None if self._shown is None else self._shown[0]
 
-            def reply(problem: str | None) -> None:
-                reply_to(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
+            def notify_and_send_file(problem: str | None) -> None:
+                make_browser_reply(event, f"Saved as {name}{SUFFIX} in {folder}.")(problem)
                 if problem is None and state is not None and state.result is not None:
-                    send_file(event.client, f"{name}{SUFFIX}", state.result.file)
+                    send_download(event.client, f"{name}{SUFFIX}", state.result.file)
 
-            session.post("save_calibration", reply=reply, folder=folder, name=name)
+            session.post("save_calibration", reply=notify_and_send_file, folder=folder, name=name)
 
-    def _post_on_click(self, session: Commands, button: viser.GuiButtonHandle, command: str) -> None:
+    def _post_command_on_click(self, session: CommandReceiver, button: viser.GuiButtonHandle, command: str) -> None:
         @button.on_click
-        def _(event: viser.GuiEvent) -> None:
-            session.post(command, reply=reply_to(event))
+        def post_command_of_button(event: viser.GuiEvent) -> None:
+            session.post(command, reply=make_browser_reply(event))
 
-    def show(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the tab if the calibration or the scene has changed."""
         state, scene = frame.calibration, frame.scene
         if self._shown is not None and self._shown[0] is state and self._shown[1] is scene:
@@ -101,35 +101,37 @@ class CalibrationControls:
 
 
 def recordings_html(state: CalibrationState, scene: Scene) -> str:
-    """Describe each uploaded recording as HTML, with warnings where a recording does not fit the scene."""
+    """Return HTML that describes each uploaded recording, with warnings where a recording does not fit the scene."""
     if not state.recordings:
         title = escape(scene.kind.title.lower())
         return (f'<div style="{_SMALL}" data-testid="recordings">Upload recordings of this test ({title}) that were '
                 "measured with the tool and the specimen of this scene. Then calibrate the material.</div>")
-    listed = "".join(_recording_html(each, scene) for each in state.recordings)
+    listed = "".join(_describe_recording_html(each, scene) for each in state.recordings)
     return f'<div style="{_SMALL}" data-testid="recordings">{listed}</div>'
 
 
-def _recording_html(uploaded: UploadedRecording, scene: Scene) -> str:
-    facts = [uploaded.measured.kind or "kind of test not stated", uploaded.tool or "tool not stated",
+def _describe_recording_html(uploaded: UploadedRecording, scene: Scene) -> str:
+    facts = [uploaded.measured.stated_test_kind or "kind of test not stated", uploaded.stated_tool or "tool not stated",
              f"{len(uploaded.recording)} samples",
-             f"maximum depth {uploaded.depth * 1e3:.3g} mm, maximum force {uploaded.recording.force.max():.3g} N"]
-    if uploaded.duration is not None:
-        facts.append(f"duration {uploaded.duration:.3g} s")
-    warnings = "".join(f'<div style="color:#C0392B">{escape(warning)}</div>' for warning in uploaded.warnings(scene))
+             f"maximum depth {uploaded.max_displacement * 1e3:.3g} mm, "
+             f"maximum force {uploaded.recording.force.max():.3g} N"]
+    if uploaded.recording_duration is not None:
+        facts.append(f"duration {uploaded.recording_duration:.3g} s")
+    warnings = "".join(f'<div style="color:#C0392B">{escape(warning)}</div>'
+                       for warning in uploaded.list_scene_mismatches(scene))
     understood = "".join(f"<div>{escape(line)}</div>" for line in uploaded.file.understood)
     return (f'<div style="margin-bottom:0.4em"><b>{escape(uploaded.file.name)}</b><br>{escape(", ".join(facts))}'
             f"{understood}{warnings}</div>")
 
 
 def calibration_html(state: CalibrationState) -> str:
-    """Describe the progress of the running fit, the last problem and the last result as HTML."""
+    """Return HTML with the progress of the running fit, the last problem and the last result."""
     parts = []
     if state.status is not None:
         status = state.status
         parts.append(f'<div data-testid="calibrating"><b>{escape(status.sentence)}</b></div>')
         if status.solves:
-            numbers = ", ".join(_parameter_text(name, value, status.units.get(name, "1"))
+            numbers = ", ".join(_format_parameter(name, value, status.units.get(name, "1"))
                                 for name, value in status.parameters.items())
             misfit = "" if status.rmse is None else f", RMSE {status.rmse:.3g} N"
             parts.append(f"<div>iteration {status.solves}{misfit}<br>{escape(numbers)}</div>")
@@ -137,18 +139,18 @@ def calibration_html(state: CalibrationState) -> str:
         parts.append(f'<div data-testid="calibration-problem" style="border-left:3px solid #D55E00;padding-left:0.6em">'
                      f"{escape(state.problem)}</div>")
     if state.result is not None and state.status is None:
-        parts.append(_result_html(state.result))
+        parts.append(_fit_result_html(state.result))
     return f'<div style="{_SMALL}">{"".join(parts)}</div>' if parts else ""
 
 
-def _parameter_text(name: str, value: float, si_unit: str) -> str:
-    """Name, value and display unit of a parameter that is given in SI."""
+def _format_parameter(name: str, value: float, si_unit: str) -> str:
+    """Return name, value and display unit of a parameter as text; `value` is in SI."""
     unit, factor = get_display_unit(si_unit)
     return f"{name} {factor * value:.5g} {unit}".rstrip()
 
 
-def _result_html(result: CalibrationResult) -> str:
-    """Table of the fitted parameters with 95 % intervals, then RMSE and warnings."""
+def _fit_result_html(result: CalibrationResult) -> str:
+    """Return HTML with a table of the fitted parameters and their 95 % intervals, then RMSE and warnings."""
     rows = []
     for name, found in result.values.items():
         unit, factor = get_display_unit(found.unit)

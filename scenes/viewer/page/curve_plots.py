@@ -7,21 +7,21 @@ from typing import Any
 import numpy as np
 import viser
 
-from scenes.viewer.frame import Commands, Frame
-from scenes.viewer.live_gap import live_gap, select_late_forces
-from scenes.viewer.measurement import interpolate_branches
-from scenes.viewer.page.notices import reply_to
-from scenes.viewer.page.readouts import agreement_html, live_gap_html
+from scenes.viewer.frame import CommandReceiver, SessionFrame
+from scenes.viewer.live_gap import compute_live_force_gap, select_extrapolated_forces
+from scenes.viewer.measurement import interpolate_loading_and_unloading
+from scenes.viewer.page.notices import make_browser_reply
+from scenes.viewer.page.readouts import live_force_gap_html, model_agreement_html
 from scenes.viewer.plots import (
     Pair,
-    force_depth_data,
-    force_depth_options,
-    force_time_data,
-    force_time_options,
-    legend_html,
     make_depth_grid,
-    residual_depth_data,
-    residual_depth_options,
+    make_force_depth_data,
+    make_force_depth_options,
+    make_force_time_data,
+    make_force_time_options,
+    make_residual_depth_data,
+    make_residual_depth_options,
+    plot_legend_html,
     round_axis_range,
 )
 from tissue_sim.recording.recording import Recording
@@ -36,7 +36,7 @@ class CurvePlots:
         frame: First frame.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame):
         gui = server.gui
         self._dark = False
         self._ranges: dict[str, Any] = {}
@@ -48,27 +48,27 @@ class CurvePlots:
         unit = (0.0, 1.0)
         self._legend = gui.add_html("")
 
-        def add(options: dict[str, Any]) -> viser.GuiUplotHandle:
+        def add_empty_plot(options: dict[str, Any]) -> viser.GuiUplotHandle:
             return gui.add_uplot(tuple(empty for _ in options["series"]), **options)
 
-        self._force = add(force_depth_options(x, unit))
+        self._force = add_empty_plot(make_force_depth_options(x, unit))
         self._live_gap = gui.add_html("")
         self._agreement = gui.add_html("")
-        self._residual = add(residual_depth_options(x, unit))
-        self._time = add(force_time_options(unit))
+        self._residual = add_empty_plot(make_residual_depth_options(x, unit))
+        self._time = add_empty_plot(make_force_time_options(unit))
         keep = gui.add_button("Keep this model curve", icon=viser.Icon.PIN,
                               hint="compare later model curves with the present one; press again to remove it")
         self._kept = False
 
         @keep.on_click
-        def _(event: viser.GuiEvent) -> None:
-            session.post("keep_curve", reply=reply_to(event), name="" if self._kept else "kept")
+        def keep_or_remove_curve_on_click(event: viser.GuiEvent) -> None:
+            session.post("keep_curve", reply=make_browser_reply(event), name="" if self._kept else "kept")
 
-    def set_dark(self, dark: bool) -> None:
+    def set_colour_scheme(self, dark: bool) -> None:
         """Redraw the plots with the colours of a dark or a light page."""
         self._dark, self._ranges, self._drawn = dark, {}, ()
 
-    def show(self, frame: Frame) -> None:
+    def update_plots(self, frame: SessionFrame) -> None:
         """Draw the curves of a frame if they have changed."""
         curves, readouts = frame.curves, frame.readouts
         current = None if readouts is None else (readouts.depth, readouts.force)
@@ -79,57 +79,62 @@ class CurvePlots:
         grid = make_depth_grid(frame.scene.max_tool_displacement)
         x = (0.0, frame.scene.max_tool_displacement * 1e3)
         measured, trace = curves.measurement, curves.trace
-        model = self._cached_branches("model", curves.model, grid)
-        compared = self._cached_branches("compared", None if curves.compared is None else curves.compared[1], grid)
-        live = trace.newest_passes(grid) if trace is not None and len(trace) else None
-        late = None if trace is None else select_late_forces(trace, grid)
-        columns, extent = force_depth_data(grid, measured=measured, model=model, compared=compared, live=live,
-                                           late=late, now=current)
-        self._send_if_changed(self._force, columns, ("force", x, round_axis_range(extent, self._ranges.get("force"))),
-                              lambda y: force_depth_options(x, y, dark=self._dark))
-        columns, extent = residual_depth_data(curves.residual, measured, grid)
+        model = self._get_cached_branches("model", curves.model, grid)
+        compared = self._get_cached_branches("compared", None if curves.compared is None else curves.compared[1], grid)
+        live = trace.interpolate_newest_passes(grid) if trace is not None and len(trace) else None
+        late = None if trace is None else select_extrapolated_forces(trace, grid)
+        columns, extent = make_force_depth_data(grid, measured=measured, model=model, compared=compared, live=live,
+                                                late=late, now=current)
+        self._send_plot_if_changed(self._force, columns,
+                                   ("force", x, round_axis_range(extent, self._ranges.get("force"))),
+                                   lambda y: make_force_depth_options(x, y, dark=self._dark))
+        columns, extent = make_residual_depth_data(curves.residual, measured, grid)
         self._residual.visible = measured is not None
-        self._send_if_changed(self._residual, columns,
-                              ("residual", x, round_axis_range(extent, self._ranges.get("residual"), about_zero=True)),
-                              lambda y: residual_depth_options(x, y, dark=self._dark))
+        self._send_plot_if_changed(self._residual, columns,
+                                   ("residual", x,
+                                    round_axis_range(extent, self._ranges.get("residual"), about_zero=True)),
+                                   lambda y: make_residual_depth_options(x, y, dark=self._dark))
         time, force = (np.empty(0), np.empty(0)) if trace is None else (trace.time, trace.force)
         now = readouts.time if readouts else 0.0
         hand = trace.rendered_force if trace is not None and curves.has_hand_force else None
-        columns, extent = force_time_data(time, force, now, measured=curves.replayed, hand=hand)
-        self._send_if_changed(self._time, columns, ("time", x, round_axis_range(extent, self._ranges.get("time"))),
-                              lambda y: force_time_options(y, dark=self._dark))
-        _set_if_changed(self._legend, "content", legend_html(
+        columns, extent = make_force_time_data(time, force, now, measured=curves.replayed, hand=hand)
+        self._send_plot_if_changed(self._time, columns, ("time", x, round_axis_range(extent, self._ranges.get("time"))),
+                                   lambda y: make_force_time_options(y, dark=self._dark))
+        _assign_if_changed(self._legend, "content", plot_legend_html(
             measured=0 if measured is None else len(measured.recordings), model=model is not None,
             compared=None if curves.compared is None else curves.compared[0], live=live is not None,
             hand=curves.has_hand_force, dark=self._dark))
-        _set_if_changed(self._agreement, "content", agreement_html(frame))
+        _assign_if_changed(self._agreement, "content", model_agreement_html(frame))
         gap = None
         if trace is not None and live is not None and model is not None:
-            gap = live_gap(trace, grid, live, model)
-        _set_if_changed(self._live_gap, "content", live_gap_html(gap))
+            gap = compute_live_force_gap(trace, grid, live, model)
+        _assign_if_changed(self._live_gap, "content", live_force_gap_html(gap))
 
-    def _cached_branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
-        """Return `interpolate_branches` of a curve, from the cache if neither the curve nor the grid has changed."""
+    def _get_cached_branches(self, name: str, recording: Recording | None, grid: np.ndarray) -> Pair | None:
+        """Return the loading and unloading force of a curve on the grid, N; None without a curve.
+
+        The result is cached until the curve or the grid changes.
+        """
         if recording is None:
             return None
         cached = self._branch_cache.get(name)
         if cached is None or cached[0] is not recording or not np.array_equal(cached[1], grid):
-            self._branch_cache[name] = cached = (recording, grid, interpolate_branches(recording, grid))
+            self._branch_cache[name] = cached = (recording, grid, interpolate_loading_and_unloading(recording, grid))
         return cached[2]
 
-    def _send_if_changed(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple,
-                         options) -> None:
+    def _send_plot_if_changed(self, handle: viser.GuiUplotHandle, columns: tuple[np.ndarray, ...], ranges: tuple,
+                              options) -> None:
         """Send the options if a range, (name, x range, y range), has changed, and the data if they have changed."""
         name, x, y = ranges
         if self._ranges.get(name) != y or self._written.get(name) != (x, self._dark):
             self._ranges[name], self._written[name] = y, (x, self._dark)
             for key, value in options(y).items():
-                _set_if_changed(handle, key, value)
+                _assign_if_changed(handle, key, value)
         if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(columns, handle.data, strict=True)):
             handle.data = columns
 
 
-def _set_if_changed(handle: Any, key: str, value: Any) -> None:
+def _assign_if_changed(handle: Any, key: str, value: Any) -> None:
     """Assign a property only if its value differs, because each assignment sends a message."""
     if getattr(handle, key) != value:
         setattr(handle, key, value)

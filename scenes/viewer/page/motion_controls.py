@@ -9,8 +9,8 @@ from typing import Any
 
 import viser
 
-from scenes.viewer.frame import Commands, Frame, Phase
-from scenes.viewer.page.notices import reply_to, set_value
+from scenes.viewer.frame import CommandReceiver, Phase, SessionFrame
+from scenes.viewer.page.notices import make_browser_reply, set_control_value
 from scenes.viewer.page.solid import DRAGS
 from scenes.viewer.scene import Scene
 
@@ -30,7 +30,7 @@ def _make_example_protocol(name: str, scene: Scene) -> str:
     return "; ".join(part for part in parts if may_lift or not part.startswith(("approach", "retract")))
 
 
-def _slider_range(limits: tuple[float, float]) -> tuple[float, float]:
+def _round_slider_limits(limits: tuple[float, float]) -> tuple[float, float]:
     """Round a range in m inwards to steps of 0.01 mm; return it in mm, as one step if the range is narrower."""
     low, high = math.ceil(1e5 * limits[0] - 1e-6) / 100, math.floor(1e5 * limits[1] + 1e-6) / 100
     return min(low, high), max(low, high)
@@ -52,28 +52,29 @@ class PositionSlider:
         #: slider has another value, its callback is still to come.
         self._last_value = slider.value
 
-    def on_entry(self, callback: Callable[[viser.GuiEvent], None]) -> None:
+    def register_entry_callback(self, callback: Callable[[viser.GuiEvent], None]) -> None:
         """Register a callback for values that users enter; values that the program writes do not call it."""
 
         @self.slider.on_update
-        async def _(event: viser.GuiEvent) -> None:  # viser runs a coroutine before it writes another value
+        async def call_back_on_entry(event: viser.GuiEvent) -> None:
+            # viser runs a coroutine before it writes another value.
             if event.client is not None:
                 self._last_value = self.slider.value
                 callback(event)
 
-    def clip(self, value: float) -> float:
+    def clip_to_slider_range(self, value: float) -> float:
         """Limit a value to the range of the slider, mm."""
         return min(max(value, self.slider.min), self.slider.max)
 
-    def display(self, value: float) -> None:
-        """Show a coordinate of the tool, mm.
+    def display_coordinate(self, value: float) -> None:
+        """Set the slider to a coordinate of the tool, mm, unless a new entry is being processed.
 
         A typed number outside of the range is not overwritten if the tool stands at the nearest limit, because the
         user may still be typing.
         """
-        if self.slider.value == self._last_value and abs(value - self.clip(self._last_value)) >= 0.01:
+        if self.slider.value == self._last_value and abs(value - self.clip_to_slider_range(self._last_value)) >= 0.01:
             self._last_value = value
-            set_value(self.slider, value)
+            set_control_value(self.slider, value)
 
 
 class MotionControls:
@@ -88,7 +89,7 @@ class MotionControls:
         on_drag_mode: Called with the chosen key of `scenes.viewer.page.solid.DRAGS`.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame):
         gui, deepest = server.gui, frame.scene.max_tool_displacement
         examples = {name: _make_example_protocol(name, frame.scene) for name in PROTOCOLS}
         self._session, self._paused, self._plays = session, False, False
@@ -104,7 +105,8 @@ class MotionControls:
         self._across = [PositionSlider(gui.add_slider(
             f"{name} [mm]", min=low, max=high, step=0.01, initial_value=min(max(round(1e3 * value, 2), low), high),
             visible=False, hint=f"{name} coordinate at which the tool's axis crosses the undeformed surface"))
-            for name, value, (low, high) in zip("xy", frame.across, map(_slider_range, frame.scene.reach),
+            for name, value, (low, high) in zip("xy", frame.across,
+                                                map(_round_slider_limits, frame.scene.lateral_range),
                                                 strict=True)]
         self._drags = gui.add_dropdown("mouse moves it", tuple(DRAGS), visible=False,
                                        hint="directions in which the mouse drags the tool")
@@ -112,7 +114,7 @@ class MotionControls:
         self._buttons = gui.add_button_group("run", ("Play", "Pause", "Step", "Reset"),
                                               hint="keys: P plays or pauses, N steps one frame, R resets; Ctrl+K lists "
                                                    "all keys")
-        self._source = gui.add_dropdown("motion", self._list_motion_sources(frame), initial_value="protocol")
+        self._source = gui.add_dropdown("motion", self._list_motion_choices(frame), initial_value="protocol")
         self._named = gui.add_dropdown("example", tuple(PROTOCOLS), initial_value="press and release")
         self._text = gui.add_text("protocol", examples["press and release"],
                                   hint="approach 2mm; ramp 10mm @5mm/s; hold 60s; unload; repeat 3 (ramp 5mm; unload)")
@@ -126,78 +128,78 @@ class MotionControls:
         #: Last refusal that was shown, so that dragging a slider does not show the same refusal many times.
         self._refusal: str | None = None
 
-        self._depth.on_entry(lambda event: self._move_to_depth(self._depth.slider.value, event))
+        self._depth.register_entry_callback(lambda event: self._move_to_depth(self._depth.slider.value, event))
         for coordinate in self._across:
-            coordinate.on_entry(self._move_across)
+            coordinate.register_entry_callback(self._move_to_lateral_position)
 
         @self._drags.on_update
-        def _(_: viser.GuiEvent) -> None:
+        def change_drag_direction_on_update(_: viser.GuiEvent) -> None:
             self.on_drag_mode(self._drags.value)
 
         for key, step, words in (("pagedown", 0.1, "deeper"), ("pageup", -0.1, "up")):
-            self._add_key(gui, f"0.1 mm {words}", key, partial(self._move_by, step))
-            self._add_key(gui, f"1 mm {words}", key, partial(self._move_by, 10 * step), modifier="shift")
-        self._add_key(gui, "Play or pause", "P",
-                      lambda event: self._post_command("Pause" if self._plays else "Play", event))
-        self._add_key(gui, "Step", "N", lambda event: self._post_command("Step", event))
-        self._add_key(gui, "Reset", "R", lambda event: self._post_command("Reset", event))
+            self._bind_key(gui, f"0.1 mm {words}", key, partial(self._move_by_axial_step, step))
+            self._bind_key(gui, f"1 mm {words}", key, partial(self._move_by_axial_step, 10 * step), modifier="shift")
+        self._bind_key(gui, "Play or pause", "P",
+                       lambda event: self._post_button_command("Pause" if self._plays else "Play", event))
+        self._bind_key(gui, "Step", "N", lambda event: self._post_button_command("Step", event))
+        self._bind_key(gui, "Reset", "R", lambda event: self._post_button_command("Reset", event))
 
         @self._buttons.on_click
-        def _(event: viser.GuiEvent) -> None:
-            self._post_command(self._buttons.value, event)
+        def post_button_command_on_click(event: viser.GuiEvent) -> None:
+            self._post_button_command(self._buttons.value, event)
 
         @self._named.on_update
-        def _(event: viser.GuiEvent) -> None:
+        def insert_example_protocol_on_update(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                set_value(self._text, examples[self._named.value])
+                set_control_value(self._text, examples[self._named.value])
 
         @self._source.on_update
-        def _(_: viser.GuiEvent) -> None:
+        def show_fields_of_motion_on_update(_: viser.GuiEvent) -> None:
             measured = self._source.value != "protocol"
             for handle in (self._named, self._text, self._speed, self._repeat):
                 handle.visible = not measured
             self._speed_factor.visible = measured
 
     @staticmethod
-    def _add_key(gui: viser.GuiApi, label: str, key: Any, callback: Callable[[Any], None],
-                 modifier: Any = None) -> None:
+    def _bind_key(gui: viser.GuiApi, label: str, key: Any, callback: Callable[[Any], None],
+                  modifier: Any = None) -> None:
         """Bind a key of the keyboard; the key is also listed by its label when the user presses Ctrl+K."""
         gui.add_command(label, hotkey=key, modifier=modifier).on_trigger(callback)
 
-    def _move_by(self, step: float, event: Any) -> None:
+    def _move_by_axial_step(self, step: float, event: Any) -> None:
         """Move the tool by a step along its axis, mm, positive into the tissue."""
         self._move_to_depth(self._aimed + step, event)
 
     def _move_to_depth(self, depth: float, event: Any) -> None:
         """Move the tool to a depth, mm."""
-        self._aimed = self._depth.clip(depth)
-        self._post_aim(event, depth=self._aimed * 1e-3)
+        self._aimed = self._depth.clip_to_slider_range(depth)
+        self._post_aim_command(event, depth=self._aimed * 1e-3)
 
-    def _move_across(self, event: Any) -> None:
+    def _move_to_lateral_position(self, event: Any) -> None:
         """Move the tool to the x and y of the sliders."""
-        x, y = (coordinate.clip(coordinate.slider.value) * 1e-3 for coordinate in self._across)
-        self._post_aim(event, across=(x, y))
+        x, y = (coordinate.clip_to_slider_range(coordinate.slider.value) * 1e-3 for coordinate in self._across)
+        self._post_aim_command(event, across=(x, y))
 
-    def _post_aim(self, event: Any, **position: Any) -> None:
-        """Post the command `Session.aim` with its arguments."""
-        notify_problem = reply_to(event)
+    def _post_aim_command(self, event: Any, **position: Any) -> None:
+        """Post the command "aim", `Session.set_hand_target`, with its arguments; show each refusal once."""
+        notify_problem = make_browser_reply(event)
 
-        def reply(problem: str | None) -> None:
+        def count_answer_and_notify(problem: str | None) -> None:
             self._answered += 1
             if problem is not None and problem != self._refusal:
                 notify_problem(problem)
             self._refusal = problem
 
         self._entered += 1
-        self._session.post("aim", reply=reply, **position)
+        self._session.post("aim", reply=count_answer_and_notify, **position)
 
     @staticmethod
-    def _list_motion_sources(frame: Frame) -> tuple[str, ...]:
+    def _list_motion_choices(frame: SessionFrame) -> tuple[str, ...]:
         return ("protocol",) if frame.scene.measurement is None else ("protocol", "measured motion")
 
-    def _post_command(self, button: str, event: viser.GuiEvent) -> None:
-        """Post the command of a button."""
-        reply = reply_to(event)
+    def _post_button_command(self, button: str, event: viser.GuiEvent) -> None:
+        """Post the command of a button; Play resumes a paused motion, or starts the chosen motion."""
+        reply = make_browser_reply(event)
         if button == "Play" and self._paused:
             self._session.post("resume", reply=reply)
         elif button == "Play" and self._source.value == "protocol":
@@ -208,22 +210,22 @@ class MotionControls:
         else:
             self._session.post(button.lower(), reply=reply)
 
-    def show(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the sliders to the position of the tool, which another browser, a protocol or a device may move."""
         self._paused = frame.phase is Phase.PAUSED
         self._plays = not self._paused and frame.motion in ("protocol", "recording")
-        sources = self._list_motion_sources(frame)
+        sources = self._list_motion_choices(frame)
         if self._source.options != sources:
             self._source.options = sources
         depth = frame.target if frame.motion == "hand" or frame.readouts is None else frame.readouts.depth
         depth = round(depth * 1e3, 2)
         in_space = (frame.snapshot is not None and frame.snapshot.in_space
-                    and frame.scene.reach[0][0] < frame.scene.reach[0][1])
+                    and frame.scene.lateral_range[0][0] < frame.scene.lateral_range[0][1])
         for handle in (*(coordinate.slider for coordinate in self._across), self._drags):
             if handle.visible != in_space:
                 handle.visible = in_space
         if self._entered == self._answered:  # An entry that is not answered yet is newer than the frame.
             self._aimed = depth
-            self._depth.display(depth)
+            self._depth.display_coordinate(depth)
             for coordinate, value in zip(self._across, frame.across, strict=True):
-                coordinate.display(round(value * 1e3, 2))
+                coordinate.display_coordinate(round(value * 1e3, 2))

@@ -14,13 +14,13 @@ Reply = Callable[[str | None], None]
 FAILED = "Not done"
 
 
-def set_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
+def set_control_value(control: viser.GuiInputHandle[Value], value: Value) -> None:
     """Assign a value to a control of the page."""
     # viser defines the setter apart from the getter, so type checkers see a read-only property.
     control.value = value  # type: ignore[misc]
 
 
-def reply_to(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
+def make_browser_reply(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -> Reply:
     """Return a reply function that notifies the browser of an event.
 
     Args:
@@ -29,22 +29,23 @@ def reply_to(event: viser.GuiEvent | viser.SceneNodeDragEvent, done: str = "") -
     """
     client = event.client
 
-    def reply(problem: str | None) -> None:
+    def notify_of_outcome(problem: str | None) -> None:
         if problem is not None:
-            notify(client, FAILED, problem, "red")
+            notify_browser(client, FAILED, problem, "red")
         elif done:
-            notify(client, "Done", done, "teal")
+            notify_browser(client, "Done", done, "teal")
 
-    return reply
+    return notify_of_outcome
 
 
-def notify(client: viser.ClientHandle | None, title: str, sentence: str, colour: Literal["red", "teal"]) -> None:
+def notify_browser(client: viser.ClientHandle | None, title: str, sentence: str,
+                   colour: Literal["red", "teal"]) -> None:
     """Show a notification in a browser for 12 s; do nothing if `client` is None."""
     if client is not None:
         client.add_notification(title, sentence, color=colour, auto_close_seconds=12.0)
 
 
-def send_file(client: viser.ClientHandle | None, name: str, content: bytes) -> None:
+def send_download(client: viser.ClientHandle | None, name: str, content: bytes) -> None:
     """Make a browser download a file without asking; do nothing if `client` is None."""
     if client is not None:
         client.send_file_download(name, content, save_immediately=True)

@@ -8,7 +8,7 @@ import numpy as np
 
 
 @dataclass(frozen=True)
-class ViewOptions:
+class PictureOptions:
     """Display options of the picture.
 
     Attributes:
@@ -73,7 +73,7 @@ class LightSettings:
 
 
 @dataclass(frozen=True)
-class ResolutionSettings:
+class PictureResolutionSettings:
     """Resolution of the surfaces and of the force arrow; larger numbers give a finer picture and more data per frame.
 
     Attributes:
@@ -96,4 +96,4 @@ COLOURS = PictureColours()
 #: Lights of the picture.
 LIGHTS = LightSettings()
 #: Resolution of the picture.
-RESOLUTION = ResolutionSettings()
+RESOLUTION = PictureResolutionSettings()

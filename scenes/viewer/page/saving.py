@@ -13,20 +13,20 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.provenance import describe_provenance
-from scenes.viewer.frame import Frame
-from scenes.viewer.measurement import interpolate_branches
-from scenes.viewer.page.notices import FAILED, notify, reply_to, send_file
-from scenes.viewer.page.solid import SolidPicture
+from scenes.viewer.frame import SessionFrame
+from scenes.viewer.measurement import interpolate_loading_and_unloading
+from scenes.viewer.page.notices import FAILED, make_browser_reply, notify_browser, send_download
+from scenes.viewer.page.solid import ScenePicture
 from scenes.viewer.page.view_controls import ViewControls
-from scenes.viewer.picture_file import Curve, compose_png
+from scenes.viewer.picture_file import DrawnForceCurve, compose_picture_png
 from scenes.viewer.plots import LIGHT, make_depth_grid
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import Trace, make_recording_files
+from scenes.viewer.trace import Trace, make_csv_and_sidecar
 from tissue_sim.errors import InputError
 
 
 @dataclass(frozen=True)
-class SavingSettings:
+class SavedFileLimits:
     """Limits of saved pictures and replays.
 
     Attributes:
@@ -43,7 +43,7 @@ class SavingSettings:
 
 
 #: Limits of every page.
-SAVING = SavingSettings()
+SAVING = SavedFileLimits()
 
 
 class SaveControls:
@@ -56,11 +56,11 @@ class SaveControls:
         run_later: Runs a function in the thread that shows the frames, in which the trace does not change.
     """
 
-    def __init__(self, server: viser.ViserServer, solid: SolidPicture, view: ViewControls,
+    def __init__(self, server: viser.ViserServer, solid: ScenePicture, view: ViewControls,
                  run_later: Callable[[Callable[[], None]], None]):
         gui = server.gui
         self._server, self._solid, self._view = server, solid, view
-        self._frame: Frame | None = None
+        self._frame: SessionFrame | None = None
         self._recorder: viser.infra.StateSerializer | None = None
         self._recorded, self._last = 0.0, 0.0
         #: HTML page of a finished replay that has not been downloaded yet.
@@ -73,19 +73,22 @@ class SaveControls:
                                       hint="records an HTML file that plays the moving picture without a server")
 
         @curve.on_click
-        def _(event: viser.GuiEvent) -> None:
-            run_later(lambda: self._save_curve(event))
+        def send_curve_files_on_click(event: viser.GuiEvent) -> None:
+            run_later(lambda: self._send_curve_files(event))
 
         @picture.on_click
-        def _(event: viser.GuiEvent) -> None:
-            self._save_picture(event)
+        def send_picture_file_on_click(event: viser.GuiEvent) -> None:
+            self._send_picture_file(event)
 
         @self._replay.on_click
-        def _(event: viser.GuiEvent) -> None:
-            run_later(lambda: self._toggle_replay(event))
+        def start_or_send_replay_on_click(event: viser.GuiEvent) -> None:
+            run_later(lambda: self._start_or_send_replay(event))
 
-    def show(self, frame: Frame) -> None:
-        """Keep the frame for saving, and extend a running replay until it is `SavingSettings.longest_replay` long."""
+    def record_frame(self, frame: SessionFrame) -> None:
+        """Store the newest frame for saving, and add it to a replay that is being recorded.
+
+        A replay of `SavedFileLimits.longest_replay` ends.
+        """
         self._frame = frame
         if self._recorder is None:
             return
@@ -93,61 +96,63 @@ class SaveControls:
         self._recorder.insert_sleep(now - self._last)
         self._recorded, self._last = self._recorded + now - self._last, now
         if self._recorded >= SAVING.longest_replay:
-            self._finish_replay(self._recorder)
+            self._finish_replay_recording(self._recorder)
         label = f"Save replay ({self._recorded:.0f} s)"
         if self._replay.label != label:
             self._replay.label = label
 
-    def _save_curve(self, event: viser.GuiEvent) -> None:
+    def _send_curve_files(self, event: viser.GuiEvent) -> None:
         frame = self._frame
         trace = None if frame is None else frame.curves.trace
         if frame is None or trace is None or len(trace) < 5:
-            reply_to(event)("There is no curve yet. Move the tool first.")
+            make_browser_reply(event)("There is no curve yet. Move the tool first.")
             return
         try:
-            files = make_curve_files(frame.scene, trace)
+            files = make_trace_files(frame.scene, trace)
         except InputError as error:
             # This runs in the thread that shows the frames, which an exception would end.
-            reply_to(event)(f"The curve {error.problem}")
+            make_browser_reply(event)(f"The curve {error.problem}")
             return
         for name, content in files.items():
-            send_file(event.client, name, content)
+            send_download(event.client, name, content)
 
-    def _save_picture(self, event: viser.GuiEvent) -> None:
+    def _send_picture_file(self, event: viser.GuiEvent) -> None:
         frame, client = self._frame, event.client
         if frame is None or client is None:
             return
         camera = client.camera
         width, height = (min(size, SAVING.max_picture_size) for size in (camera.image_width, camera.image_height))
-        render = _request_render(client, height, width)
+        render = _request_browser_image(client, height, width)
         if render is None:
-            notify(client, FAILED, "The browser did not render the picture. Try again.", "red")
+            notify_browser(client, FAILED, "The browser did not render the picture. Try again.", "red")
             return
         scene, now = frame.scene, frame.readouts
         caption = [f"{scene.kind.title}, {scene.material.energy_law.title} ({scene.source})"]
         if now is not None:
             caption.append(f"{now.force:.3f} N at {now.depth * 1e3:.2f} mm")
         label, _ = LABELS[self._view.options.field]
-        content = compose_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label, caption,
-                              now=None if now is None else (now.depth, now.force), **_select_drawn_curves(frame))
-        send_file(client, f"{scene.kind.name}.png", content)
+        content = compose_picture_png(render, self._solid.levels, np.array(self._solid.colours, dtype=np.uint8), label,
+                                      caption,
+                                      now=None if now is None else (now.depth, now.force),
+                                      **_select_drawn_curves(frame))
+        send_download(client, f"{scene.kind.name}.png", content)
 
-    def _toggle_replay(self, event: viser.GuiEvent) -> None:
+    def _start_or_send_replay(self, event: viser.GuiEvent) -> None:
         if self._recorder is None and self._finished is None:
             self._recorder = self._server.get_scene_serializer()
             self._recorded, self._last = 0.0, time.monotonic()
             return
         if self._recorder is not None:
-            self._finish_replay(self._recorder)
+            self._finish_replay_recording(self._recorder)
         if self._finished is not None:
-            send_file(event.client, "replay.html", self._finished)
+            send_download(event.client, "replay.html", self._finished)
         self._finished, self._replay.label = None, "Record replay"
 
-    def _finish_replay(self, recorder: viser.infra.StateSerializer) -> None:
+    def _finish_replay_recording(self, recorder: viser.infra.StateSerializer) -> None:
         self._finished, self._recorder = recorder.as_html(dark_mode=False).encode(), None
 
 
-def make_curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
+def make_trace_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
     """Return the files of a trace: the recording (CSV) and its sidecar (JSON), which has the keys of ``simulate -o``.
 
     Args:
@@ -162,10 +167,10 @@ def make_curve_files(scene: Scene, trace: Trace) -> dict[str, bytes]:
     """
     name = scene.kind.name
     about = {"name": name, **describe_provenance(name, scene.experiment), "material": scene.source, "simulated": True}
-    return make_recording_files(trace.recording(about), name)
+    return make_csv_and_sidecar(trace.recording(about), name)
 
 
-def _request_render(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
+def _request_browser_image(client: viser.ClientHandle, height: int, width: int) -> np.ndarray | None:
     """Return the view of a browser as an image, shape (height, width, 4); None if the browser does not answer."""
     for _ in range(SAVING.render_attempts):
         with suppress(TimeoutError, RuntimeError):
@@ -173,8 +178,12 @@ def _request_render(client: viser.ClientHandle, height: int, width: int) -> np.n
     return None
 
 
-def _select_drawn_curves(frame: Frame) -> dict[str, Any]:
-    """Return the arguments ``curves`` and ``band`` of `compose_png`: measurement, kept, model and live curve."""
+def _select_drawn_curves(frame: SessionFrame) -> dict[str, Any]:
+    """Return the keyword arguments ``curves`` and ``band`` of `compose_picture_png` for a frame.
+
+    ``curves`` holds the mean measurement, the curve kept for comparison, the model curve and the live curve; ``band``
+    is the band of the replicates, None without a measurement.
+    """
     curves, measured, band = frame.curves, frame.curves.measurement, None
     grid = make_depth_grid(frame.scene.max_tool_displacement)
     pairs = []
@@ -183,12 +192,14 @@ def _select_drawn_curves(frame: Frame) -> dict[str, Any]:
         pairs.append(("measured", "measured", measured.depth,
                       (measured.load.mean, None if measured.unload is None else measured.unload.mean)))
     if curves.compared is not None:
-        pairs.append(("compared", curves.compared[0], grid, interpolate_branches(curves.compared[1], grid)))
+        pairs.append(("compared", curves.compared[0], grid,
+                      interpolate_loading_and_unloading(curves.compared[1], grid)))
     if curves.model is not None:
-        pairs.append(("model", "model", grid, interpolate_branches(curves.model, grid)))
+        pairs.append(("model", "model", grid, interpolate_loading_and_unloading(curves.model, grid)))
     if curves.trace is not None and len(curves.trace):
-        pairs.append(("live", "live", grid, curves.trace.newest_passes(grid)))
-    shown = [Curve(depth, force, name if force is branches[0] else "", LIGHT[role], dashed=force is not branches[0])
+        pairs.append(("live", "live", grid, curves.trace.interpolate_newest_passes(grid)))
+    shown = [DrawnForceCurve(depth, force, name if force is branches[0] else "", LIGHT[role],
+                             dashed=force is not branches[0])
              for role, name, depth, branches in pairs for force in branches
              if force is not None and np.isfinite(force).any()]
     return {"curves": shown, "band": band}

@@ -9,8 +9,8 @@ import viser
 
 import tissue_sim as ts
 from scenes.catalogue import SCENES
-from scenes.viewer.frame import Commands, Frame
-from scenes.viewer.page.notices import reply_to, set_value
+from scenes.viewer.frame import CommandReceiver, SessionFrame
+from scenes.viewer.page.notices import make_browser_reply, set_control_value
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.interfaces import INTERFACES
 from tissue_sim.experiment.tools.tool import TOOLS, list_shapes_without_file, tool_sizes
@@ -22,7 +22,7 @@ _SLIDING = ("frictionless", "friction")
 
 
 @dataclass(frozen=True)
-class SlidingDefaults:
+class SlidingInterfaceDefaults:
     """Values that the page fills in when an interface that slides is chosen.
 
     Attributes:
@@ -34,7 +34,7 @@ class SlidingDefaults:
     friction: float = 0.3
 
 
-_SLIDING_DEFAULTS = SlidingDefaults()
+_SLIDING_DEFAULTS = SlidingInterfaceDefaults()
 #: Initial sizes of a needle that is chosen after a plate, by their SI unit.
 _DEFAULT_SIZES = {"m": 8e-3, "rad": radians(45.0)}
 
@@ -48,7 +48,7 @@ class SceneControls:
         frame: First frame.
     """
 
-    def __init__(self, server: viser.ViserServer, session: Commands, frame: Frame):
+    def __init__(self, server: viser.ViserServer, session: CommandReceiver, frame: SessionFrame):
         gui = server.gui
         self._titles = {scene.title: name for name, scene in SCENES.items()}
         self._scene = gui.add_dropdown("scene", tuple(self._titles), initial_value=frame.scene.kind.title)
@@ -63,35 +63,35 @@ class SceneControls:
                                         hint="friction coefficient")
         self._apply = gui.add_button("Apply", icon=viser.Icon.CHECK)
         self._shown: Scene | None = None
-        self.show(frame)
+        self.update_controls(frame)
 
         for handle in (self._shape, self._interface):
             @handle.on_update
-            def _(event: viser.GuiEvent) -> None:
+            def adapt_controls_to_tool_on_update(event: viser.GuiEvent) -> None:
                 if event.client is not None:
-                    self._make_consistent()
-                self._update_visibility()
+                    self._adapt_interface_to_tool()
+                self._update_control_visibility()
 
         @self._scene.on_update
-        def _(event: viser.GuiEvent) -> None:
+        def adapt_controls_to_scene_on_update(event: viser.GuiEvent) -> None:
             if event.client is not None:
                 self._display_interface(SCENES[self._titles[self._scene.value]].face.usual)
-                self._make_consistent()
-            self._update_visibility()
+                self._adapt_interface_to_tool()
+            self._update_control_visibility()
 
         @self._apply.on_click
-        def _(event: viser.GuiEvent) -> None:
+        def apply_scene_on_click(event: viser.GuiEvent) -> None:
             name = self._titles[self._scene.value]
-            reply = reply_to(event)
+            reply = make_browser_reply(event)
             try:
-                tool, friction = self._build_tool(name), self._friction.value
+                tool, friction = self._build_selected_tool(name), self._friction.value
             except ts.InputError as error:
                 reply(str(error))
                 return
             session.post("use_scene", reply=reply, name=name, tool=tool,
                          friction=friction if self._interface.value == "friction" else self._interface.value)
 
-    def _build_tool(self, scene: str) -> ts.Tool | None:
+    def _build_selected_tool(self, scene: str) -> ts.Tool | None:
         """Return the tool with the chosen shape and sizes; None if the scene uses plates."""
         if SCENES[scene].require_tool().is_plate:
             return None
@@ -100,21 +100,21 @@ class SceneControls:
                                  for key, (declaration, name, shapes) in self._declared_sizes.items()
                                  if shape in shapes})
 
-    def _make_consistent(self) -> None:
+    def _adapt_interface_to_tool(self) -> None:
         """Adapt the interface and the edge radius to the tool: only flat faces bond, and sliding needs a round edge."""
-        tool = self._make_chosen_tool()
+        tool = self._build_selected_tool_if_valid()
         if tool is None:
             return
         if tool.face_radius == 0 and self._interface.value == "bonded":
-            set_value(self._interface, "stick")
+            set_control_value(self._interface, "stick")
         if tool.sharp_edge and self._interface.value in _SLIDING:
             for key, (declaration, name, _) in self._declared_sizes.items():
                 if name == "edge_radius":
-                    set_value(self._sizes[key], _SLIDING_DEFAULTS.edge_radius / declaration.factor)
+                    set_control_value(self._sizes[key], _SLIDING_DEFAULTS.edge_radius / declaration.factor)
 
-    def _update_visibility(self) -> None:
+    def _update_control_visibility(self) -> None:
         """Show only the controls and interfaces that apply to the chosen scene and tool."""
-        tool = self._make_chosen_tool()
+        tool = self._build_selected_tool_if_valid()
         flat = tool is None or tool.face_radius != 0
         self._interface.options = _INTERFACES if flat else tuple(each for each in _INTERFACES if each != "bonded")
         needle = not SCENES[self._titles[self._scene.value]].require_tool().is_plate
@@ -123,34 +123,34 @@ class SceneControls:
             self._sizes[key].visible = needle and self._shape.value in shapes
         self._friction.visible = self._interface.value == "friction"
 
-    def _make_chosen_tool(self) -> ts.Tool | None:
+    def _build_selected_tool_if_valid(self) -> ts.Tool | None:
         """Return the chosen tool; None for plates and for invalid sizes, which Apply reports."""
         try:
-            return self._build_tool(self._titles[self._scene.value])
+            return self._build_selected_tool(self._titles[self._scene.value])
         except ts.InputError:
             return None
 
-    def show(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the controls if another browser or a command has changed the scene."""
         scene = frame.scene
         if self._shown is not None and self._shown.experiment is scene.experiment:
             return
         self._shown = scene
         tool, friction = scene.experiment.tool, scene.experiment.friction
-        set_value(self._scene, scene.kind.title)
+        set_control_value(self._scene, scene.kind.title)
         if tool.shape in self._needles:
-            set_value(self._shape, tool.shape)
+            set_control_value(self._shape, tool.shape)
             for key, (declaration, name, shapes) in self._declared_sizes.items():
                 if tool.shape in shapes:
-                    set_value(self._sizes[key], getattr(tool, name) / declaration.factor)
+                    set_control_value(self._sizes[key], getattr(tool, name) / declaration.factor)
         self._display_interface(friction)
-        self._update_visibility()
+        self._update_control_visibility()
 
     def _display_interface(self, friction: str | float) -> None:
         """Display an interface: its name, or "friction" and the coefficient."""
-        set_value(self._interface, friction if isinstance(friction, str) else "friction")
+        set_control_value(self._interface, friction if isinstance(friction, str) else "friction")
         if not isinstance(friction, str):
-            set_value(self._friction, friction)
+            set_control_value(self._friction, friction)
 
 
 def _add_size_control(gui: viser.GuiApi, key: str, size: Declaration) -> viser.GuiInputHandle[float]:

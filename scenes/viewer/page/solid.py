@@ -10,22 +10,22 @@ import numpy as np
 import viser
 
 from scenes.field_labels import LABELS
-from scenes.viewer.bodies import Body, is_drawable, make_body
-from scenes.viewer.colours import PALETTE, field_range, keep_steady_levels
-from scenes.viewer.frame import Frame
-from scenes.viewer.page.notices import Reply, reply_to
-from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, ViewOptions
-from scenes.viewer.page.scene_updates import send_arrays, send_position
-from scenes.viewer.revolution import Opening, Surface
+from scenes.viewer.bodies import DrawableBody, can_draw_fields, make_drawable_body
+from scenes.viewer.colours import PALETTE, compute_colour_range, update_band_levels
+from scenes.viewer.frame import SessionFrame
+from scenes.viewer.page.notices import Reply, make_browser_reply
+from scenes.viewer.page.picture_settings import COLOURS, LIGHTS, RESOLUTION, PictureOptions
+from scenes.viewer.page.scene_updates import send_node_arrays, send_node_position
+from scenes.viewer.revolution import TriangulatedSurface, WedgeOpening
 from scenes.viewer.scene import Scene
-from scenes.viewer.tone import displayed_srgb, surface_srgb_for
+from scenes.viewer.tone import compute_displayed_srgb, find_surface_srgb
 from scenes.viewer.tool_picture import (
-    arrow_foot,
+    compute_arrow_foot_height,
     make_base_plate,
     make_force_arrow,
+    make_scale_bar,
     make_tool_mesh,
-    rotate_arrow,
-    scale_bar,
+    rotate_force_arrow,
 )
 from scenes.viewer.wedge import Wedge
 from tissue_sim.fem.axisymmetric.discretisation import build_mesh
@@ -45,7 +45,7 @@ DRAGS = {"in the view plane": "freely", "along its axis": "depth", "sideways": "
 _ROUND = (1.0, 1.5, 2.0, 3.0, 5.0, 7.0)
 
 
-class SolidPicture:
+class ScenePicture:
     """Scene nodes of the picture; each frame sends only the nodes that have changed.
 
     Args:
@@ -67,22 +67,23 @@ class SolidPicture:
         specimen = scene.experiment.specimen
         self.scale = SIZE / max(2.0 * specimen.outer_radius, specimen.height)
         self._segments = RESOLUTION.low_graphics_segments if low_graphics else RESOLUTION.segments
-        surface_colours = [surface_srgb_for(colour) for colour in PALETTE]
-        self.colours = [displayed_srgb(colour) for colour in surface_colours]
-        self._bands = [self._add_mesh(f"/tissue/band_{k}", colour) for k, colour in enumerate(surface_colours)]
-        self._surface = self._add_mesh("/tissue/surface", COLOURS.tissue)
+        surface_colours = [find_surface_srgb(colour) for colour in PALETTE]
+        self.colours = [compute_displayed_srgb(colour) for colour in surface_colours]
+        self._bands = [self._add_hidden_mesh_node(f"/tissue/band_{k}", colour)
+                       for k, colour in enumerate(surface_colours)]
+        self._surface = self._add_hidden_mesh_node("/tissue/surface", COLOURS.tissue)
         #: Frames of the tool, of the force arrow, and of the base, on which the specimen stands.
         self._tool_frame, self._force_frame, self._ground = (self._nodes.add_frame(name, show_axes=False)
                                                              for name in ("/tool", "/force", "/ground"))
-        self._tool = self._add_mesh("/tool/body", COLOURS.tool)
+        self._tool = self._add_hidden_mesh_node("/tool/body", COLOURS.tool)
         # The arrow has its own frame, because the tool's frame is rotated with the tool.
-        self._arrow = self._add_mesh("/force/arrow", COLOURS.arrow)
-        self._base = self._add_mesh("/ground/base", COLOURS.base)
+        self._arrow = self._add_hidden_mesh_node("/force/arrow", COLOURS.arrow)
+        self._base = self._add_hidden_mesh_node("/ground/base", COLOURS.base)
         self._force_label = self._nodes.add_label("/force/label", "", anchor="bottom-left", visible=False)
-        self._mesh_lines = self._add_lines("/tissue/mesh", COLOURS.mesh_lines, 1.0)
-        self._outline = self._add_lines("/ground/undeformed", COLOURS.outline, 1.5)
-        self._contact = self._add_lines("/contact", COLOURS.contact, 4.0)
-        self._scale_bar = self._add_lines("/ground/scale", COLOURS.scale_bar, 2.5)
+        self._mesh_lines = self._add_hidden_line_node("/tissue/mesh", COLOURS.mesh_lines, 1.0)
+        self._outline = self._add_hidden_line_node("/ground/undeformed", COLOURS.outline, 1.5)
+        self._contact = self._add_hidden_line_node("/contact", COLOURS.contact, 4.0)
+        self._scale_bar = self._add_hidden_line_node("/ground/scale", COLOURS.scale_bar, 2.5)
         self._scale_length = self._nodes.add_label("/ground/scale_length", "", anchor="top-center")
         #: Pose, material and options of the drawn tissue.
         self._drawn: tuple | None = None
@@ -95,25 +96,25 @@ class SolidPicture:
         #: Experiment and options of the drawn parts that do not move with the tissue.
         self._drawn_static: tuple | None = None
         self._mesh_drawn: object = None
-        self._body: Body | None = None
+        self._body: DrawableBody | None = None
         #: Force of an arrow of full length, N.
         self._full_force = 1.0
         #: Pose of the drawn tool.
         self._pose = Pose.at_depth(0.0)
         self.drag_way = next(iter(DRAGS))
 
-    def on_drag(self, aim: Callable[[float, tuple[float, float] | None, Reply | None], None]) -> None:
+    def register_drag_callback(self, aim: Callable[[float, tuple[float, float] | None, Reply | None], None]) -> None:
         """Register the function that moves the tool when a user drags it.
 
         Args:
-            aim: Called with depth and lateral position as `Session.aim` defines them, and a reply function, which is
-                None after the first call of a drag so that a refusal is shown once.
+            aim: Called with depth and lateral position as `Session.set_hand_target` defines them, and a reply
+                function, which is None after the first call of a drag so that a refusal is shown once.
         """
         #: Client -> vector from the tool to the grabbed point, and height of that point, browser units.
         grabbed: dict[int, tuple[np.ndarray, float]] = {}
         awaiting_first_reply: set[int] = set()
 
-        async def drag(event) -> None:  # viser runs coroutines in the order of the events
+        async def move_dragged_tool(event) -> None:  # viser runs coroutines in the order of the events
             client = event.client_id
             if event.phase == "start":
                 grabbed[client] = (np.array(event.start_position) - self._tool_frame.position, event.start_position[2])
@@ -124,21 +125,21 @@ class SolidPicture:
                 reply = None
                 if client in awaiting_first_reply:
                     awaiting_first_reply.discard(client)
-                    reply = reply_to(event)
+                    reply = make_browser_reply(event)
                 offset, height = grabbed[client]
                 end = np.array(event.end_position)
                 if self._in_space and DRAGS[self.drag_way] == "sideways":
-                    end = _intersect_height(event.client.camera.position, end, height)
-                aim(*self._convert_drag_to_target((end - offset) / self.scale), reply)
+                    end = _intersect_ray_with_height(event.client.camera.position, end, height)
+                aim(*self._compute_drag_target((end - offset) / self.scale), reply)
 
-        self._tool.on_drag("left")(drag)
+        self._tool.on_drag("left")(move_dragged_tool)
 
-    def set_drag_mode(self, mode: str) -> None:
+    def set_drag_direction(self, mode: str) -> None:
         """Choose the direction in which the mouse drags the tool, a key of `DRAGS`."""
         self.drag_way = mode
 
-    def _convert_drag_to_target(self, tip: np.ndarray) -> tuple[float, tuple[float, float] | None]:
-        """Convert the dragged position of the tool's end to the arguments of `Session.aim`.
+    def _compute_drag_target(self, tip: np.ndarray) -> tuple[float, tuple[float, float] | None]:
+        """Convert the dragged position of the tool's end to the arguments of `Session.set_hand_target`.
 
         Args:
             tip: Dragged position of the tool's end, m, shape (3,). The drag mode projects it first.
@@ -158,28 +159,28 @@ class SolidPicture:
             return depth, None
         return depth, (float(tip[0] + lean[0] * tip[2]), float(tip[1] + lean[1] * tip[2]))
 
-    def show(self, frame: Frame, options: ViewOptions) -> bool:
+    def draw_frame(self, frame: SessionFrame, options: PictureOptions) -> bool:
         """Send the parts of the picture that differ from the last frame.
 
         Returns:
             Whether anything was sent.
         """
         snapshot = frame.snapshot
-        opening = _make_opening(options.cut, self._segments, options.turn)
+        opening = _make_wedge_opening(options.cut, self._segments, options.turn)
         static = (frame.scene.experiment, options.cut, options.turn, options.ahead, options.outline)
         changed = static != self._drawn_static
         if snapshot is None:
             if changed:
-                self._draw_undeformed(frame.scene, opening, options)
+                self._draw_undeformed_specimen(frame.scene, opening, options)
                 self._drawn_static = static
             return changed
         # Solvers of plug-ins may give fields of an unknown kind.
-        fields: Any = snapshot.fields if is_drawable(snapshot.fields) else None
+        fields: Any = snapshot.fields if can_draw_fields(snapshot.fields) else None
         surface, self._in_space = frame.surface, snapshot.in_space
         if fields is not None and fields.mesh is not self._mesh_drawn:
             changed = True
         if changed:
-            body = self._get_body(_make_undeformed_mesh(frame.scene) if fields is None else fields.mesh)
+            body = self._get_drawable_body(_make_undeformed_mesh(frame.scene) if fields is None else fields.mesh)
             self._draw_static_parts(body, frame.scene, opening, options)
             self._drawn_static = static
         to_draw = snapshot.pose, None if fields is None else fields.material, options
@@ -188,102 +189,106 @@ class SolidPicture:
             state = fields.arrays()
         elif surface is not None:
             state = (surface.vertices,)
-        if changed or to_draw != self._drawn or not _arrays_equal(state, self._state):
+        if changed or to_draw != self._drawn or not _are_arrays_equal(state, self._state):
             if fields is None:
-                self._draw_surface(surface)
+                self._draw_plain_tissue(surface)
             else:
-                self._draw_fields(fields, snapshot, frame.scene, opening, options)
-            self._move_frames(snapshot, frame.scene)
+                self._draw_coloured_tissue(fields, snapshot, frame.scene, opening, options)
+            self._move_tool_arrow_and_base(snapshot, frame.scene)
             self._drawn, self._state, changed = to_draw, state, True
-        return self._update_arrow(_read_newest_force(frame), frame.scene) or changed
+        return self._update_force_arrow(_read_newest_force(frame), frame.scene) or changed
 
-    def _draw_fields(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: Opening,
-                     options: ViewOptions) -> None:
+    def _draw_coloured_tissue(self, fields: Any, snapshot: Snapshot, scene: Scene, opening: WedgeOpening,
+                              options: PictureOptions) -> None:
         """Draw the tissue in the colours of a field, with contact lines and element edges."""
-        body, positions = self._get_body(fields.mesh), snapshot.node_positions
+        body, positions = self._get_drawable_body(fields.mesh), snapshot.node_positions
         wedge = Wedge(opening, snapshot.pose, 1e-3 * options.ahead)
         _, factor = LABELS[options.field]
-        values, at_points, sampled = body.values(fields, options.field, positions, wedge)
+        values, at_points, sampled = body.evaluate_field(fields, options.field, positions, wedge)
         before = self.levels if self._drawn is not None and options.field == self._drawn[2].field else None
-        self.levels = levels = before if before is not None and options.hold else keep_steady_levels(
-            before, *field_range(at_points * factor, sampled, options.field, factor))
-        for handle, surface in zip(self._bands, body.bands(positions, values * factor, levels, wedge), strict=True):
-            self._update_mesh(handle, surface)
-        _set_visible(self._surface, False)
-        self._update_lines(self._contact, body.contact_lines(positions, scene.experiment.tool, wedge))
-        self._update_lines(self._mesh_lines, body.mesh_lines(positions, wedge) if options.mesh_lines else None)
+        self.levels = levels = before if before is not None and options.hold else update_band_levels(
+            before, *compute_colour_range(at_points * factor, sampled, options.field, factor))
+        surfaces = body.compute_band_surfaces(positions, values * factor, levels, wedge)
+        for handle, surface in zip(self._bands, surfaces, strict=True):
+            self._send_mesh_node(handle, surface)
+        _set_node_visibility(self._surface, False)
+        self._send_line_node(self._contact, body.find_contact_lines(positions, scene.experiment.tool, wedge))
+        edge_lines = body.compute_edge_lines(positions, wedge) if options.mesh_lines else None
+        self._send_line_node(self._mesh_lines, edge_lines)
 
-    def _draw_surface(self, surface: Surface | None) -> None:
+    def _draw_plain_tissue(self, surface: TriangulatedSurface | None) -> None:
         """Draw the surface of tissue without fields in one colour; hide the tissue if it has no surface."""
         for handle in (*self._bands, self._contact, self._mesh_lines):
-            _set_visible(handle, False)
-        self._update_mesh(self._surface, surface)
+            _set_node_visibility(handle, False)
+        self._send_mesh_node(self._surface, surface)
 
-    def _move_frames(self, snapshot: Snapshot, scene: Scene) -> None:
+    def _move_tool_arrow_and_base(self, snapshot: Snapshot, scene: Scene) -> None:
         """Move the tool to its pose, the force arrow above the tool, and the base under the specimen."""
         self._pose = pose = snapshot.pose
         x, y, z = pose.position
-        send_position(self._tool_frame, (self.scale * x, self.scale * y, self.scale * z))
-        foot = arrow_foot(scene.experiment.tool, scene.experiment.specimen)
+        send_node_position(self._tool_frame, (self.scale * x, self.scale * y, self.scale * z))
+        foot = compute_arrow_foot_height(scene.experiment.tool, scene.experiment.specimen)
         (_, _, u), (_, _, v), (_, _, w) = pose.rotation
-        send_position(self._force_frame, (self.scale * (x + u * foot), self.scale * (y + v * foot),
-                                          self.scale * (z + (w - 1.0) * foot)))
+        send_node_position(self._force_frame, (self.scale * (x + u * foot), self.scale * (y + v * foot),
+                                               self.scale * (z + (w - 1.0) * foot)))
         if not np.array_equal(self._tool_frame.wxyz, pose.orientation):
             self._tool_frame.wxyz = pose.orientation
         # `datum` is the height of the first touch, which lies lower if the specimen has sagged under its own weight.
         if self._ground.position[2] != -snapshot.datum * self.scale:
             self._ground.position = (0.0, 0.0, -snapshot.datum * self.scale)
 
-    def _get_body(self, mesh: Any) -> Body:
+    def _get_drawable_body(self, mesh: Any) -> DrawableBody:
         """Return the drawable body of a mesh, and keep it until the mesh changes."""
         if self._body is None or self._mesh_drawn is not mesh:
-            self._body, self._mesh_drawn, self._drawn = make_body(mesh), mesh, None
+            self._body, self._mesh_drawn, self._drawn = make_drawable_body(mesh), mesh, None
         return self._body
 
-    def _draw_undeformed(self, scene: Scene, opening: Opening, options: ViewOptions) -> None:
+    def _draw_undeformed_specimen(self, scene: Scene, opening: WedgeOpening, options: PictureOptions) -> None:
         """Draw the undeformed specimen while the simulation starts."""
         mesh = _make_undeformed_mesh(scene)
-        body, positions = self._get_body(mesh), mesh.nodes
+        body, positions = self._get_drawable_body(mesh), mesh.nodes
         wedge = Wedge(opening, Pose.at_depth(0.0))
-        surfaces = body.bands(positions, np.zeros(len(positions)), np.arange(len(self._bands) + 1.0), wedge)
+        surfaces = body.compute_band_surfaces(positions, np.zeros(len(positions)), np.arange(len(self._bands) + 1.0),
+                                              wedge)
         for handle, surface in zip(self._bands, surfaces, strict=True):
-            self._update_mesh(handle, surface)
+            self._send_mesh_node(handle, surface)
         for hidden in (self._surface, self._contact, self._mesh_lines, self._arrow, self._force_label):
-            _set_visible(hidden, False)
+            _set_node_visibility(hidden, False)
         self._drawn_arrow = None
-        self._move_frames(Snapshot(scene.experiment.tool_pose(0.0), 0.0, None), scene)
+        self._move_tool_arrow_and_base(Snapshot(scene.experiment.tool_pose(0.0), 0.0, None), scene)
         self._draw_static_parts(body, scene, opening, options)
 
-    def _draw_static_parts(self, body: Body, scene: Scene, opening: Opening, options: ViewOptions) -> None:
+    def _draw_static_parts(self, body: DrawableBody, scene: Scene, opening: WedgeOpening,
+                           options: PictureOptions) -> None:
         """Draw the parts that do not move with the tissue: light, tool shape, base, outline and scale bar."""
         specimen, tool = scene.experiment.specimen, scene.experiment.tool
         light = np.array([LIGHTS.horizontal * np.cos(opening.facing), LIGHTS.horizontal * np.sin(opening.facing),
                           LIGHTS.vertical])
         if tuple(self._directional_light.position) != tuple(light):
             self._directional_light.position = tuple(light)
-        if opening.faces:
+        if opening.section_face_vectors:
             # Ambient and directional light on a section face add up to `full`: the face has the colours of the bar.
-            incidence = max(0.0, float(light[:2] @ opening.faces[0][1]))
+            incidence = max(0.0, float(light[:2] @ opening.section_face_vectors[0][1]))
             self._ambient_light.intensity = LIGHTS.full - LIGHTS.directional * incidence
         # A wedge that is moved away from the tool's axis does not cut the tool.
-        cut = 0.0 if self._in_space and options.ahead else options.cut
-        segments = RESOLUTION.static_segments
-        self._update_mesh(self._tool, make_tool_mesh(tool, specimen, _make_opening(cut, segments, options.turn)))
-        self._update_mesh(self._base, make_base_plate(specimen, _make_opening(0.0, segments)))
+        cut, segments = 0.0 if self._in_space and options.ahead else options.cut, RESOLUTION.static_segments
+        tool_opening = _make_wedge_opening(cut, segments, options.turn)
+        self._send_mesh_node(self._tool, make_tool_mesh(tool, specimen, tool_opening))
+        self._send_mesh_node(self._base, make_base_plate(specimen, _make_wedge_opening(0.0, segments)))
         covered = specimen.outer_radius if tool.is_plate else tool.radius or 0.0
-        wedge = Wedge(opening, Pose.at_depth(0.0))
-        outline = body.outline(wedge, (covered, scene.max_tool_displacement)) if options.outline else None
-        self._update_lines(self._outline, outline)
-        bar, length = scale_bar(specimen)
-        self._update_lines(self._scale_bar, bar)
+        wedge, tool_extent = Wedge(opening, Pose.at_depth(0.0)), (covered, scene.max_tool_displacement)
+        outline = body.make_undeformed_outline(wedge, tool_extent) if options.outline else None
+        self._send_line_node(self._outline, outline)
+        bar, length = make_scale_bar(specimen)
+        self._send_line_node(self._scale_bar, bar)
         self._scale_length.text = f"{1e3 * length:g} mm"
         self._scale_length.position = tuple(self.scale * bar[0].mean(axis=0))
 
-    def _update_arrow(self, force: np.ndarray, scene: Scene) -> bool:
+    def _update_force_arrow(self, force: np.ndarray, scene: Scene) -> bool:
         """Draw the arrow and the label of a force (x, y, z), N, shape (3,); return whether either has changed."""
         magnitude = float(np.linalg.norm(force))
         while magnitude > self._full_force:
-            self._full_force = _round_up_scale(self._full_force)
+            self._full_force = _next_arrow_full_scale(self._full_force)
         signed = magnitude if force[2] >= 0.0 else -magnitude
         directions = RESOLUTION.arrow_directions
         lateral = tuple((np.round(force[:2] / max(magnitude, 1e-300) * directions) / directions).tolist())
@@ -298,38 +303,38 @@ class SolidPicture:
             self._drawn_arrow = to_draw
             arrow = make_force_arrow(to_draw[0] / lengths * full, full, scene.experiment.tool,
                                      scene.experiment.specimen)
-            _set_visible(self._force_label, arrow is not None)
+            _set_node_visibility(self._force_label, arrow is not None)
             if arrow is not None and any(lateral):
-                arrow = rotate_arrow(arrow, lateral)
-            self._update_mesh(self._arrow, None if arrow is None else arrow.surface)
+                arrow = rotate_force_arrow(arrow, lateral)
+            self._send_mesh_node(self._arrow, None if arrow is None else arrow.surface)
             if arrow is not None:
                 x, y, z = (max(arrow.start, arrow.tip, key=lambda end: end[2]) * self.scale).tolist()
-                send_position(self._force_label, (x, y, z))
+                send_node_position(self._force_label, (x, y, z))
         return True
 
-    def _add_mesh(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
+    def _add_hidden_mesh_node(self, name: str, colour: tuple[int, int, int]) -> viser.MeshHandle:
         empty = np.zeros((3, 3), np.float32)
         return self._nodes.add_mesh_simple(name, empty, np.array([[0, 1, 2]], np.uint32), color=colour, side="double",
                                            cast_shadow=False, receive_shadow=False, visible=False, scale=self.scale)
 
-    def _add_lines(self, name: str, colour: tuple[int, int, int], pixels: float) -> viser.LineSegmentsHandle:
+    def _add_hidden_line_node(self, name: str, colour: tuple[int, int, int], pixels: float) -> viser.LineSegmentsHandle:
         return self._nodes.add_line_segments(name, np.zeros((1, 2, 3), np.float32), colour, thickness=pixels,
                                              thickness_units="screen", visible=False, scale=self.scale)
 
-    def _update_mesh(self, handle: viser.MeshHandle, surface: Surface | None) -> None:
+    def _send_mesh_node(self, handle: viser.MeshHandle, surface: TriangulatedSurface | None) -> None:
         """Send the triangles of a surface; hide the node if there are none."""
         if surface is None or not len(surface.faces):
-            _set_visible(handle, False)
+            _set_node_visibility(handle, False)
             return
-        send_arrays(handle, vertices=surface.vertices, faces=surface.faces)
-        _set_visible(handle, True)
+        send_node_arrays(handle, vertices=surface.vertices, faces=surface.faces)
+        _set_node_visibility(handle, True)
 
-    def _update_lines(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
+    def _send_line_node(self, handle: viser.LineSegmentsHandle, lines: np.ndarray | None) -> None:
         """Send lines, shape (lines, 2, 3); hide the node if there are none."""
         has_lines = lines is not None and len(lines) > 0
         if has_lines:
-            send_arrays(handle, points=np.ascontiguousarray(lines, np.float32))
-        _set_visible(handle, has_lines)
+            send_node_arrays(handle, points=np.ascontiguousarray(lines, np.float32))
+        _set_node_visibility(handle, has_lines)
 
     def _add_lights(self) -> None:
         nodes = self._nodes
@@ -341,16 +346,16 @@ class SolidPicture:
 
 
 @lru_cache(maxsize=8)
-def _make_opening(degrees: float, segments: int, turn: float = 0.0) -> Opening:
-    """Return the opening of a cut, cached because an `Opening` caches its angles."""
-    return Opening(np.radians(degrees), np.radians(turn - 90.0), segments=segments)
+def _make_wedge_opening(degrees: float, segments: int, turn: float = 0.0) -> WedgeOpening:
+    """Return the opening of a cut, cached because a `WedgeOpening` caches its angles."""
+    return WedgeOpening(np.radians(degrees), np.radians(turn - 90.0), segments=segments)
 
 
-def _arrays_equal(arrays: tuple[np.ndarray, ...], others: tuple[np.ndarray, ...] | None) -> bool:
+def _are_arrays_equal(arrays: tuple[np.ndarray, ...], others: tuple[np.ndarray, ...] | None) -> bool:
     return others is not None and len(arrays) == len(others) and all(map(np.array_equal, arrays, others))
 
 
-def _intersect_height(camera: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
+def _intersect_ray_with_height(camera: np.ndarray, point: np.ndarray, height: float) -> np.ndarray:
     """Intersect the ray from a camera through a point with a horizontal plane.
 
     Args:
@@ -368,14 +373,14 @@ def _intersect_height(camera: np.ndarray, point: np.ndarray, height: float) -> n
     return camera + descent / ray[2] * ray
 
 
-def _read_newest_force(frame: Frame) -> np.ndarray:
-    """Newest force on the tool (x, y, z), N, shape (3,); zero before the first tick."""
+def _read_newest_force(frame: SessionFrame) -> np.ndarray:
+    """Return the newest force of the tissue on the tool (x, y, z), N, shape (3,); zero before the first tick."""
     now = frame.readouts
     return np.zeros(3) if now is None else np.array([*now.across, now.force])
 
 
 def _make_undeformed_mesh(scene: Scene) -> Mesh | SolidMesh:
-    """Mesh of the undeformed specimen: a half section for a cylinder, otherwise a mesh in 3D."""
+    """Return the mesh of the undeformed specimen: a half section for a cylinder, otherwise a mesh in 3D."""
     if scene.reduced is not None:
         return scene.reduced.mesh
     if scene.experiment.specimen.is_round:
@@ -383,13 +388,13 @@ def _make_undeformed_mesh(scene: Scene) -> Mesh | SolidMesh:
     return build_solid_mesh(scene.experiment, "realtime", scene.material.layers)
 
 
-def _set_visible(handle: viser.SceneNodeHandle, visible: bool) -> None:
+def _set_node_visibility(handle: viser.SceneNodeHandle, visible: bool) -> None:
     """Assign the visibility only if it changes, because each assignment sends a message."""
     if handle.visible != visible:
         handle.visible = visible
 
 
-def _round_up_scale(number: float) -> float:
+def _next_arrow_full_scale(number: float) -> float:
     """Return the smallest element of `_ROUND` times a power of ten that is larger than a number."""
     decade = 10.0 ** np.floor(np.log10(number) + 1e-9)
     return next(float(step * decade) for step in (*_ROUND, 10.0) if step * decade > number * (1 + 1e-9))

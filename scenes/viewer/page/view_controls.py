@@ -9,9 +9,9 @@ import viser
 
 from scenes.field_labels import LABELS
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_camera_pose
-from scenes.viewer.frame import Frame
-from scenes.viewer.page.notices import set_value
-from scenes.viewer.page.picture_settings import ViewOptions
+from scenes.viewer.frame import SessionFrame
+from scenes.viewer.page.notices import set_control_value
+from scenes.viewer.page.picture_settings import PictureOptions
 from scenes.viewer.tool_picture import compute_picture_height
 
 
@@ -27,9 +27,9 @@ class ViewControls:
         options: The present display options.
     """
 
-    def __init__(self, server: viser.ViserServer, frame: Frame, scale: float):
+    def __init__(self, server: viser.ViserServer, frame: SessionFrame, scale: float):
         gui = server.gui
-        self.options, self._frame, self._scale = ViewOptions(), frame, scale
+        self.options, self._frame, self._scale = PictureOptions(), frame, scale
         fields = {label: name for name, (label, _) in LABELS.items()}
         self._field = field = gui.add_dropdown("colour", tuple(fields), initial_value=LABELS[self.options.field][0])
         hold = gui.add_checkbox("keep colour range", False)
@@ -37,7 +37,7 @@ class ViewControls:
                              hint="angle of the wedge that is removed from the picture")
         turn = gui.add_slider("cut turned [°]", min=-180, max=180, step=5, initial_value=round(self.options.turn),
                               hint="rotates the removed wedge about the tool's axis")
-        half_width = round(1e3 * frame.scene.half_width)
+        half_width = round(1e3 * frame.scene.max_distance_from_axis)
         self._ahead = ahead = gui.add_slider("cut moved [mm]", min=-half_width, max=half_width, step=0.5,
                                              initial_value=0.0, visible=False,
                                              hint="moves the removed wedge away from the tool's axis")
@@ -46,38 +46,38 @@ class ViewControls:
         camera = gui.add_button_group("camera", tuple(name.capitalize() for name in PRESETS))
         dark = gui.add_checkbox("dark page", False)
 
-        def change(_: viser.GuiEvent) -> None:
+        def update_options(_: viser.GuiEvent) -> None:
             # A browser may request a field from an outdated list.
             name = fields[field.value] if field.value in field.options else self.options.field
-            self.options = ViewOptions(name, float(cut.value), float(turn.value), float(ahead.value),
-                                       mesh_lines.value, outline.value, hold.value)
+            self.options = PictureOptions(name, float(cut.value), float(turn.value), float(ahead.value),
+                                          mesh_lines.value, outline.value, hold.value)
 
         for handle in (field, hold, cut, turn, ahead, mesh_lines, outline):
-            handle.on_update(change)
+            handle.on_update(update_options)
 
         @camera.on_click
-        def _(event: viser.GuiEvent) -> None:
+        def move_camera_on_click(event: viser.GuiEvent) -> None:
             if event.client is not None:
-                self.place_camera(event.client, camera.value.lower())
+                self.move_camera_to_preset(event.client, camera.value.lower())
 
         self.on_dark: Callable[[bool], None] = lambda _: None
 
         @dark.on_update
-        def _(_: viser.GuiEvent) -> None:
+        def set_colour_scheme_on_update(_: viser.GuiEvent) -> None:
             self.on_dark(dark.value)
 
         self._dark = dark
-        pose = self._preset_camera_pose("iso", 1.0)
+        pose = self._compute_preset_camera_pose("iso", 1.0)
         initial = server.initial_camera
         initial.up, initial.fov = (0.0, 0.0, 1.0), FIELD_OF_VIEW
         initial.position, initial.look_at = pose
 
-    def set_dark(self, dark: bool) -> None:
+    def set_colour_scheme(self, dark: bool) -> None:
         """Switch the page to the dark or the light colour scheme."""
-        set_value(self._dark, dark)
+        set_control_value(self._dark, dark)
         self.on_dark(dark)
 
-    def show(self, frame: Frame) -> None:
+    def update_controls(self, frame: SessionFrame) -> None:
         """Update the list of fields, and keep the frame for the camera presets."""
         self._frame = frame
         in_space = frame.snapshot is not None and frame.snapshot.in_space
@@ -85,9 +85,9 @@ class ViewControls:
             self._ahead.visible = in_space
         shown = None if frame.snapshot is None else frame.snapshot.fields
         if shown is not None:
-            self._update_field_list(shown.names)
+            self._update_colour_field_list(shown.names)
 
-    def _update_field_list(self, names: Collection[str]) -> None:
+    def _update_colour_field_list(self, names: Collection[str]) -> None:
         """List only the fields that the solver computes; if the chosen field is missing, choose the first one."""
         labels = tuple(label for name, (label, _) in LABELS.items() if name in names)
         if labels and labels != self._field.options:
@@ -96,15 +96,15 @@ class ViewControls:
             names_of = {label: name for name, (label, _) in LABELS.items()}
             self.options = replace(self.options, field=names_of[labels[0]])
 
-    def place_camera(self, client: viser.ClientHandle, preset: str) -> None:
+    def move_camera_to_preset(self, client: viser.ClientHandle, preset: str) -> None:
         """Move the camera of one browser to a preset view, a key of `scenes.viewer.camera.PRESETS`."""
-        position, look_at = self._preset_camera_pose(preset, client.camera.aspect)
+        position, look_at = self._compute_preset_camera_pose(preset, client.camera.aspect)
         with client.atomic():
             client.camera.fov = FIELD_OF_VIEW
             client.camera.up_direction = (0.0, 0.0, 1.0)
             client.camera.position, client.camera.look_at = position, look_at
 
-    def _preset_camera_pose(self, preset: str, aspect: float):
+    def _compute_preset_camera_pose(self, preset: str, aspect: float):
         experiment, snapshot = self._frame.scene.experiment, self._frame.snapshot
         tool_pose = experiment.tool_pose(0.0) if snapshot is None else snapshot.pose
         above = compute_picture_height(experiment.tool, experiment.specimen)

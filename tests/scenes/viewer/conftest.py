@@ -7,7 +7,7 @@ import pytest
 from waiting import wait_for_value
 
 import tissue_sim as ts
-from scenes.commands.shared.tissue_flags import read_material
+from scenes.commands.shared.tissue_flags import load_material_or_default
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 
@@ -16,7 +16,7 @@ from tissue_sim.experiment.kinds.indentation import NEEDLE
 def needle() -> Scene:
     """Needle scene with the specimen of the reference study and a depth of 4 mm."""
     experiment = NEEDLE.experiment(specimen=ts.Specimen(radius=0.04, height=0.07), protocol=ts.Protocol.ramp(4e-3, 21))
-    return Scene(NEEDLE, experiment, read_material(None))
+    return Scene(NEEDLE, experiment, load_material_or_default(None))
 
 
 @pytest.fixture(scope="session")
@@ -44,7 +44,7 @@ class ManualPool:
 
 @pytest.fixture
 def pool(monkeypatch) -> ManualPool:
-    """Manual pool that each new `ModelCurve` uses."""
+    """Manual pool that each new `ModelCurveWorker` uses."""
     pool = ManualPool()
     monkeypatch.setattr("scenes.viewer.model_curve.ProcessPool", lambda count: pool)
     return pool

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from scenes.viewer.bands import Triangulation, fill_bands, split_polyline
+from scenes.viewer.bands import TriangleConnectivity, clip_triangles_to_bands, split_polyline_at_levels
 
 LEVELS = np.linspace(-1.0, 1.0, 9)
 
@@ -42,7 +42,7 @@ def interpolated(points, triangles, values, at):
 def test_bands_cover_the_triangles_once_and_keep_the_orientation(seed):
     points, triangles = sheet(seed=seed)
     values = np.random.default_rng(seed).uniform(-1.5, 1.5, len(points))
-    bands = fill_bands(points, triangles, values, LEVELS)
+    bands = clip_triangles_to_bands(points, triangles, values, LEVELS)
     assert len(bands) == 8
     pieces = [areas(*band) for band in bands]
     assert min(piece.min() for piece in pieces) > -1e-15
@@ -52,7 +52,7 @@ def test_bands_cover_the_triangles_once_and_keep_the_orientation(seed):
 def test_each_piece_lies_in_its_band():
     points, triangles = sheet(6)
     values = np.random.default_rng(3).uniform(-1.5, 1.5, len(points))
-    for k, (vertices, pieces) in enumerate(fill_bands(points, triangles, values, LEVELS)):
+    for k, (vertices, pieces) in enumerate(clip_triangles_to_bands(points, triangles, values, LEVELS)):
         at = interpolated(points, triangles, values, vertices)
         low, high = (-np.inf if k == 0 else LEVELS[k]), (np.inf if k == 7 else LEVELS[k + 1])
         assert len(at) and (at >= low - 1e-9).all() and (at <= high + 1e-9).all()
@@ -61,14 +61,14 @@ def test_each_piece_lies_in_its_band():
 
 def test_band_areas_of_a_linear_field_match_the_levels():
     points, triangles = sheet()
-    bands = fill_bands(points, triangles, points @ [2.0, 0.0] - 1.0, LEVELS)
+    bands = clip_triangles_to_bands(points, triangles, points @ [2.0, 0.0] - 1.0, LEVELS)
     assert [areas(*band).sum() for band in bands] == pytest.approx([0.125] * 8, rel=1e-12)
 
 
 def test_values_equal_to_levels_give_no_degenerate_triangles():
     points, triangles = sheet(9)
     values = np.round(np.random.default_rng(1).uniform(-1.2, 1.2, len(points)) * 4) / 4
-    bands = fill_bands(points, triangles, values, LEVELS)
+    bands = clip_triangles_to_bands(points, triangles, values, LEVELS)
     assert sum(areas(*band).sum() for band in bands) == pytest.approx(1.0, rel=1e-12)
     assert min(areas(*band).min() for band in bands if len(band[1])) > 1e-6
 
@@ -76,7 +76,7 @@ def test_values_equal_to_levels_give_no_degenerate_triangles():
 def test_uniform_fields_and_values_outside_the_levels_fall_into_one_band():
     points, triangles = sheet(4)
     for value, band in ((-7.0, 0), (7.0, 7), (0.1, 4), (0.25, 5), (-1.0, 0), (1.0, 7)):
-        bands = fill_bands(points, triangles, np.full(len(points), value), LEVELS)
+        bands = clip_triangles_to_bands(points, triangles, np.full(len(points), value), LEVELS)
         assert [len(pieces) > 0 for _, pieces in bands] == [k == band for k in range(8)]
         assert all(vertices.shape == (0, 2) and pieces.shape == (0, 3)
                    for k, (vertices, pieces) in enumerate(bands) if k != band)
@@ -85,7 +85,7 @@ def test_uniform_fields_and_values_outside_the_levels_fall_into_one_band():
 def test_neighbours_share_the_points_of_their_common_edge():
     points, triangles = sheet()
     values = np.random.default_rng(5).uniform(-1.5, 1.5, len(points))
-    pieces = Triangulation(triangles).cut(points, values, LEVELS)
+    pieces = TriangleConnectivity(triangles).cut_at_levels(points, values, LEVELS)
     edges = np.sort(pieces.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     edges, count = np.unique(edges, axis=0, return_counts=True)
     middle = pieces.points[edges].mean(axis=1)
@@ -96,7 +96,7 @@ def test_neighbours_share_the_points_of_their_common_edge():
 
 def test_rising_and_falling_polylines_are_split_at_each_level():
     points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0], [1.0, 3.0]])
-    new, band = split_polyline(points, np.array([-1.0, 1.0, 0.0, 0.0]), np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
+    new, band = split_polyline_at_levels(points, np.array([-1.0, 1.0, 0.0, 0.0]), np.array([-1.0, -0.5, 0.0, 0.5, 1.0]))
     expected = [[0, 0], [0.25, 0], [0.5, 0], [0.75, 0], [1, 0], [1, 1], [1, 2], [1, 3]]
     assert new == pytest.approx(np.array(expected), abs=1e-15)
     assert band.tolist() == [0, 1, 2, 3, 3, 2, 2]
@@ -105,8 +105,8 @@ def test_rising_and_falling_polylines_are_split_at_each_level():
 def test_a_polyline_on_the_boundary_has_the_crossings_of_the_triangles():
     points, triangles = sheet()
     values = np.random.default_rng(6).uniform(-1.5, 1.5, len(points))
-    pieces = Triangulation(triangles).cut(points, values, LEVELS)
-    new, band = split_polyline(points[:13], values[:13], LEVELS)
+    pieces = TriangleConnectivity(triangles).cut_at_levels(points, values, LEVELS)
+    new, band = split_polyline_at_levels(points[:13], values[:13], LEVELS)
     on_rim = np.sort(pieces.points[pieces.points[:, 1] == 0.0, 0])
     assert new[:, 0] == pytest.approx(on_rim, abs=1e-14)
     middle = np.interp(0.5 * (new[1:, 0] + new[:-1, 0]), points[:13, 0], values[:13])

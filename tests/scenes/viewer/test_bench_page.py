@@ -10,15 +10,15 @@ from haptics.devices.virtual.force_sensor import VirtualForceSensor
 from haptics.recorder.live import LIVE_FILE, LiveProgressFile, convert_progress_to_json
 from haptics.recorder.recorder import RunProgress
 from haptics.recorder.run_folder import RunFolder
-from scenes.viewer.bench.page import bench_html
-from scenes.viewer.bench.sources import DevicesSource, RunSource
+from scenes.viewer.bench.page import bench_status_html
+from scenes.viewer.bench.sources import ConnectedDevicesSource, RecordRunSource
 from tissue_sim.errors import InputError
 
 HEADER = ["time [s]", "displacement [mm]", "force [N]", "segment"]
 
 
 def test_the_folder_of_a_running_recorder_is_read(tmp_path):
-    source = RunSource(tmp_path / "run")
+    source = RecordRunSource(tmp_path / "run")
     assert "No run in" in source.read().title and "tissue-sim record" in source.read().message
     folder = RunFolder(tmp_path / "run", "digest")
     with folder:
@@ -74,7 +74,7 @@ def test_a_sensor_is_displayed_and_the_stage_does_not_move(monkeypatch):
     moved = []
     for name in ("home", "move"):
         monkeypatch.setattr(stage, name, lambda *_: moved.append("moved"))
-    source = DevicesSource(sensor, stage)
+    source = ConnectedDevicesSource(sensor, stage)
     assert source.read().message == "The sensor has not sent a sample yet."
     clock.now += 1.0
     view = source.read()
@@ -90,11 +90,11 @@ def test_a_sensor_is_displayed_and_the_stage_does_not_move(monkeypatch):
 
 def test_an_unknown_channel_is_refused():
     with pytest.raises(InputError, match=r"axis: must be one of .*; got 'Fz'"):
-        DevicesSource(VirtualForceSensor(load, ("Fx", "Fy")))
+        ConnectedDevicesSource(VirtualForceSensor(load, ("Fx", "Fy")))
 
 
 def test_texts_are_escaped_in_html():
     from scenes.viewer.bench.sources import BenchView
 
-    page = bench_html(BenchView("<b>", "a & b", None, None, 0.5))
+    page = bench_status_html(BenchView("<b>", "a & b", None, None, 0.5))
     assert "&lt;b&gt;" in page and "a &amp; b" in page and "width:50.0%" in page and "–" in page

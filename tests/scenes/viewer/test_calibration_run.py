@@ -12,9 +12,15 @@ import numpy as np
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, take_result
-from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, FitStatus, group_replicates
-from scenes.viewer.calibration_task import PROGRESS_FILE, RECORDINGS, CalibrationResult, FittedValue, calibrate_files
+from scenes.viewer.calibration_commands import CALIBRATED, CALIBRATION_COMMANDS, apply_finished_calibration
+from scenes.viewer.calibration_run import CalibrationRun, CalibrationState, FitProgress, group_replicates
+from scenes.viewer.calibration_task import (
+    PROGRESS_FILE,
+    RECORDINGS,
+    CalibrationResult,
+    FittedParameter,
+    calibrate_uploaded_files,
+)
 from scenes.viewer.page.calibration_controls import calibration_html, recordings_html
 from scenes.viewer.recording_upload import read_recording_upload
 from tissue_sim.errors import ConvergenceError, InputError
@@ -47,7 +53,7 @@ def sidecar(**said):
 
 
 def upload(run, name="a.csv", content=None):
-    run.add(read_recording_upload(name, csv() if content is None else content))
+    run.add_uploads(read_recording_upload(name, csv() if content is None else content))
 
 
 class MinimalSession:
@@ -56,7 +62,7 @@ class MinimalSession:
     def __init__(self, scene, run):
         self.scene, self.calibration, self.refuses = scene, run, ""
 
-    def use_material(self, material, source):
+    def replace_material(self, material, source):
         if self.refuses:
             raise InputError(self.refuses)
         self.scene = replace(self.scene, material=material, source=source)
@@ -67,16 +73,17 @@ class MinimalSession:
 
 def result_for(scene):
     stiffer = with_values(scene.material, {"C10": 2000.0})
-    fitted = {"C10": FittedValue(2000.0, (1900.0, 2100.0), "Pa")}
+    fitted = {"C10": FittedParameter(2000.0, (1900.0, 2100.0), "Pa")}
     return CalibrationResult(stiffer, fitted, 0.02, (), 9, b'{"a": "file"}')
 
 
 def test_an_uploaded_recording_is_described(run, needle):
     upload(run)
     each, = run.state.recordings
-    assert each.depth == pytest.approx(4e-3) and each.duration == pytest.approx(2.0)
-    assert each.speed == pytest.approx(4e-3, rel=0.05) and len(each.recording) == 41
-    assert each.measured.kind is None and each.tool == "" and each.warnings(needle) == ()
+    assert each.max_displacement == pytest.approx(4e-3) and each.recording_duration == pytest.approx(2.0)
+    assert each.mean_loading_speed == pytest.approx(4e-3, rel=0.05) and len(each.recording) == 41
+    assert each.measured.stated_test_kind is None and each.stated_tool == ""
+    assert each.list_scene_mismatches(needle) == ()
 
 
 @pytest.mark.parametrize("first", ["a.csv", "a.json"])
@@ -85,8 +92,8 @@ def test_a_sidecar_may_be_uploaded_before_or_after_its_recording(run, needle, fi
     for name in sorted(files, reverse=first == "a.json"):
         upload(run, name, files[name])
     each, = run.state.recordings
-    assert each.tool == "cone, radius 3 mm"
-    kind, tool = each.warnings(needle)
+    assert each.stated_tool == "cone, radius 3 mm"
+    kind, tool = each.list_scene_mismatches(needle)
     assert kind == "The recording is a bonded_compression; the scene is a needle_indentation."
     assert tool == "The recording was measured with a cone of 3 mm radius; the scene has another tool."
 
@@ -119,7 +126,7 @@ def machine_file(head="Zeit (s);Extension (mm);Load (N)"):
 @pytest.mark.parametrize("name", ["gel 3.csv", "gel 3.TXT"])
 def test_a_test_machine_file_is_read_and_its_interpretation_is_displayed(run, needle, name):
     uploaded, = read_recording_upload(name, machine_file())
-    run.add([uploaded])
+    run.add_uploads([uploaded])
     each, = run.state.recordings
     own, = read_recording_upload("own.csv", csv())
     for channel in ("time", "displacement", "force"):
@@ -147,13 +154,13 @@ def test_several_recordings_are_added_together_or_not_at_all(run):
     first, = read_recording_upload("a.csv", csv())
     second, = read_recording_upload("b.csv", csv())
     with pytest.raises(InputError, match="A recording of this name was uploaded before"):
-        run.add([first, second, first])
+        run.add_uploads([first, second, first])
     assert run.state.recordings == ()
 
 
 def test_progress_and_result_have_the_same_units():
-    status = FitStatus("fitting", 3, 0.02, {"C10": 1404.9, "bulk.bulk_ratio": 1e4},
-                       {"C10": "Pa", "bulk.bulk_ratio": "1"})
+    status = FitProgress("fitting", 3, 0.02, {"C10": 1404.9, "bulk.bulk_ratio": 1e4},
+                         {"C10": "Pa", "bulk.bulk_ratio": "1"})
     assert "C10 1.4049 kPa, bulk.bulk_ratio 10000<" in calibration_html(CalibrationState(status=status))
 
 
@@ -176,18 +183,18 @@ def test_progress_is_reported_and_the_fitted_material_is_used(run, pool, needle)
     (folder, wanted), future = pool.tasks[-1]
     assert (wanted.kind, wanted.tests, wanted.material) == (needle.kind.name, (("a.csv",),), needle.material)
     assert sorted(path.name for path in (Path(folder) / RECORDINGS).iterdir()) == ["a.csv", "a.json"]
-    take_result(session)
+    apply_finished_calibration(session)
     assert run.state.status.sentence == "starting"
     for command, values in (("calibrate", {}), ("remove_recordings", {})):
         with pytest.raises(InputError, match="A calibration is running"):
             session.do(command, **values)
     content = {"sentence": "3 starts", "solves": 2, "rmse": 0.1, "parameters": {"C10": 1800.0}}
     (Path(folder) / PROGRESS_FILE).write_text(json.dumps(content), encoding="utf-8")
-    take_result(session)
+    apply_finished_calibration(session)
     assert (run.state.status.solves, run.state.status.parameters) == (2, {"C10": 1800.0}) and session.scene is needle
 
     future.set_result(found := result_for(needle))
-    take_result(session)
+    apply_finished_calibration(session)
     assert run.state.result is found and run.state.status is None and run.state.problem == ""
     assert session.scene.material == found.material and session.scene.source == CALIBRATED
     assert session.scene.measurement.recordings[0].metadata["kind"] == needle.kind.name
@@ -208,7 +215,7 @@ def test_a_failed_fit_gives_a_message_and_changes_nothing(run, pool, needle, err
     session.do("calibrate")
     (folder, _), future = pool.tasks[-1]
     future.set_exception(error)
-    take_result(session)
+    apply_finished_calibration(session)
     assert run.state.problem.startswith(said) and run.state.status is None and run.state.result is None
     assert session.scene is needle and not Path(folder).exists()
     session.do("calibrate")
@@ -222,7 +229,7 @@ def test_an_unusable_fit_is_displayed_but_not_used(run, pool, needle):
     why = "does not describe the data: its residuals are 2.8e+03 % of the largest force"
     found = replace(result_for(needle), unusable=why, warnings=(why,))
     pool.tasks[-1][1].set_result(found)
-    take_result(session)
+    apply_finished_calibration(session)
     assert session.scene is needle and run.state.result is found and "The fit is unusable" in run.state.problem
     assert why in calibration_html(run.state)
 
@@ -238,7 +245,7 @@ def test_a_cancelled_fit_changes_nothing(run, pool, needle):
     session.do("cancel_calibration")
     assert pool.stopped and "was cancelled" in run.state.problem and run.state.status is None
     pool.tasks[-1][1].set_result(result_for(needle))
-    take_result(session)
+    apply_finished_calibration(session)
     assert session.scene is needle and run.state.result is None
 
 
@@ -246,9 +253,9 @@ def test_a_result_for_another_scene_is_kept_but_not_used(run, pool, needle):
     session = MinimalSession(needle, run)
     upload(run)
     session.do("calibrate")
-    session.scene = other = needle.with_scene("bonded_compression")
+    session.scene = other = needle.with_test_and_tool("bonded_compression")
     pool.tasks[-1][1].set_result(found := result_for(needle))
-    take_result(session)
+    apply_finished_calibration(session)
     assert session.scene is other and run.state.result is found
     assert "The scene changed during the calibration" in run.state.problem
 
@@ -259,7 +266,7 @@ def test_a_material_that_the_scene_refuses_changes_nothing(run, pool, needle):
     upload(run)
     session.do("calibrate")
     pool.tasks[-1][1].set_result(result_for(needle))
-    take_result(session)
+    apply_finished_calibration(session)
     assert session.scene is needle and run.state.problem == "is too stiff. The material is unchanged."
 
 
@@ -270,7 +277,7 @@ def test_the_material_file_is_saved_without_overwriting(run, pool, needle, tmp_p
     upload(run)
     session.do("calibrate")
     pool.tasks[-1][1].set_result(found := result_for(needle))
-    take_result(session)
+    apply_finished_calibration(session)
     session.do("save_calibration", folder=tmp_path, name="mine")
     path = tmp_path / "mine.material.json"
     assert path.read_bytes() == found.file and session.scene.source == path.name
@@ -290,9 +297,9 @@ def test_the_process_fits_like_the_calibrate_command(run, pool, needle, tmp_path
     machine = (tmp_path / "r1.csv").read_bytes().split(b"\n", 1)[1].replace(b",", b"\t")
     machine = b"Time (s)\tExtension (mm)\tLoad (N)\n" + machine
     upload(run, "r1.txt", machine)
-    run.begin(needle)
+    run.start_fit(needle)
     (folder, request), _ = pool.tasks[-1]
-    found = calibrate_files(folder, request)
+    found = calibrate_uploaded_files(folder, request)
     low, high = found.values["C10"].interval
     assert low < 2200.0 < high and found.rmse == pytest.approx(0.005, rel=0.3)
     assert json.loads((Path(folder) / PROGRESS_FILE).read_text(encoding="utf-8"))["solves"] > 1
@@ -302,5 +309,5 @@ def test_the_process_fits_like_the_calibrate_command(run, pool, needle, tmp_path
         "r1.csv": {"file": "r1.txt", "sha256": hashlib.sha256(machine).hexdigest()}}
     assert said["parameters"]["C10"]["standard_error"] > 0 and found.material.density == needle.material.density
     with pytest.raises(InputError) as refused:
-        calibrate_files(folder, replace(request, tests=(("missing.csv",),)))
+        calibrate_uploaded_files(folder, replace(request, tests=(("missing.csv",),)))
     assert folder not in str(refused.value)

@@ -5,7 +5,7 @@ import pytest
 
 import tissue_sim as ts
 from scenes.viewer.camera import FIELD_OF_VIEW, PRESETS, compute_camera_pose
-from scenes.viewer.revolution import Opening
+from scenes.viewer.revolution import WedgeOpening
 from scenes.viewer.tool_picture import compute_picture_height, make_base_plate, make_tool_mesh
 
 #: Flat needle.
@@ -16,7 +16,7 @@ PLATE = ts.Tool()
 STUDY = ts.Specimen(0.04, 0.07)
 FLAT = ts.Specimen(0.05, 0.01)
 TALL = ts.Specimen(0.01, 0.08)
-OPENING = Opening()
+OPENING = WedgeOpening()
 
 
 def drawn(specimen, tool, depth):

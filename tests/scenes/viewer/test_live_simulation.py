@@ -31,7 +31,7 @@ class Watched:
         self.simulation, self.said, self.ticks = simulation, [], 0
 
     def __call__(self):
-        records = self.simulation.poll()
+        records = self.simulation.poll_loop_process()
         self.ticks += 0 if records is None else len(records)
         word = (self.simulation.phase, self.simulation.message)
         if not self.said or self.said[-1] != word:
@@ -45,7 +45,7 @@ def needle_loop(needle, until):
     watched = Watched(simulation)
     assert simulation.phase is Phase.STARTING and simulation.readouts is None and simulation.snapshot is None
     with pytest.raises(ts.InputError, match=r"The simulation is not running \(starting\)\."):
-        simulation.ask("aim", depth=1e-3)
+        simulation.send_command("aim", depth=1e-3)
     try:
         until(watched, lambda seen: seen.readouts is not None and seen.snapshot is not None)
         yield watched
@@ -82,7 +82,7 @@ def test_messages_describe_the_start(needle_loop):
 def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, until):
     simulation, meshes = needle_loop.simulation, set()
     for depth in (2e-3, 3e-3):
-        simulation.ask("aim", depth=depth)
+        simulation.send_command("aim", depth=depth)
         seen = until(needle_loop, at_rest(depth))
         simulator, expected = simulator_at(simulation, needle.model, seen.readouts.depth)
         assert seen.readouts.force == pytest.approx(expected.force, rel=1e-4)
@@ -101,15 +101,15 @@ def test_the_live_force_equals_the_force_of_the_simulator(needle_loop, needle, u
 
 def test_a_pause_holds_the_tool(needle_loop, until):
     simulation = needle_loop.simulation
-    simulation.ask("aim", depth=1e-3)
+    simulation.send_command("aim", depth=1e-3)
     until(needle_loop, at_rest(1e-3))
-    simulation.ask("pause")
+    simulation.send_command("pause")
     assert simulation.phase is Phase.PAUSED
-    simulation.ask("aim", depth=2e-3)
+    simulation.send_command("aim", depth=2e-3)
     ticks = needle_loop.ticks
     seen = until(needle_loop, lambda seen: needle_loop.ticks > ticks + 100)
     assert seen.phase is Phase.PAUSED and seen.readouts.depth == pytest.approx(1e-3, abs=1e-8)
-    simulation.ask("resume")
+    simulation.send_command("resume")
     assert simulation.phase is Phase.RUNNING
     until(needle_loop, at_rest(2e-3))
 
@@ -122,7 +122,7 @@ def test_a_refused_command_changes_nothing(needle_loop, until):
                                       ("set_parameters", {"C10": -1.0}, "must give a positive shear modulus"),
                                       ("set_parameters", {"C77": 1.0}, "C77")):
         with pytest.raises(ts.InputError, match=expected):
-            simulation.ask(command, **values)
+            simulation.send_command(command, **values)
     ticks = needle_loop.ticks
     seen = until(needle_loop, lambda seen: needle_loop.ticks > ticks + 50)
     assert seen.phase is Phase.RUNNING and seen.readouts.force == pytest.approx(force, rel=1e-4)
@@ -132,7 +132,7 @@ def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until
     simulation = needle_loop.simulation
     until(needle_loop, at_rest(2e-3))
     mesh, force = simulation.snapshot.fields.mesh, simulation.readouts.force
-    simulation.ask("set_parameters", C10=2000.0)
+    simulation.send_command("set_parameters", C10=2000.0)
     material = with_values(needle.material, {"C10": 2000.0})
     seen = until(needle_loop, lambda seen: seen.readouts.force > 1.1 * force and at_rest(2e-3)(seen)
                  and seen.snapshot.fields.material.parameters["C10"] == 2000.0)
@@ -145,15 +145,15 @@ def test_a_changed_material_is_shown_on_the_same_mesh(needle_loop, needle, until
 def test_a_killed_process_gives_a_message(of_gel, needle, until):
     simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     try:
-        until(simulation.poll, lambda _: simulation.snapshot is not None)
+        until(simulation.poll_loop_process, lambda _: simulation.snapshot is not None)
         process, seen = simulation.process, simulation.snapshot
         os.kill(process.pid, signal.SIGKILL)
-        until(simulation.poll, lambda records: records is None)
+        until(simulation.poll_loop_process, lambda records: records is None)
         assert simulation.phase is Phase.DIED
         assert simulation.message == "the process of the loop was killed by signal 9; before that: running"
-        assert simulation.poll() is None and simulation.snapshot is seen, "the last snapshot is kept"
+        assert simulation.poll_loop_process() is None and simulation.snapshot is seen, "the last snapshot is kept"
         with pytest.raises(ts.InputError, match=r"is not running .*killed by signal 9"):
-            simulation.ask("pause")
+            simulation.send_command("pause")
         assert not process.alive and not process.ring_path.exists() and not process.snapshot_path.exists()
     finally:
         simulation.close()
@@ -164,7 +164,7 @@ def test_a_process_killed_during_its_start_gives_a_message(of_gel, needle, until
     simulation = LiveSimulation(needle.model, HandMotion(0.0, 0.05), settings=LOOP)
     try:
         os.kill(simulation.process.pid, signal.SIGKILL)
-        until(simulation.poll, lambda _: simulation.phase is Phase.DIED)
+        until(simulation.poll_loop_process, lambda _: simulation.phase is Phase.DIED)
         assert "was killed by signal 9 during its start" in simulation.message
     finally:
         simulation.close()
@@ -235,34 +235,34 @@ def test_the_loop_rate_is_measured_with_the_wall_clock(written):
     simulation, loop = written
     for ticks, rate in ((40, 0), (30, 900), (30, 900), (30, 900)):
         loop.write(ticks, late=3, missed=1)
-        simulation.poll()
+        simulation.poll_loop_process()
         assert simulation.readouts.rate == pytest.approx(rate)
         loop.now += 1 / 30
     assert simulation.readouts.late == pytest.approx(4 / 130)
     for _ in range(30):
         loop.now += 0.1
         loop.write(50)
-        simulation.poll()
+        simulation.poll_loop_process()
     assert simulation.readouts.rate == pytest.approx(500)
     readouts = simulation.readouts
     assert readouts.mesh == "realtime_35, force within 1.5 %"
-    assert len(simulation.poll()) == 0 and simulation.readouts is readouts, "no tick, no news"
+    assert len(simulation.poll_loop_process()) == 0 and simulation.readouts is readouts, "no tick, no news"
 
 
 def test_statistics_cover_the_last_half_second(written):
     simulation, loop = written
     loop.write(300, compute_time=5e-3, iterations=9)
-    simulation.poll()
+    simulation.poll_loop_process()
     assert simulation.readouts.step_time == pytest.approx(5e-3) and simulation.readouts.iterations == 9
     for _ in range(8):
         loop.write(30, compute_time=1e-4, iterations=1, depth=2e-3, force=0.4, stiffness=200.0)
-        simulation.poll()
+        simulation.poll_loop_process()
     now = simulation.readouts
     assert (now.time, now.depth, now.force, now.stiffness) == pytest.approx((0.54, 2e-3, 0.4, 200.0))
     # 240 new ticks, and the 260 before them.
     assert now.step_time == pytest.approx(5e-3) and now.iterations == pytest.approx((260 * 9 + 240) / 500, rel=0.01)
     loop.write(30, compute_time=1e-4, iterations=1)
-    simulation.poll()
+    simulation.poll_loop_process()
     assert simulation.readouts.step_time == pytest.approx(1e-4)
 
 
@@ -271,50 +271,50 @@ def test_the_status_is_the_newest_and_unconverged_ticks_of_a_second_are_counted(
     """A single tick is visible for one frame only; therefore, unconverged ticks are counted over one second."""
     simulation, loop = written
     loop.write(1, status=status)
-    simulation.poll()
+    simulation.poll_loop_process()
     now = simulation.readouts
     assert (now.status, now.warning, now.unconverged) == (status.name.lower(), status.message, 1)
     for _ in range(30):
         loop.write(33)
-        simulation.poll()
+        simulation.poll_loop_process()
         now = simulation.readouts
         assert (now.status, now.warning, now.unconverged) == ("in equilibrium", "", 1)
     loop.write(33)
-    simulation.poll()
+    simulation.poll_loop_process()
     assert simulation.readouts.unconverged == 0
     loop.write(1, flags=PAUSED)
-    simulation.poll()
+    simulation.poll_loop_process()
     assert simulation.readouts.status == "paused"
 
 
 def test_the_end_of_the_loop_is_reported(written):
     simulation, loop = written
     loop.write(5)
-    simulation.poll()
+    simulation.poll_loop_process()
     loop.report = SimpleNamespace(ended_by="parent")
-    assert simulation.poll() is None and simulation.phase is Phase.DIED
+    assert simulation.poll_loop_process() is None and simulation.phase is Phase.DIED
     assert simulation.message == "the loop has ended (parent)"
 
 
 def test_forget_skips_unread_ticks(written):
     simulation, loop = written
     loop.write(10)
-    assert len(simulation.poll()) == 10
+    assert len(simulation.poll_loop_process()) == 10
     loop.write(10)
-    simulation.forget()
+    simulation.skip_unread_ticks()
     loop.write(3)
-    records = simulation.poll()
+    records = simulation.poll_loop_process()
     assert records["tick"].tolist() == [21, 22, 23] and records.dtype == TICK
 
 
 def test_the_budget_is_extended_for_slow_solvers_only(needle, monkeypatch):
     """With the original budget, a slow solver would make no progress in most ticks."""
-    from scenes.viewer.viewed_simulator import ViewedSimulator
+    from scenes.viewer.viewed_simulator import ExtendableBudgetSimulator
 
-    quick = ViewedSimulator(needle.model, resolution="realtime_20", budget=10.0)
+    quick = ExtendableBudgetSimulator(needle.model, resolution="realtime_20", budget=10.0)
     quick.warm_up()
     assert quick.budget == 10.0
-    slow = ViewedSimulator(needle.model, resolution="realtime_20", budget=1e-9)
+    slow = ExtendableBudgetSimulator(needle.model, resolution="realtime_20", budget=1e-9)
     slow.warm_up()
     assert slow.budget == 2.0 * slow.solve_time > 1e-9
     statuses = [slow.step(5e-5, 1e-3).status for _ in range(40)]

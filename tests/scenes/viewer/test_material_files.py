@@ -9,11 +9,11 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from scenes.viewer.material_files import (
     LARGEST_UPLOAD,
-    exact_values,
-    list_materials,
-    parameter_ranges,
-    read_upload,
-    save_edited,
+    compute_parameter_slider_ranges,
+    format_exact_parameter_values,
+    list_material_files,
+    read_uploaded_material,
+    save_edited_material,
 )
 from tissue_sim.parameters import parameter_values, with_values
 
@@ -43,13 +43,14 @@ def test_material_files_are_listed_by_name(tmp_path):
         ts.write_material_file(ts.MaterialFile.of(PHANTOM), tmp_path / f"{name}.material.json")
     (tmp_path / "notes.json").write_text("{}", encoding="utf-8")
     (tmp_path / "d.material.json").mkdir()
-    assert [path.name for path in list_materials(tmp_path)] == ["C.material.json", "a.material.json", "b.material.json"]
+    assert [path.name for path in list_material_files(tmp_path)] == ["C.material.json", "a.material.json",
+                                                                     "b.material.json"]
     with pytest.raises(ts.InputError, match="none: must be an existing folder"):
-        list_materials(tmp_path / "none")
+        list_material_files(tmp_path / "none")
 
 
 def test_a_valid_upload_gives_its_material():
-    assert read_upload("x.material.json", uploaded(EVERYTHING)) == EVERYTHING
+    assert read_uploaded_material("x.material.json", uploaded(EVERYTHING)) == EVERYTHING
 
 
 @pytest.mark.parametrize(("change", "message"), [
@@ -64,7 +65,7 @@ def test_a_valid_upload_gives_its_material():
 def test_an_invalid_upload_names_the_field(change, message):
     content = json.dumps({**json.loads(uploaded(PHANTOM)), **change}).encode()
     with pytest.raises(ts.InputError, match=message) as caught:
-        read_upload("x.material.json", content)
+        read_uploaded_material("x.material.json", content)
     assert "upload.material.json" not in str(caught.value)
 
 
@@ -77,13 +78,13 @@ def test_an_invalid_upload_names_the_field(change, message):
 ])
 def test_an_upload_of_another_file_is_refused(content, message):
     with pytest.raises(ts.InputError, match=message):
-        read_upload("x.json", content)
+        read_uploaded_material("x.json", content)
 
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_the_material_accepts_the_ends_of_each_slider(name):
     material = MATERIALS[name]
-    ranges, values = parameter_ranges(material), parameter_values(material)
+    ranges, values = compute_parameter_slider_ranges(material), parameter_values(material)
     assert list(ranges) == list(values)
     for parameter, slider in ranges.items():
         shown = values[parameter] * slider.factor
@@ -99,36 +100,36 @@ def test_the_material_accepts_the_ends_of_each_slider(name):
 @pytest.mark.parametrize("name", MATERIALS)
 def test_exact_values_show_all_parameters(name):
     material = MATERIALS[name]
-    texts = exact_values(material)
-    ranges, values = parameter_ranges(material), parameter_values(material)
+    texts = format_exact_parameter_values(material)
+    ranges, values = compute_parameter_slider_ranges(material), parameter_values(material)
     assert set(texts) == set(values)
     for path, text in texts.items():
         number, _, unit = text.partition(" ")
         assert float(number) / ranges[path].factor == pytest.approx(values[path], rel=1e-8)
         assert unit == ranges[path].unit
-    assert exact_values(PHANTOM)["C10"] == "1.4049 kPa"
+    assert format_exact_parameter_values(PHANTOM)["C10"] == "1.4049 kPa"
 
 
 def test_slider_ranges_follow_the_settings():
-    ranges = parameter_ranges(PHANTOM)
+    ranges = compute_parameter_slider_ranges(PHANTOM)
     C20, C10, g = ranges["C20"], ranges["C10"], ranges["viscoelastic.terms[0].g"]
     assert (C20.low, C20.unit) == (0.0, "kPa") and C20.high == pytest.approx(5 * 0.6994, abs=C20.step)
     assert (C10.low, C10.high) == pytest.approx((1.4049 / 5, 5 * 1.4049), abs=C10.step)
     assert 0.79 < g.high < 0.8  # the other g is 0.2, and together they stay below 1
     assert ranges["viscoelastic.terms[1].tau"].unit == "s"
-    zero = parameter_ranges(MATERIALS["zero"])["C01"]
+    zero = compute_parameter_slider_ranges(MATERIALS["zero"])["C01"]
     # At -1 kPa nothing of the shear modulus would be left; a hundredth is the least.
     assert (zero.low, zero.high) == pytest.approx((-0.99, 2.0), abs=zero.step)
-    negative = parameter_ranges(MATERIALS["negative"])["C01"]
+    negative = compute_parameter_slider_ranges(MATERIALS["negative"])["C01"]
     assert (negative.low, negative.high) == pytest.approx((-0.992, 0.0), abs=negative.step)
-    assert parameter_ranges(EVERYTHING)["layers[0].thickness"].unit == "mm"
+    assert compute_parameter_slider_ranges(EVERYTHING)["layers[0].thickness"].unit == "mm"
 
 
 @settings(max_examples=60, deadline=None)
 @given(st.floats(1.0, 1e7), st.floats(-0.9, 50.0))
 def test_sliders_of_any_size(C10, ratio):
     material = ts.Material("mooney_rivlin", {"C10": C10, "C01": ratio * C10})
-    for name, slider in parameter_ranges(material).items():
+    for name, slider in compute_parameter_slider_ranges(material).items():
         assert slider.low <= material.parameters[name] * slider.factor <= slider.high
         for end in (slider.low, slider.high):
             with_values(material, {name: end / slider.factor})
@@ -148,9 +149,9 @@ def test_several_parameters_change_together():
 def test_a_saved_file_has_the_values_and_their_source(tmp_path):
     content = uploaded(PHANTOM, covariance=[[4.0, 0.0], [0.0, 9.0]], valid_range={"stretch": [0.8, 1.0]},
                        provenance={"method": "analytical", "residual": {"RMSE_Pa": 3.0}})
-    changed = with_values(read_upload("fit.material.json", content),
+    changed = with_values(read_uploaded_material("fit.material.json", content),
                               {"C10": 900.0, "viscoelastic.terms[1].tau": 33.0})
-    path = save_edited(changed, tmp_path / "new", "softer phantom", source="fit.material.json")
+    path = save_edited_material(changed, tmp_path / "new", "softer phantom", source="fit.material.json")
     assert path == tmp_path / "new" / "softer phantom.material.json"
     file = ts.read_material_file(path)
     assert file.name == "softer phantom"
@@ -162,11 +163,11 @@ def test_a_saved_file_has_the_values_and_their_source(tmp_path):
 
 
 def test_saving_does_not_overwrite(tmp_path):
-    path = save_edited(PHANTOM, tmp_path, "one", source="a")
+    path = save_edited_material(PHANTOM, tmp_path, "one", source="a")
     before = path.read_bytes()
     for name in ("one", "one.material.json", " one "):
         with pytest.raises(ts.InputError, match=r"one\.material\.json: exists already and is not overwritten"):
-            save_edited(EVERYTHING, tmp_path, name, source="a")
+            save_edited_material(EVERYTHING, tmp_path, name, source="a")
     assert path.read_bytes() == before and [each.name for each in tmp_path.iterdir()] == ["one.material.json"]
 
 
@@ -174,5 +175,5 @@ def test_saving_does_not_overwrite(tmp_path):
                                   "x" * 101])
 def test_invalid_file_names_are_refused(tmp_path, name):
     with pytest.raises(ts.InputError, match=r"name: must be a file name of at most 100 letters"):
-        save_edited(PHANTOM, tmp_path / "folder", name, source="a")
+        save_edited_material(PHANTOM, tmp_path / "folder", name, source="a")
     assert not (tmp_path / "folder").exists()

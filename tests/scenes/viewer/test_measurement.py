@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 import tissue_sim as ts
 from scenes.viewer.measurement import (
     build_measurement,
-    interpolate_branches,
+    compute_force_residual,
+    interpolate_loading_and_unloading,
     make_motion_protocol,
-    read_measurement,
-    residual,
+    read_measurement_files,
 )
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 from tissue_sim.recording.segmentation import find_loading_and_unloading
@@ -104,15 +104,15 @@ def test_the_mean_ends_at_the_shortest_replicate():
 
 def test_noise_equals_the_noise_of_the_sensor():
     measured = build_measurement([tried(stiff, soft, noise=0.02, seed=seed) for seed in range(6)])
-    assert measured.noise == pytest.approx(0.02, rel=0.1)
-    assert build_measurement([tried(stiff)]).noise is None
+    assert measured.replicate_scatter == pytest.approx(0.02, rel=0.1)
+    assert build_measurement([tried(stiff)]).replicate_scatter is None
 
 
 def test_residual_and_rmse_of_a_known_error():
     """The model is 3 % too stiff in loading and 0.05 N too low in unloading; the RMSE is computed by hand."""
     measured = build_measurement([tried(stiff, soft, hold=20) for _ in range(2)])
     model = tried(lambda d: 1.03 * stiff(d), lambda d: soft(d) - 0.05, hold=20, points=401)
-    found = residual(model, measured)
+    found = compute_force_residual(model, measured)
     np.testing.assert_allclose(found.load, 0.03 * stiff(found.depth), atol=1e-6)
     np.testing.assert_allclose(found.unload, -0.05, atol=1e-5)
     wrong = np.concatenate([0.03 * stiff(np.linspace(0, DEPTH, 201)), np.full(201, -0.05)])
@@ -122,14 +122,14 @@ def test_residual_and_rmse_of_a_known_error():
 
 def test_the_rmse_of_the_true_curve_is_the_noise():
     measured = build_measurement([tried(stiff, soft, hold=30, noise=0.02, seed=seed) for seed in range(3)])
-    assert residual(tried(stiff, soft, hold=30), measured).rmse == pytest.approx(0.02, rel=0.06)
+    assert compute_force_residual(tried(stiff, soft, hold=30), measured).rmse == pytest.approx(0.02, rel=0.06)
 
 
 def test_a_model_that_reaches_no_measured_depth_is_refused():
     deep = tried(stiff)
     deep = deep.with_channels(displacement=deep.displacement + 20e-3)
     with pytest.raises(ts.InputError, match="model: must reach the measured depths"):
-        residual(deep, build_measurement([tried(stiff)]))
+        compute_force_residual(deep, build_measurement([tried(stiff)]))
 
 
 @pytest.mark.parametrize("hold", [0, 300])
@@ -176,45 +176,46 @@ def test_thinning_the_motion_adds_less_error_than_the_noise():
     model = ts.Model(replace(experiment, protocol=make_motion_protocol(measured)), material)
     short = ts.simulate(model, resolution="fast")
     assert len(short) <= 50
-    assert residual(short, measured).rmse == pytest.approx(0.02, rel=0.05)
-    assert residual(short, build_measurement([true])).rmse < 5e-4
+    assert compute_force_residual(short, measured).rmse == pytest.approx(0.02, rel=0.05)
+    assert compute_force_residual(short, build_measurement([true])).rmse < 5e-4
 
 
 def test_files_are_read_and_invalid_files_are_named(tmp_path):
     for seed in range(2):
         ts.write_recording(tried(stiff, soft, seed=seed, kind="needle_indentation"), tmp_path / f"run_{seed}.csv")
-    measured = read_measurement([tmp_path / "run_0.csv", tmp_path / "run_1.csv"])
-    assert (len(measured.recordings), measured.name, measured.kind) == (2, "run 0", "needle_indentation")
+    measured = read_measurement_files([tmp_path / "run_0.csv", tmp_path / "run_1.csv"])
+    assert (len(measured.recordings), measured.first_recording_name,
+            measured.stated_test_kind) == (2, "run 0", "needle_indentation")
     ts.write_recording(tried(stiff, kind="bonded_compression"), tmp_path / "other.csv")
     with pytest.raises(ts.InputError, match=r"other\.csv: kind: must be the same in all recordings"):
-        read_measurement([tmp_path / "run_0.csv", tmp_path / "other.csv"])
+        read_measurement_files([tmp_path / "run_0.csv", tmp_path / "other.csv"])
     stretch = np.linspace(1, 0.8, 9)
     ts.write_recording(ts.Recording({"stretch": stretch, "nominal stress": stretch - 1}), tmp_path / "stress.csv")
     with pytest.raises(ts.InputError, match=r"stress\.csv: displacement: must be a channel of the recording"):
-        read_measurement([tmp_path / "stress.csv"])
+        read_measurement_files([tmp_path / "stress.csv"])
     with pytest.raises(ts.InputError, match=r"short\.csv: must have at least 5 samples; got 4"):
         build_measurement([tried(stiff, source="short.csv").select(slice(0, 4))])
     out = tried(stiff)
     ts.write_recording(out.with_channels(displacement=-out.displacement), tmp_path / "pull.csv")
     with pytest.raises(ts.InputError, match=r"pull\.csv: displacement: must increase above its first value"):
-        read_measurement([tmp_path / "pull.csv"])
+        read_measurement_files([tmp_path / "pull.csv"])
     with pytest.raises(ts.InputError, match=r"gone\.csv"):
-        read_measurement([tmp_path / "gone.csv"])
-    with pytest.raises(ts.InputError, match="must contain at least one recording"):
-        read_measurement([])
+        read_measurement_files([tmp_path / "gone.csv"])
+    with pytest.raises(ts.InputError, match="must contain at least one recording; got none"):
+        read_measurement_files([])
 
 
 def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
     """Five compressions of one specimen to 20 mm; the peak forces of the files bound the mean."""
     files = sorted((data_folder / "ecoflex_compression").glob("EF10_0T_A*.csv"))
     columns = {"time": "Time (s)", "displacement": "Compression (mm)", "force": "Load (N)"}
-    measured = read_measurement(files, columns=columns, skip_lines=7)
+    measured = read_measurement_files(files, columns=columns, skip_lines=7)
     assert len(measured.recordings) == 5 and measured.unload is None
     at = [np.interp(15e-3, each.displacement, each.force) for each in measured.recordings]
     i = int(np.argmin(abs(measured.depth - 15e-3)))
     assert min(at) * 0.97 < measured.load.mean[i] < max(at) * 1.03
     assert np.isfinite(measured.load.mean[5:190]).all()
-    assert 0 < measured.noise < 0.1 * max(at)
+    assert 0 < measured.replicate_scatter < 0.1 * max(at)
     found = make_motion_protocol(measured)
     assert found.time.size <= 50 and found.depth == pytest.approx(20e-3, rel=0.02)
 
@@ -224,11 +225,11 @@ def test_measured_silicone_has_the_peak_forces_of_its_files(data_folder):
 def test_monotone_depth_in_gives_the_same_force_out(steps, seed):
     depth = np.cumsum(steps)
     force = np.random.default_rng(seed).normal(size=depth.size)
-    load, unload = interpolate_branches(ts.Recording({"displacement": depth, "force": force}), depth)
+    load, unload = interpolate_loading_and_unloading(ts.Recording({"displacement": depth, "force": force}), depth)
     np.testing.assert_allclose(load, force, rtol=1e-9, atol=1e-12)
     assert np.isnan(unload).all()
     back = ts.Recording({"displacement": np.append(depth, depth[-2::-1]), "force": np.append(force, 2 * force[-2::-1])})
-    load, unload = interpolate_branches(back, depth)
+    load, unload = interpolate_loading_and_unloading(back, depth)
     np.testing.assert_allclose(load, force, rtol=1e-9, atol=1e-12)
     np.testing.assert_allclose(unload[:-1], 2 * force[:-1], rtol=1e-9, atol=1e-12)
 
@@ -242,4 +243,4 @@ def test_a_measurement_says_when_it_was_made_with_another_tool(said, expected):
     depth = np.linspace(0.0, 5e-3, 40)
     recording = ts.Recording({"time": depth / 1e-3, "displacement": depth, "force": 200.0 * depth}, {},
                              {"name": "a", **said})
-    assert build_measurement([recording]).other_tool(ts.Tool("flat", 8e-3)) == expected
+    assert build_measurement([recording]).describe_deviating_tool(ts.Tool("flat", 8e-3)) == expected

@@ -6,18 +6,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import tissue_sim as ts
-from scenes.viewer.measurement import build_measurement, residual
+from scenes.viewer.measurement import build_measurement, compute_force_residual
 from scenes.viewer.plots import (
     PLOTS,
-    force_depth_data,
-    force_depth_options,
-    force_time_data,
-    force_time_options,
-    legend_html,
     make_depth_grid,
+    make_force_depth_data,
+    make_force_depth_options,
+    make_force_time_data,
+    make_force_time_options,
     make_plot_scales,
-    residual_depth_data,
-    residual_depth_options,
+    make_residual_depth_data,
+    make_residual_depth_options,
+    plot_legend_html,
     round_axis_range,
 )
 
@@ -51,9 +51,10 @@ def columns(data, options):
 def test_force_over_depth_has_measurement_model_and_live_curve(measured):
     grid = make_depth_grid(10e-3)
     load = np.where(grid <= 5e-3, 210 * grid, np.nan)
-    data, extent = force_depth_data(grid, measured=measured, model=(200 * grid, 150 * grid), live=(load, 140 * grid),
-                                    now=(3.33e-3, 0.7))
-    found = columns(data, force_depth_options((0, 10), extent))
+    data, extent = make_force_depth_data(grid, measured=measured, model=(200 * grid, 150 * grid),
+                                         live=(load, 140 * grid),
+                                         now=(3.33e-3, 0.7))
+    found = columns(data, make_force_depth_options((0, 10), extent))
     x = found["depth [mm]"]
     assert x.size == 202 and (x[0], x[-1]) == (0, 10)
     inside = x < 7.99
@@ -75,8 +76,8 @@ def test_force_over_depth_has_measurement_model_and_live_curve(measured):
 def test_the_band_has_zero_width_without_replicates(measured):
     """uPlot fills bands across NaN, so the edges contain none."""
     grid = make_depth_grid(10e-3)
-    data, extent = force_depth_data(grid, measured=measured)
-    found = columns(data, force_depth_options((0, 10), extent))
+    data, extent = make_force_depth_data(grid, measured=measured)
+    found = columns(data, make_force_depth_options((0, 10), extent))
     for way in ("load", "unload"):
         low, high = found[f"measured {way}, lowest"], found[f"measured {way}, highest"]
         assert np.isfinite(low).all() and np.isfinite(high).all()
@@ -86,14 +87,14 @@ def test_the_band_has_zero_width_without_replicates(measured):
 @pytest.mark.parametrize("depth", [-1e-3, 12e-3])
 def test_a_present_point_outside_the_grid_is_not_drawn(depth):
     grid = make_depth_grid(10e-3)
-    data, _ = force_depth_data(grid, now=(depth, 0.3))
+    data, _ = make_force_depth_data(grid, now=(depth, 0.3))
     assert data[0].size == grid.size and np.isnan(data[-1]).all()
 
 
 @given(st.floats(0, 10e-3), st.floats(-5, 5))
 def test_the_present_point_is_drawn_at_its_depth(depth, force):
     grid = make_depth_grid(10e-3)
-    data, (low, high) = force_depth_data(grid, model=(100 * grid, 100 * grid), now=(depth, force))
+    data, (low, high) = make_force_depth_data(grid, model=(100 * grid, 100 * grid), now=(depth, force))
     point = np.flatnonzero(np.isfinite(data[-1]))
     assert (data[0][point[0]], data[-1][point[0]]) == (depth * 1e3, force) and point.size == 1
     assert (np.diff(data[0]) >= 0).all() and low <= force <= high
@@ -102,8 +103,8 @@ def test_the_present_point_is_drawn_at_its_depth(depth, force):
 
 def test_residual_over_depth_has_band_and_branches(measured):
     grid = make_depth_grid(10e-3)
-    data, extent = residual_depth_data(residual(there_and_back(1.05), measured), measured, grid)
-    found = columns(data, residual_depth_options((0, 10), extent))
+    data, extent = make_residual_depth_data(compute_force_residual(there_and_back(1.05), measured), measured, grid)
+    found = columns(data, make_residual_depth_options((0, 10), extent))
     x = found["depth [mm]"]
     inside = x < 7.99
     np.testing.assert_allclose(found["load"][inside], 0.01 * x[inside], atol=1e-9)
@@ -117,8 +118,8 @@ def test_residual_over_depth_has_band_and_branches(measured):
 
 def test_empty_plots_have_a_range():
     grid = make_depth_grid(10e-3)
-    for data, extent in (force_depth_data(grid), residual_depth_data(None, None, grid),
-                         force_time_data(np.empty(0), np.empty(0), 3)):
+    for data, extent in (make_force_depth_data(grid), make_residual_depth_data(None, None, grid),
+                         make_force_time_data(np.empty(0), np.empty(0), 3)):
         assert extent == (0, 0) and (np.diff(data[0]) > 0).all()
     assert round_axis_range((0, 0)) == (0, 1) and round_axis_range((0, 0), about_zero=True) == (-1, 1)
 
@@ -126,8 +127,8 @@ def test_empty_plots_have_a_range():
 def test_force_over_time_keeps_peaks():
     time = np.arange(0, 60, 5e-3) + 1.3e-3  # so that none falls on the edge of a part
     force, now = np.random.default_rng(0).normal(size=time.size), 60.0
-    data, extent = force_time_data(time, force, now)
-    x, _, live, hand = columns(data, force_time_options(extent)).values()
+    data, extent = make_force_time_data(time, force, now)
+    x, _, live, hand = columns(data, make_force_time_options(extent)).values()
     assert np.isnan(hand).all(), "no hand is there"
     assert (x[0], x[-1], x.size) == (-PLOTS.time_span, 0, 2 * PLOTS.intervals)
     assert extent == (force[time >= 40].min(), force[time >= 40].max())
@@ -138,7 +139,7 @@ def test_force_over_time_keeps_peaks():
 
 def test_force_over_time_follows_a_slow_force():
     time = np.arange(0, 12, 0.1)
-    data, _ = force_time_data(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
+    data, _ = make_force_time_data(time, 0.3 * time, 12.0, measured=(time, 0.2 * time))
     x, measured, live, _ = data
     known = x + 12 > 0.1
     np.testing.assert_allclose(live[known & (x < -0.2)], 0.3 * (x + 12)[known & (x < -0.2)],
@@ -151,12 +152,12 @@ def test_force_on_the_hand_and_force_of_the_tissue_are_drawn():
     """The rendered force is limited to 1.5 N of 3 N."""
     time = np.arange(0, 12, 0.01)
     force = 0.3 * time
-    data, extent = force_time_data(time, force, 12.0, hand=np.minimum(force, 1.5))
-    found = columns(data, force_time_options(extent))
+    data, extent = make_force_time_data(time, force, 12.0, hand=np.minimum(force, 1.5))
+    found = columns(data, make_force_time_options(extent))
     known = found["time [s]"] > -11.8
     np.testing.assert_allclose(found["on the hand"][known], np.minimum(found["live"], 1.5)[known], atol=0.05)
     assert extent == pytest.approx((0, force[-1])) and np.nanmax(found["on the hand"]) == 1.5
-    assert "on the hand" in legend_html(hand=True) and "on the hand" not in legend_html()
+    assert "on the hand" in plot_legend_html(hand=True) and "on the hand" not in plot_legend_html()
 
 
 extents = st.tuples(st.floats(-1e3, 0), st.floats(0, 1e3))
@@ -196,9 +197,9 @@ def test_viser_accepts_the_options(measured):
     server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
     try:
         for (data, extent), make, x in (
-                (force_depth_data(grid, measured=measured), force_depth_options, [(0, 10)]),
-                (residual_depth_data(None, measured, grid), residual_depth_options, [(0, 10)]),
-                (force_time_data(np.arange(9.0), np.arange(9.0), 9.0), force_time_options, [])):
+                (make_force_depth_data(grid, measured=measured), make_force_depth_options, [(0, 10)]),
+                (make_residual_depth_data(None, measured, grid), make_residual_depth_options, [(0, 10)]),
+                (make_force_time_data(np.arange(9.0), np.arange(9.0), 9.0), make_force_time_options, [])):
             options = make(*x, round_axis_range(extent), dark=True)
             handle = server.gui.add_uplot(data, **options)
             assert len(handle.data) == len(handle.series)
@@ -210,16 +211,16 @@ def test_viser_accepts_the_options(measured):
 
 
 def test_the_legend_names_the_drawn_curves():
-    everything = legend_html(measured=3, compared="<friction>")
+    everything = plot_legend_html(measured=3, compared="<friction>")
     assert "measured (3)" in everything and "&lt;friction&gt;" in everything and "live" in everything
-    assert "(1)" not in legend_html(measured=1) and "measured" not in legend_html()
-    assert legend_html() != legend_html(dark=True)
+    assert "(1)" not in plot_legend_html(measured=1) and "measured" not in plot_legend_html()
+    assert plot_legend_html() != plot_legend_html(dark=True)
 
 
 def test_forces_of_late_ticks_are_a_separate_series():
     grid = make_depth_grid(10e-3, 11)
     late = np.where(np.arange(11) == 4, 0.7, np.nan)
-    data, extent = force_depth_data(grid, late=late)
-    labels = [each["label"] for each in force_depth_options((0, 10), (0, 1))["series"]]
+    data, extent = make_force_depth_data(grid, late=late)
+    labels = [each["label"] for each in make_force_depth_options((0, 10), (0, 1))["series"]]
     assert data[labels.index("late")][4] == 0.7 and np.isfinite(data[labels.index("late")]).sum() == 1
-    assert extent == (0.7, 0.7) and np.isnan(force_depth_data(grid)[0][labels.index("late")]).all()
+    assert extent == (0.7, 0.7) and np.isnan(make_force_depth_data(grid)[0][labels.index("late")]).all()

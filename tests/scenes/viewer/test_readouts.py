@@ -7,15 +7,22 @@ from xml.etree import ElementTree
 import pytest
 
 import tissue_sim as ts
-from scenes.viewer.frame import Curves, Frame, Phase, Readouts
-from scenes.viewer.live_gap import LiveGap
-from scenes.viewer.page.readouts import agreement_html, live_gap_html, readouts_html, status_html, title_html
+from scenes.viewer.frame import Phase, PlotCurves, SessionFrame, SimulationReadouts
+from scenes.viewer.live_gap import LiveForceGap
+from scenes.viewer.page.readouts import (
+    live_force_gap_html,
+    model_agreement_html,
+    readouts_html,
+    scene_title_html,
+    status_html,
+)
 from scenes.viewer.scene import Scene
 from tissue_sim.experiment.kinds.indentation import NEEDLE
 
-NOW = Readouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84, rate=999.7,
-               late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", unconverged=3)
-FRAME = Frame(Phase.RUNNING, "running", None, None, NOW, Curves(), "protocol", 0.0)
+NOW = SimulationReadouts(time=3.0, depth=5.678e-3, force=1.2344, stiffness=211.0, step_time=0.31e-3, iterations=0.84,
+                         rate=999.7,
+                         late=0.0042, status="in equilibrium", mesh="realtime_63, force within 1.1 %", unconverged=3)
+FRAME = SessionFrame(Phase.RUNNING, "running", None, None, NOW, PlotCurves(), "protocol", 0.0)
 
 
 def texts(html):
@@ -76,19 +83,19 @@ def test_the_start_shows_its_present_activity():
 def test_agreement_shows_the_rmse_or_what_is_missing():
     flat = SimpleNamespace(experiment=SimpleNamespace(tool=ts.Tool("flat", 8e-3)))
     frame = replace(FRAME, scene=flat)
-    measured = SimpleNamespace(noise=0.0172, other_tool=lambda tool: "")
+    measured = SimpleNamespace(replicate_scatter=0.0172, describe_deviating_tool=lambda tool: "")
     gap = SimpleNamespace(rmse=0.02034, samples=303)
-    assert "--measured FILE" in texts(agreement_html(FRAME))["agreement"]
-    waiting = replace(FRAME, curves=Curves(measurement=measured))
-    assert "being computed" in texts(agreement_html(waiting))["agreement"]
-    shown = texts(agreement_html(replace(frame, curves=Curves(measurement=measured, residual=gap))))
+    assert "--measured FILE" in texts(model_agreement_html(FRAME))["agreement"]
+    waiting = replace(FRAME, curves=PlotCurves(measurement=measured))
+    assert "being computed" in texts(model_agreement_html(waiting))["agreement"]
+    shown = texts(model_agreement_html(replace(frame, curves=PlotCurves(measurement=measured, residual=gap))))
     assert shown["rmse"] == "0.020" and "303 samples, noise 0.017 N" in shown["agreement"]
-    alone = SimpleNamespace(noise=None, other_tool=lambda tool: "cone of 3 mm radius")
-    single = texts(agreement_html(replace(frame, curves=Curves(measurement=alone, residual=gap))))
+    alone = SimpleNamespace(replicate_scatter=None, describe_deviating_tool=lambda tool: "cone of 3 mm radius")
+    single = texts(model_agreement_html(replace(frame, curves=PlotCurves(measurement=alone, residual=gap))))
     assert ", noise" not in single["agreement"] and "other-tool" not in shown
     assert single["other-tool"] == "measured with another tool: cone of 3 mm radius"
-    computing = Curves(measurement=measured, residual=gap, computing=True)
-    old = texts(agreement_html(replace(frame, curves=computing)))
+    computing = PlotCurves(measurement=measured, residual=gap, computing=True)
+    old = texts(model_agreement_html(replace(frame, curves=computing)))
     assert old["rmse"] == "0.020" and "of the previous model" in old["agreement"] and "old-curve" not in shown
 
 
@@ -98,18 +105,18 @@ def test_the_title_names_test_specimen_tool_and_material(shape):
     experiment = NEEDLE.experiment(specimen=ts.Specimen(0.04, 0.07), tool=tool, friction=friction,
                                    protocol=ts.Protocol.ramp(4e-3, 5))
     material = ts.Material("neo_hooke", {"C10": 500.0}, ts.Bulk("bulk_ratio", 1e4))
-    said = texts(title_html(Scene(NEEDLE, experiment, material, "<m>.json")))["title"]
+    said = texts(scene_title_html(Scene(NEEDLE, experiment, material, "<m>.json")))["title"]
     assert said.startswith("Needle indentation, cylinder \u2300 80 \u00d7 70 mm")
     assert f"{shape}, tool radius 8 mm" in said and "<m>.json" in said
     assert ("bonded" in said) is (shape == "flat") and ("friction 0.3" in said) is (shape == "sphere")
 
 
 def test_the_gap_to_the_model_names_its_causes():
-    assert live_gap_html(None) == ""
-    fast = texts(live_gap_html(LiveGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
+    assert live_force_gap_html(None) == ""
+    fast = texts(live_force_gap_html(LiveForceGap(0.1234, 3.35e-3, 20e-3, 0.012, 0.8)))["live-gap"]
     assert fast == ("live \u2212 model: up to 0.123 N at 3.35 mm; at 20 mm/s the inertia of the tissue contributes; "
                     "1.2% of the points are extrapolated by late ticks (grey)")
-    slow = texts(live_gap_html(LiveGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
+    slow = texts(live_force_gap_html(LiveForceGap(-0.001, 1e-3, 1e-3, 0.0, 0.0)))["live-gap"]
     assert slow == "live \u2212 model: up to -0.001 N at 1 mm"
     # Quasi-static tissue has no inertia at any speed.
-    assert "inertia" not in live_gap_html(LiveGap(0.1, 1e-3, 20e-3, 0.0, 0.0))
+    assert "inertia" not in live_force_gap_html(LiveForceGap(0.1, 1e-3, 20e-3, 0.0, 0.0))

@@ -46,7 +46,7 @@ def pressed(status):
     records["tissue_force"] = 200.0 * records["tool_depth"]
     records["status"] = status
     trace = Trace()
-    trace.append(records)
+    trace.append_ticks(records)
     return trace
 
 
@@ -60,7 +60,7 @@ def test_a_curve_of_late_points_is_a_notification(controls, status):
                                            tool=ts.Tool("sphere", radius=6e-3))
     scene = Scene(SCENES[kind], experiment, ts.Material("neo_hooke", {"C10": 1000.0}))
     controls._frame = SimpleNamespace(scene=scene, curves=SimpleNamespace(trace=trace))
-    controls._save_curve(SimpleNamespace(client=browser))
+    controls._send_curve_files(SimpleNamespace(client=browser))
     if status is ForceStatus.CONVERGED:
         assert [name.rsplit(".", 1)[1] for name in browser.files] == ["csv", "json"] and not browser.notices
     else:

@@ -10,8 +10,8 @@ import pytest
 import tissue_sim as ts
 from scenes.catalogue import SCENES
 from scenes.viewer.measurement import build_measurement
-from scenes.viewer.reach import limit_to_reach
-from scenes.viewer.scene import Scene, read_measurements
+from scenes.viewer.reach import limit_lateral_position
+from scenes.viewer.scene import Scene, read_measurements_by_kind
 from tissue_sim.snapshot import Snapshot
 
 PUNCH = ts.Tool("flat", radius=0.006, edge_radius=0.001)
@@ -25,7 +25,7 @@ def tried(force=1.0, **metadata):
 
 @pytest.mark.parametrize("name", SCENES)
 def test_a_scene_has_default_tool_and_interfaces(needle, name):
-    there = needle.with_scene(name)
+    there = needle.with_test_and_tool(name)
     kind, experiment = SCENES[name], there.experiment
     assert there.kind is kind
     assert (experiment.tool.shape, experiment.tool.radius) == (kind.tool.shape, kind.tool.radius)
@@ -34,32 +34,34 @@ def test_a_scene_has_default_tool_and_interfaces(needle, name):
     assert experiment.specimen is needle.experiment.specimen and experiment.protocol is needle.experiment.protocol
     assert (there.material, there.source) == (needle.material, needle.source)
     assert there.model.experiment is experiment and there.max_tool_displacement == 4e-3
-    back = there.with_scene("needle_indentation")
+    back = there.with_test_and_tool("needle_indentation")
     assert back.experiment.tool == needle.experiment.tool and back.experiment.friction == "bonded"
 
 
 def test_another_tool_keeps_the_interfaces(needle):
     own = replace(needle, experiment=replace(needle.experiment, friction="stick", friction_base=0.4, friction_wall=0.2))
-    there = own.with_scene("needle_indentation", tool=PUNCH)
+    there = own.with_test_and_tool("needle_indentation", tool=PUNCH)
     assert there.experiment.tool is PUNCH
     assert (there.experiment.friction, there.experiment.friction_base, there.experiment.friction_wall) == \
         ("stick", 0.4, 0.2)
-    there = there.with_scene("needle_indentation", friction=0.3)
+    there = there.with_test_and_tool("needle_indentation", friction=0.3)
     assert there.experiment.tool is PUNCH, "the present tool is kept"
     assert (there.experiment.friction, there.experiment.friction_base) == (0.3, 0.4)
 
 
 def test_another_scene_resets_the_interfaces(needle):
-    plates = needle.with_scene("friction_compression", friction=0.2)
+    plates = needle.with_test_and_tool("friction_compression", friction=0.2)
     assert (plates.experiment.friction, plates.experiment.base_interface) == (0.2, 0.2)
-    bonded = plates.with_scene("bonded_compression")
+    bonded = plates.with_test_and_tool("bonded_compression")
     assert (bonded.experiment.friction, bonded.experiment.friction_base) == ("bonded", "bonded")
 
 
 @pytest.mark.parametrize(("name", "changes", "expected"), [
     ("needle", {}, "scene: must be one of lubricated_compression"),
-    ("bonded_compression", {"tool": PUNCH}, "tool: must fit the scene bonded compression; got a 'flat' tool"),
-    ("needle_indentation", {"tool": ts.Tool()}, "tool: must fit the scene needle indentation; got a 'plate' tool"),
+    ("bonded_compression", {"tool": PUNCH},
+     "tool: must fit the scene bonded compression; got a 'flat' tool. Choose another tool or scene."),
+    ("needle_indentation", {"tool": ts.Tool()},
+     "tool: must fit the scene needle indentation; got a 'plate' tool. Choose another tool or scene."),
     ("needle_indentation", {"friction": "sticky"}, "friction"),
     ("needle_indentation", {"friction": 0.3}, "give the tool an edge radius"),
     ("needle_indentation", {"tool": ts.Tool("sphere", radius=0.005)}, "no flat face to be bonded to"),
@@ -68,7 +70,7 @@ def test_another_scene_resets_the_interfaces(needle):
 def test_invalid_changes_are_refused(needle, name, changes, expected):
     before = needle.experiment
     with pytest.raises(ts.InputError) as caught:
-        needle.with_scene(name, **changes)
+        needle.with_test_and_tool(name, **changes)
     assert expected in str(caught.value) and "\n" not in str(caught.value)
     assert needle.experiment is before
 
@@ -77,9 +79,9 @@ def test_a_measurement_belongs_to_its_kind_of_test(needle):
     measured = build_measurement([tried()])
     scene = replace(needle, measurements={"bonded_compression": measured})
     assert scene.measurement is None
-    there = scene.with_scene("bonded_compression")
+    there = scene.with_test_and_tool("bonded_compression")
     assert isinstance(there, Scene) and there.measurement is measured
-    assert there.with_scene("needle_indentation").measurement is None
+    assert there.with_test_and_tool("needle_indentation").measurement is None
 
 
 def test_recordings_are_grouped_by_kind_of_test(tmp_path):
@@ -87,41 +89,41 @@ def test_recordings_are_grouped_by_kind_of_test(tmp_path):
     for path, recording in zip(paths, (tried(1.0, kind="bonded_compression"), tried(2.0),
                                        tried(3.0, kind="bonded_compression"), tried(4.0)), strict=True):
         ts.write_recording(recording, path)
-    found = read_measurements(paths, "needle_indentation")
+    found = read_measurements_by_kind(paths, "needle_indentation")
     assert set(found) == {"bonded_compression", "needle_indentation"}
     for kind, factors in (("bonded_compression", (1.0, 3.0)), ("needle_indentation", (2.0, 4.0))):
         assert [each.force[-1] for each in found[kind].recordings] == pytest.approx([0.8 * each for each in factors])
-    assert read_measurements([], "needle_indentation") == {}
+    assert read_measurements_by_kind([], "needle_indentation") == {}
 
 
 def test_a_recording_of_an_unknown_kind_is_refused(tmp_path):
     path = tmp_path / "pulled.csv"
     ts.write_recording(tried(kind="tension"), path)
     with pytest.raises(ts.InputError) as caught:
-        read_measurements([path], "needle_indentation")
+        read_measurements_by_kind([path], "needle_indentation")
     assert str(caught.value).startswith(f"{path}: kind: must be one of lubr")
     with pytest.raises(ts.InputError, match=r"nowhere\.csv"):
-        read_measurements([tmp_path / "nowhere.csv"], "needle_indentation")
+        read_measurements_by_kind([tmp_path / "nowhere.csv"], "needle_indentation")
 
 
 def test_reach_of_the_tool(needle):
     """The reach is the whole top surface; for a reduced solid, the box around the first contact."""
-    assert needle.reach == ((-0.04, 0.04),) * 2 and needle.min_tool_displacement == -5e-3
+    assert needle.lateral_range == ((-0.04, 0.04),) * 2 and needle.min_tool_displacement == -5e-3
     block = replace(needle, experiment=replace(needle.experiment, specimen=ts.Block(0.06, 0.05, 0.03)))
-    np.testing.assert_allclose(block.reach, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-8)
+    np.testing.assert_allclose(block.lateral_range, [(-0.03, 0.03), (-0.025, 0.025)], rtol=1e-8)
     experiment = replace(needle.experiment, approach=ts.Approach(6e-3))
     of_box = replace(needle, experiment=experiment, reduced=SimpleNamespace(box=ts.PoseBox(2e-3, 4e-3), lifting=12))
-    np.testing.assert_allclose(of_box.reach, [(4e-3, 8e-3), (-2e-3, 2e-3)])
+    np.testing.assert_allclose(of_box.lateral_range, [(4e-3, 8e-3), (-2e-3, 2e-3)])
     assert of_box.min_tool_displacement == 0.0
     snapshot = Snapshot(ts.Pose.at_depth(0.0), 0.0, None)
-    assert limit_to_reach(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
-    assert limit_to_reach(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
+    assert limit_lateral_position(of_box, snapshot, (0.0, 1e-3)) == pytest.approx((4e-3, 1e-3))
+    assert limit_lateral_position(needle, snapshot, (1e-3, 2e-3)) == pytest.approx((1e-3, 2e-3))
     with pytest.raises(ts.InputError, match="cannot be changed for a reduced solid"):
-        of_box.with_scene("bonded_compression")
+        of_box.with_test_and_tool("bonded_compression")
     # One that leans goes aside by half a millimetre on its way down, or by more than the box is wide.
     leaning = replace(of_box, experiment=replace(experiment, approach=ts.Approach(6e-3, math.asin(0.125))))
-    np.testing.assert_allclose(leaning.reach[0], [4e-3, 7.5e-3])
+    np.testing.assert_allclose(leaning.lateral_range[0], [4e-3, 7.5e-3])
     steep = replace(leaning, reduced=SimpleNamespace(box=ts.PoseBox(1e-4, 4e-3), lifting=12))
-    assert steep.reach[0] == pytest.approx((5.75e-3, 5.75e-3))
+    assert steep.lateral_range[0] == pytest.approx((5.75e-3, 5.75e-3))
     lifted = replace(of_box, reduced=SimpleNamespace(box=of_box.reduced.box, lifting=0))
     assert lifted.min_tool_displacement == -5e-3

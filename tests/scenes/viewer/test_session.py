@@ -19,7 +19,7 @@ from haptics.loop.loop import LoopSettings
 from haptics.loop.ring import PAUSED, RingReader
 from scenes.viewer.calibration_commands import CALIBRATION_COMMANDS
 from scenes.viewer.frame import FRAMES, NullViewer, Phase
-from scenes.viewer.measurement import build_measurement, make_motion_protocol, residual
+from scenes.viewer.measurement import build_measurement, compute_force_residual, make_motion_protocol
 from scenes.viewer.scene import CLEARANCE
 from scenes.viewer.session import COMMANDS, STEP_TIME, Session
 from tissue_sim.errors import ConvergenceError
@@ -241,7 +241,8 @@ def test_a_parameter_changes_force_curve_and_residual(session, measured, until):
                   and frame.curves.model.force.max() == pytest.approx(expected.force.max(), rel=1e-9)
                   and frame.snapshot.fields.material == frame.scene.material)
     np.testing.assert_allclose(frame.curves.model.force, expected.force, rtol=1e-9, atol=1e-12)
-    assert frame.curves.residual.rmse == pytest.approx(residual(expected, measured.measurement).rmse, rel=1e-6)
+    assert frame.curves.residual.rmse == pytest.approx(compute_force_residual(expected, measured.measurement).rmse,
+                                                       rel=1e-6)
     assert frame.curves.residual.rmse < 0.1 * before.curves.residual.rmse, "the measurement is of this material"
     assert frame.scene.material.parameters["C10"] == 1700.0
     felt = np.interp(2e-3, *(each[: np.argmax(expected.displacement) + 1]
@@ -251,7 +252,7 @@ def test_a_parameter_changes_force_curve_and_residual(session, measured, until):
 
 def test_a_refused_parameter_changes_nothing(session, until):
     done(session, "aim", depth=1e-3)
-    before = until(session.frame, lambda frame: at_rest(1e-3)(frame) and not session._curve.busy
+    before = until(session.frame, lambda frame: at_rest(1e-3)(frame) and not session._curve.is_busy
                    and frame.curves.model is session._curve.recording)
     for values, expected in (({"C10": -1.0}, "must give a positive shear modulus"), ({"C77": 1.0}, "C77"),
                              ({"C10": 1500.0, "C20": math.nan}, "C20")):
@@ -259,7 +260,7 @@ def test_a_refused_parameter_changes_nothing(session, until):
     time = before.readouts.time
     frame = until(session.frame, lambda frame: frame.readouts.time > time + 0.1)
     assert frame.scene is before.scene and frame.curves.model is before.curves.model
-    assert frame.curves.residual is before.curves.residual and not session._curve.busy
+    assert frame.curves.residual is before.curves.residual and not session._curve.is_busy
     assert frame.readouts.force == pytest.approx(before.readouts.force, rel=1e-4)
 
 
@@ -271,7 +272,7 @@ def test_an_unusable_material_is_refused_without_a_running_simulation(session, m
     stone = with_values(measured.material, {"C10": 1e12})
     assert "must be at most 1e+09 Pa" in done(session, "use_material", material=stone, source="stone.material.json")
     assert session.frame().scene is before.scene
-    session.restart()
+    session.restart_simulation()
     until(session.frame, lambda frame: frame.phase is Phase.RUNNING)
 
 
@@ -297,7 +298,7 @@ def test_the_present_material_is_saved(session, tmp_path):
 
 
 def test_a_kept_curve_is_shown_with_the_next_one(session, until):
-    until(session.frame, lambda _: not session._curve.busy)
+    until(session.frame, lambda _: not session._curve.is_busy)
     model = until(session.frame, lambda frame: frame.curves.model is session._curve.recording).curves.model
     assert done(session, "keep_curve", name="before") is None
     assert session.frame().curves.compared == ("before", model)
@@ -309,8 +310,8 @@ def test_a_kept_curve_is_shown_with_the_next_one(session, until):
 
 
 def test_only_the_newest_aim_is_executed_and_all_are_answered(session, monkeypatch):
-    asked, ask = [], session.simulation.ask
-    monkeypatch.setattr(session.simulation, "ask",
+    asked, ask = [], session.simulation.send_command
+    monkeypatch.setattr(session.simulation, "send_command",
                         lambda command, **values: (asked.append((command, values)), ask(command, **values)))
     replies = []
     for depth in (1e-3, 2e-3, 0.5e-3):
@@ -345,13 +346,19 @@ def test_an_unknown_command_raises_an_error(session):
         with pytest.raises(ValueError, match=f"command must be one of .*; got '{name}'"):
             session.post(name)
     own = {name: command for name, command in COMMANDS.items() if name not in CALIBRATION_COMMANDS}
-    assert all(command is getattr(Session, name) for name, command in own.items())
+    assert {name: command.__name__ for name, command in own.items()} == {
+        "aim": "set_hand_target", "play": "play_protocol", "replay": "replay_measured_motion",
+        "follow": "move_with_device", "pause": "pause_motion", "resume": "resume_motion", "step": "step_paused_motion",
+        "reset": "reset_tool_and_tissue", "set_parameters": "set_material_parameters",
+        "use_material": "replace_material", "save_material": "save_material_file", "use_scene": "change_test_and_tool",
+        "keep_curve": "keep_model_curve", "restart": "restart_simulation"}
+    assert all(command is getattr(Session, command.__name__) for command in own.values())
     assert {name: COMMANDS[name] for name in CALIBRATION_COMMANDS} == CALIBRATION_COMMANDS
 
 
 def test_unchanged_curves_are_the_same_objects(session, until):
     assert done(session, "pause") is None
-    before = until(session.frame, lambda frame: (not session._curve.busy
+    before = until(session.frame, lambda frame: (not session._curve.is_busy
                                                  and frame.curves.model is session._curve.recording))
     ticks = before.readouts.time
     until(session.frame, lambda frame: frame.readouts.time > ticks + 0.1)  # what was felt before the pause is drawn

@@ -9,9 +9,9 @@ from coarse_solid import make_coarse_solid
 
 import tissue_sim as ts
 from haptics.loop.loop import LoopSettings
-from scenes.viewer.bodies import is_drawable
+from scenes.viewer.bodies import can_draw_fields
 from scenes.viewer.frame import Phase
-from scenes.viewer.reach import limit_to_top
+from scenes.viewer.reach import limit_to_top_surface
 from scenes.viewer.session import Session
 from tissue_sim.fem.solver import SOLVERS
 from tissue_sim.pose import Pose
@@ -64,7 +64,7 @@ def at(place):
 @pytest.mark.slow
 def test_the_tool_goes_along_its_axis_and_aside_and_back(session, scene, until):
     first = session.frame()
-    assert first.phase is Phase.RUNNING and first.snapshot.in_space and is_drawable(first.snapshot.fields)
+    assert first.phase is Phase.RUNNING and first.snapshot.in_space and can_draw_fields(first.snapshot.fields)
     assert first.snapshot.skin is None and first.surface is None
     assert first.across == (OFFSET, 0.0)
     np.testing.assert_allclose(first.snapshot.pose.position, (OFFSET, 0.0, 0.0), atol=1e-9)
@@ -109,6 +109,6 @@ def test_no_part_of_the_tool_leaves_the_top(session, scene, until):
     assert x == pytest.approx(y)
     # The top of the coarse mesh is a polygon within the circle.
     assert 0.85 * 32e-3 < math.hypot(x, y) < 32e-3 + 1e-9
-    assert limit_to_top(scene.experiment, snapshot, (1e-3, -2e-3)) == pytest.approx((1e-3, -2e-3))
+    assert limit_to_top_surface(scene.experiment, snapshot, (1e-3, -2e-3)) == pytest.approx((1e-3, -2e-3))
     without = Snapshot(Pose.at_depth(0.0), 0.0, None)
-    assert math.hypot(*limit_to_top(scene.experiment, without, (0.0, 1.0))) == pytest.approx(32e-3, rel=1e-2)
+    assert math.hypot(*limit_to_top_surface(scene.experiment, without, (0.0, 1.0))) == pytest.approx(32e-3, rel=1e-2)

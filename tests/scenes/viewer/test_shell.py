@@ -5,7 +5,7 @@ import re
 import viser
 
 from scenes.viewer.shell import LARGEST_UPLOAD, inject_shell
-from scenes.viewer.web_server import open_server
+from scenes.viewer.web_server import open_viewer_server
 
 PAGE = b"<html><head><title>Viser</title></head>\n  <body>\n<div id=\"root\"></div></body></html>"
 
@@ -21,7 +21,7 @@ def test_the_shell_is_injected_into_viser_pages_only():
 
 
 def test_files_above_the_bound_are_not_kept():
-    with open_server(port=0) as server:
+    with open_viewer_server(port=0) as server:
         server.gui.add_upload_button("file")
         button, = server.gui._gui_input_handle_from_uuid
         states = server.gui._current_file_upload_states

@@ -14,9 +14,9 @@ from haptics.loop.ring import PAUSED, TICK
 from scenes.catalogue import SCENES
 from scenes.cli import main
 from scenes.provenance import describe_provenance
-from scenes.viewer.page.saving import make_curve_files
+from scenes.viewer.page.saving import make_trace_files
 from scenes.viewer.scene import Scene
-from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch, make_recording_files
+from scenes.viewer.trace import SETTINGS, Trace, interpolate_branch_force, make_csv_and_sidecar
 from tissue_sim.recording.segmentation import MOTION_SETTINGS, select_monotone_samples
 from tissue_sim.tool_force import ForceStatus
 
@@ -40,7 +40,7 @@ def fed(records, catch=40, **options):
     """Trace that received the ticks in batches of a given size."""
     trace = Trace(**options)
     for first in range(0, len(records), catch):
-        trace.append(records[first:first + catch])
+        trace.append_ticks(records[first:first + catch])
     return trace
 
 
@@ -91,7 +91,7 @@ def test_paused_and_nonfinite_ticks_are_skipped():
     for begin, end in ((2, 3), (4, 4.5), (6, 6.5)):
         assert not ((trace.time >= begin) & (trace.time < end - 1e-9)).any()
     assert np.isfinite(trace.depth).all() and np.isfinite(trace.force).all()
-    assert Trace().append(records[2000:3000]) == 0
+    assert Trace().append_ticks(records[2000:3000]) == 0
 
 
 def test_fading_forces_are_not_drawn_and_late_forces_not_recorded():
@@ -122,9 +122,9 @@ def test_the_oldest_points_are_dropped_at_the_limit():
 
 def test_a_new_loop_clears_the_trace():
     trace = fed(played(CYCLE, 14))
-    trace.append(played([(0, 1e-3), (1, 2e-3)], 1))
+    trace.append_ticks(played([(0, 1e-3), (1, 2e-3)], 1))
     assert trace.time[-1] < 1.0 and trace.depth.min() == pytest.approx(1e-3)
-    trace.clear()
+    trace.delete_all_points()
     assert len(trace) == 0 and trace.branches() == (None, None)
 
 
@@ -140,18 +140,18 @@ def test_newest_branches_of_two_cycles():
 def test_an_unloading_must_exceed_the_hysteresis():
     for back, branches in ((0.8 * MOTION_SETTINGS.hysteresis, 1), (1.6 * MOTION_SETTINGS.hysteresis, 3)):
         trace = fed(played([(0, 0), (2, 5e-3), (2.1, 5e-3 - back), (4, 9e-3)], 4))
-        assert len(trace._branches()) == branches
+        assert len(trace._list_branch_limits()) == branches
 
 
 def test_tremor_of_a_hand_is_no_reversal():
     trace = fed(played(CYCLE, 14, noise=0.45 * MOTION_SETTINGS.hysteresis))
-    assert [direction for direction, *_ in trace._branches()] == [1, -1]
+    assert [direction for direction, *_ in trace._list_branch_limits()] == [1, -1]
 
 
 def test_a_short_reversal_replaces_only_its_part_of_the_curve():
     trace = fed(played([(0, 0), (4, 8e-3), (4.2, 7e-3), (5, 9e-3)], 5))
     grid = np.linspace(0, 10e-3, 101)
-    load, unload = trace.newest_passes(grid)
+    load, unload = trace.interpolate_newest_passes(grid)
     felt = grid <= 8.9e-3
     np.testing.assert_allclose(load[felt], 200 * grid[felt], atol=1e-9)
     assert np.isnan(load[grid > 9.05e-3]).all()
@@ -164,7 +164,7 @@ def test_a_short_reversal_replaces_only_its_part_of_the_curve():
 def test_the_newest_pass_is_returned():
     records = played([(0, 0), (4, 8e-3), (8, 0), (12, 6e-3)], 12)
     records["tissue_force"] *= np.where(records["time"] > 8, 0.5, 1.0)
-    load, _ = fed(records).newest_passes(np.array([2e-3, 7e-3]))
+    load, _ = fed(records).interpolate_newest_passes(np.array([2e-3, 7e-3]))
     np.testing.assert_allclose(load, [0.5 * 0.4, 1.4], atol=2e-3)
 
 
@@ -184,7 +184,7 @@ def test_recording_has_segments_and_cycles():
 
 def test_recording_reads_back_equal(tmp_path):
     record = fed(played(CYCLE, 14, noise=0.01e-3)).recording({"name": "felt", "kind": "needle_indentation"})
-    for name, content in make_recording_files(record, "felt").items():
+    for name, content in make_csv_and_sidecar(record, "felt").items():
         (tmp_path / name).write_bytes(content)
     again = ts.read_recording(tmp_path / "felt.csv", kind="needle_indentation")
     assert set(again.channels) == set(record.channels) == {"time", "displacement", "force"}
@@ -204,7 +204,7 @@ def test_a_saved_curve_has_the_metadata_of_a_simulated_one(tmp_path, kind, speci
     tests = {} if tool is None else {"tool": tool}
     experiment = ts.KINDS[kind].experiment(specimen=specimen, protocol=ts.Protocol.ramp(4e-3, 5), **tests)
     scene = Scene(SCENES[kind], experiment, ts.Material("neo_hooke", {"C10": 1000.0}))
-    for name, content in make_curve_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
+    for name, content in make_trace_files(scene, fed(played([(0, 0), (5, 4e-3), (10, 0)], 10))).items():
         (tmp_path / name).write_bytes(content)
     felt = ts.read_recording(tmp_path / f"{kind}.csv")
     assert {key: felt.metadata[key] for key in ("kind", "specimen", "tool")} == describe_provenance(kind, experiment)
@@ -232,8 +232,8 @@ def test_a_monotone_branch_is_interpolated_exactly(steps):
     force = np.random.default_rng(len(steps)).normal(size=depth.size)
     assert select_monotone_samples(depth, 1).tolist() == list(range(depth.size))
     assert select_monotone_samples(depth[::-1], -1).tolist() == list(range(depth.size))
-    assert interpolate_branch(depth, force, 1, depth).tolist() == force.tolist()
-    assert interpolate_branch(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
+    assert interpolate_branch_force(depth, force, 1, depth).tolist() == force.tolist()
+    assert interpolate_branch_force(depth[::-1], force[::-1], -1, depth).tolist() == force.tolist()
 
 
 @settings(max_examples=300, deadline=None)
@@ -258,4 +258,4 @@ def test_reversals_are_counted_despite_noise(ways, seed):
     depth = np.concatenate([np.linspace(a, b, 50) for a, b in pairwise(corners)])
     depth += 0.4 * MOTION_SETTINGS.hysteresis * np.random.default_rng(seed).uniform(-1, 1, depth.size)
     trace = fed(ticks(np.arange(depth.size) * 0.2, depth), 1000)
-    assert [direction for direction, *_ in trace._branches()] == np.resize([1, -1], len(ways)).tolist()
+    assert [direction for direction, *_ in trace._list_branch_limits()] == np.resize([1, -1], len(ways)).tolist()

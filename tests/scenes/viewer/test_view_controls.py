@@ -17,7 +17,7 @@ def frame(fields=None):
     experiment = SimpleNamespace(tool=ts.Tool("flat", radius=8e-3), specimen=ts.Specimen(0.03, 0.02),
                                  tool_pose=ts.Pose.at_depth)
     snapshot = None if fields is None else SimpleNamespace(fields=fields, in_space=True)
-    return SimpleNamespace(scene=SimpleNamespace(half_width=0.03, experiment=experiment), snapshot=snapshot)
+    return SimpleNamespace(scene=SimpleNamespace(max_distance_from_axis=0.03, experiment=experiment), snapshot=snapshot)
 
 
 @pytest.fixture
@@ -41,18 +41,18 @@ def test_an_unavailable_field_is_not_displayed(controls, when):
     if when == "before":
         choose(controls, "pressure")
         assert controls.options.field == "pressure"
-    controls.show(frame(SimpleNamespace(names=KNOWN)))
+    controls.update_controls(frame(SimpleNamespace(names=KNOWN)))
     if when == "after":
         choose(controls, "J")
         choose(controls, "energy")
         assert controls.options.field == "J"
-    controls.show(frame(SimpleNamespace(names=KNOWN)))
+    controls.update_controls(frame(SimpleNamespace(names=KNOWN)))
     assert controls.options.field in KNOWN
     assert set(controls._field.options) == {LABELS[name][0] for name in KNOWN}
 
 
 def test_all_fields_return_with_a_solver_that_computes_them(controls):
-    controls.show(frame(SimpleNamespace(names=KNOWN)))
-    controls.show(frame(SimpleNamespace(names=tuple(LABELS))))
+    controls.update_controls(frame(SimpleNamespace(names=KNOWN)))
+    controls.update_controls(frame(SimpleNamespace(names=tuple(LABELS))))
     choose(controls, "energy")
     assert controls.options.field == "energy" and len(controls._field.options) == len(LABELS)

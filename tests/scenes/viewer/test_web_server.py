@@ -21,7 +21,13 @@ from websockets.server import ServerProtocol
 from websockets.sync.client import connect
 
 from scenes.viewer import web_server
-from scenes.viewer.web_server import VISER_VERSION, ViewerServer, describe_exposure, find_refusal_reason, open_server
+from scenes.viewer.web_server import (
+    VISER_VERSION,
+    ViewerServer,
+    describe_network_access,
+    find_refusal_reason,
+    open_viewer_server,
+)
 from tissue_sim.errors import InputError, MissingBackendError
 
 PROTOCOL = f"viser-v{VISER_VERSION}"
@@ -30,7 +36,7 @@ NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 
 @pytest.fixture(scope="module")
 def server():
-    with open_server(port=0, title="needle & <tissue>") as running:
+    with open_viewer_server(port=0, title="needle & <tissue>") as running:
         yield running
 
 
@@ -79,7 +85,7 @@ class TestToken:
 
     @pytest.fixture
     def guarded(self):
-        with open_server(port=0, token=self.TOKEN) as running:
+        with open_viewer_server(port=0, token=self.TOKEN) as running:
             yield running
 
     def host(self, server):
@@ -87,8 +93,8 @@ class TestToken:
 
     def test_the_printed_address_opens_the_page_and_sets_a_cookie(self, guarded):
         port = guarded.get_port()
-        assert guarded.address() == f"http://127.0.0.1:{port}/?token={self.TOKEN}"
-        assert guarded.address(fixedDpr="0.5").endswith(f"?token={self.TOKEN}&fixedDpr=0.5")
+        assert guarded.make_page_address() == f"http://127.0.0.1:{port}/?token={self.TOKEN}"
+        assert guarded.make_page_address(fixedDpr="0.5").endswith(f"?token={self.TOKEN}&fixedDpr=0.5")
         status, page, headers = ask(port, self.host(guarded), path=f"/?token={self.TOKEN}")
         assert status == 200 and "</html>" in page
         name, _, attributes = headers["Set-Cookie"].partition(";")
@@ -114,14 +120,14 @@ class TestToken:
 
     def test_a_server_without_a_token_sets_no_cookie(self, server):
         assert "Set-Cookie" not in ask(server.get_port(), self.host(server))[2]
-        assert server.address() == server.url
+        assert server.make_page_address() == server.local_url
 
 
 def test_the_own_page_is_served_with_its_title(server):
     for name in ("localhost", "127.0.0.1", "LocalHost.", "[::1]"):
         status, page, _ = ask(server.get_port(), ("Host", f"{name}:{server.get_port()}"))
         assert (status, "<title>needle &amp; &lt;tissue&gt;</title>" in page) == (200, True), name
-    assert server.url == f"http://127.0.0.1:{server.get_port()}"
+    assert server.local_url == f"http://127.0.0.1:{server.get_port()}"
 
 
 def test_security_headers_forbid_framing_and_foreign_resources(server):
@@ -207,7 +213,7 @@ def requests_of_sharing(server):
 
 
 def test_no_client_can_have_a_tunnel_opened(server):
-    with open_server(port=0) as own:
+    with open_viewer_server(port=0) as own:
         assert requests_of_sharing(own) == set()
 
 
@@ -220,8 +226,8 @@ def test_plain_viser_handles_sharing_messages(capfd):
 def test_page_offers_neither_logo_nor_sharing(monkeypatch):
     themes = []
     monkeypatch.setattr(viser.GuiApi, "configure_theme", lambda self, **theme: themes.append(theme))
-    with open_server(port=0) as own:
-        own.set_theme(dark_mode=True)
+    with open_viewer_server(port=0) as own:
+        own.set_page_theme(dark_mode=True)
     assert themes == [{"show_logo": False, "show_share_button": False},
                       {"dark_mode": True, "show_logo": False, "show_share_button": False}]
 
@@ -231,7 +237,7 @@ def test_a_port_in_use_is_reported_and_left_unchanged(server):
     with pytest.raises(InputError, match=rf"^port: port {port} of 127\.0\.0\.1 is in use by another program\. Close "
                                          r"that program, or choose another port with --port, or 0 for any free "
                                          r"port\.$"):
-        open_server(port=port)
+        open_viewer_server(port=port)
     assert ask(port, ("Host", f"localhost:{port}"))[0] == 200
 
 
@@ -239,11 +245,11 @@ def test_a_bound_port_without_listener_is_in_use():
     with socket.socket() as other:
         other.bind(("127.0.0.1", 0))
         with pytest.raises(InputError, match="is in use by another program"):
-            open_server(port=other.getsockname()[1])
+            open_viewer_server(port=other.getsockname()[1])
 
 
 def test_two_servers_get_two_ports(server):
-    with open_server(port=0) as second:
+    with open_viewer_server(port=0) as second:
         assert second.get_port() not in (0, server.get_port())
         assert ask(second.get_port(), ("Host", f"127.0.0.1:{server.get_port()}"))[0] == 403
 
@@ -256,27 +262,27 @@ def test_two_servers_get_two_ports(server):
     ("192.0.2.1", 0, r"host: 192\.0\.2\.1, port 0 cannot be used \(.+\)\. Give an address of this computer")])
 def test_an_invalid_address_is_refused(host, port, message):
     with pytest.raises(InputError, match=message):
-        open_server(host, port, exposed=True)
+        open_viewer_server(host, port, exposed=True)
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.7"])
 def test_other_computers_need_the_word(host):
     with pytest.raises(InputError, match=r"^host: anyone who can reach .* at port 8080 can .*move the tool.* without a "
                                          r"password\. Use --expose to allow this"):
-        open_server(host)
+        open_viewer_server(host)
 
 
 def test_exposure_describes_who_has_access():
-    everywhere = describe_exposure("0.0.0.0", 8080)
+    everywhere = describe_network_access("0.0.0.0", 8080)
     assert everywhere.startswith("anyone who can reach any address of this computer at port 8080 can ")
-    assert describe_exposure("10.0.0.7", 0).startswith("anyone who can reach 10.0.0.7 at the chosen port can ")
-    assert describe_exposure("127.0.0.1", 8080) == "only programs of this computer can reach 127.0.0.1"
+    assert describe_network_access("10.0.0.7", 0).startswith("anyone who can reach 10.0.0.7 at the chosen port can ")
+    assert describe_network_access("127.0.0.1", 8080) == "only programs of this computer can reach 127.0.0.1"
 
 
 def test_an_exposed_server_checks_its_names():
-    with open_server("0.0.0.0", 0, exposed=True) as own:
+    with open_viewer_server("0.0.0.0", 0, exposed=True) as own:
         port = own.get_port()
-        assert own.url == f"http://127.0.0.1:{port}"
+        assert own.local_url == f"http://127.0.0.1:{port}"
         for name, status in (("localhost", 200), (platform.node(), 200), (platform.node().upper(), 200),
                              ("rebound.example", 403), ("0.0.0.1", 403)):
             assert ask(port, ("Host", f"{name}:{port}"))[0] == status, name
@@ -285,7 +291,7 @@ def test_an_exposed_server_checks_its_names():
 
 @pytest.mark.skipif(sys.platform != "linux", reason="other systems have one loopback address only")
 def test_an_exposed_server_accepts_the_address_of_the_connection():
-    with open_server("0.0.0.0", 0, exposed=True) as own:
+    with open_viewer_server("0.0.0.0", 0, exposed=True) as own:
         port = own.get_port()
         assert ask(port, ("Host", f"127.0.0.2:{port}"), address="127.0.0.2")[0] == 200
         assert ask(port, ("Host", f"127.0.0.3:{port}"), address="127.0.0.2")[0] == 403
@@ -304,17 +310,17 @@ def has_version_6():
 def test_an_ipv6_address_is_served():
     if not has_version_6():
         pytest.skip("serves on ::1, and this computer's system has IPv6 switched off: no program can use that address")
-    with open_server("::1", 0) as own:
+    with open_viewer_server("::1", 0) as own:
         port = own.get_port()
-        assert own.url == f"http://[::1]:{port}"
+        assert own.local_url == f"http://[::1]:{port}"
         assert ask(port, ("Host", f"[::1]:{port}"), address="::1")[0] == 200
         assert ask(port, ("Host", f"[::2]:{port}"), address="::1")[0] == 403
 
 
 def test_connections_are_refused_until_the_server_is_ready(monkeypatch):
     seen = []
-    monkeypatch.setattr(ViewerServer, "set_theme", lambda self: seen.append(is_open(self.get_port())))
-    with open_server(port=0) as own:
+    monkeypatch.setattr(ViewerServer, "set_page_theme", lambda self: seen.append(is_open(self.get_port())))
+    with open_viewer_server(port=0) as own:
         assert (seen, is_open(own.get_port())) == ([False], True)
     assert not is_open(own.get_port())
 
@@ -323,7 +329,7 @@ def test_other_version_of_viser_is_not_served(monkeypatch):
     monkeypatch.setattr(viser, "__version__", "1.2.0")
     with pytest.raises(MissingBackendError, match=r"viser 1\.2\.0 is installed\. Install it with: python -m pip "
                                                   r"install viser==1\.1\.1"):
-        open_server(port=0)
+        open_viewer_server(port=0)
 
 
 def test_viser_without_the_known_handlers_is_not_served(monkeypatch):
@@ -336,7 +342,7 @@ def test_viser_without_the_known_handlers_is_not_served(monkeypatch):
 
     monkeypatch.setattr(viser.infra.WebsockServer, "register_handler", forget_sharing)
     with pytest.raises(MissingBackendError, match="viser has no handler for ShareUrlRequest"):
-        open_server(port=0)
+        open_viewer_server(port=0)
     assert not is_open(ports[-1])
 
 
@@ -351,7 +357,7 @@ def test_viser_with_another_start_is_not_served(monkeypatch):
 
     monkeypatch.setattr(infra.WebsockServer, "_background_worker", worker)
     with pytest.raises(MissingBackendError, match="viser does not start a websocket server with serve"):
-        open_server(port=0)
+        open_viewer_server(port=0)
     assert not is_open(servers[0]._port)
 
 
@@ -382,13 +388,13 @@ def test_the_server_prints_nothing():
     code = """
 import socket
 from websockets.sync.client import connect
-from scenes.viewer.web_server import open_server
+from scenes.viewer.web_server import open_viewer_server
 from tissue_sim.errors import InputError
 
-first, second = open_server(port=0), open_server(port=0)
+first, second = open_viewer_server(port=0), open_viewer_server(port=0)
 place = "127.0.0.1", first.get_port()
 try:
-    open_server(port=first.get_port())
+    open_viewer_server(port=first.get_port())
 except InputError:
     pass
 for noise in (b"", b"\\x16\\x03\\x01\\r\\n\\r\\n", b"POST / HTTP/1.1\\r\\nHost: localhost\\r\\n\\r\\n"):

@@ -71,7 +71,7 @@ class RelocatableSolver(KernelOwner, Solver):
         return pose.position[2] if self.placement is None else self.placement.height_above_tissue(pose)
 
     def place_tool_at_first_touch(self, pose: Pose) -> bool:
-        """See `FreeTool.place_tool_at_first_touch`. The mesh moves with the tool, which keeps it fine under the tool."""
+        """See `FreeTool.place_tool_at_first_touch`. The mesh moves with the tool, to stay fine under the tool."""
         if self.placement is None or self.placement.is_at_mesh_position(self._start, pose):
             return True
         other = self.placement.make_solver_for_touch_pose(pose, self)
