@@ -5,5 +5,6 @@ Public names are listed in `__init__.pyi` and imported on first use, so that ``i
 
 from tissue_sim.public_names import import_on_use as _import_on_use
 
-_names, __getattr__, __dir__ = _import_on_use(__name__, {"Wishes": "ImportOptions", "Stated": "ColumnHints"})
+_names, __getattr__, __dir__ = _import_on_use(__name__, {"Wishes": "ImportOptions", "Stated": "ColumnHints",
+                                                             "Imported": "ImportResult"})
 __all__ = _names

@@ -21,8 +21,8 @@ from calibration.fit.result import CalibrationResult as CalibrationResult
 from calibration.fit.result import to_json as to_json
 from calibration.fit.usability_settings import UsabilitySettings as UsabilitySettings
 from calibration.importing.files import import_files as import_files
-from calibration.importing.imported import Imported as Imported
 from calibration.importing.imported import ImportOptions as ImportOptions
+from calibration.importing.imported import ImportResult as ImportResult
 from calibration.pipeline import calibrate as calibrate
 from calibration.pipeline import design_experiments as design_experiments
 from calibration.pipeline import diagnose as diagnose

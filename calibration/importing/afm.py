@@ -15,8 +15,11 @@ _SUFFIXES = (".jpk-force", ".jpk-force-map", ".jpk-qi-data", ".jpk-qi-series", "
 _HEADS = (b"Force-Distance Curve", b"# afmformats")
 
 
-def is_afm(path: Path) -> bool:
-    """Return whether a file has force curves, by its suffix, its first bytes, or as an archive of another kind."""
+def is_afm_file(path: Path) -> bool:
+    """Return whether a file contains force curves of an AFM.
+
+    AFM files are recognised by their suffix or their first bytes; a zip archive that is no spreadsheet counts as AFM.
+    """
     if path.suffix.lower() in _SUFFIXES:
         return True
     head = first_bytes(path, 64)
@@ -35,7 +38,7 @@ def is_afm(path: Path) -> bool:
 
 
 def interpret_afm_file(path: Path) -> Understanding:
-    """Interpret a file of force curves of an AFM.
+    """Interpret a file of force curves of an AFM as replicates of a needle indentation.
 
     Raises:
         InputError: as `tissue_sim.recording.formats.afm.read_afm`.

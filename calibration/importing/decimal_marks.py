@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from calibration.importing.imported import Part
+from calibration.importing.imported import ReplicateFile
 from tissue_sim.frozen_mapping import read_only
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 
 
-def share_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding]:
-    """State the decimal mark of some files for all files with the same mark.
+def apply_common_decimal_mark(understood: Sequence[Understanding]) -> list[Understanding]:
+    """Add the option ``decimal`` of some files to all files with the same decimal mark.
 
     A file with thousands separators states its decimal mark in the campaign. Replicates with smaller numbers have no
     separators; with the same option, they remain replicates.
@@ -35,7 +35,7 @@ def share_decimal_mark(understood: Sequence[Understanding]) -> list[Understandin
             for each in understood]
 
 
-def describe_decimal_mark(parts: Sequence[Part]) -> str:
+def explain_stated_decimal_mark(parts: Sequence[ReplicateFile]) -> str:
     """Return the reason why a campaign states the decimal mark of its files, in one sentence."""
     found = [assumption for part in parts for assumption in part.understanding.assumptions
              if assumption.subject in ("thousands separator", "decimal mark")]

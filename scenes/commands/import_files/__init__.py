@@ -107,7 +107,7 @@ def run(arguments) -> int:
         InputError: files that cannot be read, contradictory flags, or an output file that cannot be written.
     """
     from calibration.importing.files import import_files
-    from calibration.importing.imported import to_json
+    from calibration.importing.imported import convert_import_to_json
 
     if arguments.overwrite and arguments.output is None:
         raise InputError("has an effect only with -o. Leave this flag out, or add -o",
@@ -115,12 +115,12 @@ def run(arguments) -> int:
     imported = import_files(arguments.files, arguments.output, _make_import_options(arguments),
                             overwrite=arguments.overwrite)
     if arguments.json:
-        print_json(to_json(imported))
+        print_json(convert_import_to_json(imported))
     else:
         from scenes.commands.import_files.results import print_imported
 
         print_imported(imported, results_console())
-    return ExitCode.DONE if imported.complete else ExitCode.GOAL_MISSED
+    return ExitCode.DONE if imported.is_complete else ExitCode.GOAL_MISSED
 
 
 def _make_import_options(arguments):
