@@ -6,7 +6,7 @@ from calibration.campaign.campaign import Noise as Noise
 from calibration.campaign.campaign import Test as Test
 from calibration.campaign.campaign import load_campaign as load_campaign
 from calibration.campaign.measured import MeasuredCurve as MeasuredCurve
-from calibration.campaign.measured import read_measured as read_measured
+from calibration.campaign.measured import read_measured_curves as read_measured_curves
 from calibration.diagnosis.design import Design as Design
 from calibration.diagnosis.diagnosis import Diagnosis as Diagnosis
 from calibration.diagnosis.result import DiagnosisResult as DiagnosisResult

@@ -15,8 +15,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.digest import compute_digest
-from calibration.campaign.measured import MeasuredCurve, read_measured, scale_offsets
+from calibration.campaign.digest import compute_input_digest
+from calibration.campaign.measured import MeasuredCurve, read_measured_curves, scale_offset_defaults
 from calibration.diagnosis.confirmation import (
     compare_segment_misfits,
     predict_held_out_tests,
@@ -98,7 +98,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
 
     Args:
         campaign: campaign with one law, see `calibration.diagnosis.evidence.make_whole_recording_campaign`.
-        measured: all recordings of each test, see `read_measured`.
+        measured: all recordings of each test, see `read_measured_curves`.
         steps: task executor and progress reports.
         solves: store of finished simulations; None: an empty store.
 
@@ -106,7 +106,7 @@ def diagnose_campaign(campaign: Campaign, measured: Measured, steps: RunContext,
         ConvergenceError: no start converges.
     """
     solves = solves or SimulationCache()
-    campaign = scale_offsets(campaign, measured)
+    campaign = scale_offset_defaults(campaign, measured)
     clock = _StageClock(solves)
     with clock.measure_stage("fit without any effect"):
         before, offsets = refit_from_contacts(gather_evidence(campaign, measured, solves, steps), steps)
@@ -173,7 +173,7 @@ def read_for_diagnosis(path: str | Path, law: str | None = None
         InputError: the campaign or a recording is invalid, the campaign is analytical, or it does not list the law.
     """
     campaign = make_whole_recording_campaign(load_campaign(path), law)
-    return campaign, read_measured(campaign)
+    return campaign, read_measured_curves(campaign)
 
 
 def diagnose_file(path: str | Path, *, law: str | None = None, workers: Workers | None = None,
@@ -213,7 +213,7 @@ class CampaignDiagnosis:
     def __init__(self, campaign: Campaign, measured: Measured, folder: Path, steps: RunContext):
         self.campaign, self.measured, self.folder, self.steps = campaign, measured, folder, steps
         self.recordings = [curve for curves in measured.values() for curve in curves]
-        self.digest = hash_content("diagnosis", compute_digest(campaign, self.recordings), campaign.fit.laws[0],
+        self.digest = hash_content("diagnosis", compute_input_digest(campaign, self.recordings), campaign.fit.laws[0],
                                    sorted(CATALOGUE), _hash_source())
         self.solves = SimulationCache()
         self._clock = _StageClock(self.solves)
@@ -226,7 +226,7 @@ class CampaignDiagnosis:
         """
         self.solves.read_from(self.folder / SOLVES)
         self.steps.report_progress("checking the start values")
-        campaign = scale_offsets(self.campaign, self.measured)
+        campaign = scale_offset_defaults(self.campaign, self.measured)
         with self._clock.measure_stage("check of the start values"):
             estimator, law = Generalised(campaign, self.measured, self.solves), campaign.fit.laws[0]
             estimator.check(law, 0)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_measured
-from calibration.campaign.planned import PLANNED, read_planned
+from calibration.campaign.measured import read_measured_curves
+from calibration.campaign.planned import PLANNED, read_or_plan_curves
 from calibration.output_folder import PICTURE_FORMATS, SUMMARY_FILE, claim_folder, has_pictures, result_files
 from calibration.tasks.executors import Workers, open_tasks
 from tissue_sim.errors import ConvergenceError, InputError
@@ -82,7 +82,7 @@ def calibrate(paths: Sequence[str | Path], output: str | Path, *, overwrite: boo
     output = Path(output)
     _check_figures_format(figures_format)
     campaigns = _require_distinct_names([load_campaign(path) for path in paths])
-    measured = [read_measured(campaign) for campaign in campaigns]
+    measured = [read_measured_curves(campaign) for campaign in campaigns]
     # Imported on use: errors in files are reported before the slow imports of the fit and of SciPy.
     from calibration.campaign_fit import CampaignFit
     from calibration.fit.result import read_earlier_result
@@ -136,7 +136,7 @@ def diagnose(paths: Sequence[str | Path], output: str | Path, *, overwrite: bool
     from calibration.diagnosis.evidence import make_whole_recording_campaign
 
     campaigns = _require_distinct_names([make_whole_recording_campaign(load_campaign(path), law) for path in paths])
-    measured = [read_measured(campaign) for campaign in campaigns]
+    measured = [read_measured_curves(campaign) for campaign in campaigns]
     from calibration.campaign_diagnosis import CampaignDiagnosis
     from calibration.diagnosis.result import read_diagnosis
     from calibration.fit.run_context import RunContext
@@ -213,7 +213,7 @@ def design_experiments(path: str | Path, *, law: str | None = None, replicates: 
     from calibration.diagnosis.evidence import make_whole_recording_campaign
 
     campaign = make_whole_recording_campaign(load_campaign(path, planned=True), law)
-    measured = read_planned(campaign, replicates, samples)
+    measured = read_or_plan_curves(campaign, replicates, samples)
     from calibration.diagnosis.design import compute_design
     from calibration.fit.run_context import RunContext
 

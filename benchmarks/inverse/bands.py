@@ -24,7 +24,7 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import SHARED, NamedParameter
+from calibration.campaign.parameters import SHARED, CampaignParameter
 from calibration.campaign_fit import ESTIMATORS
 from calibration.fit.curves import TestCurves, draw_curves
 from calibration.fit.run_context import RunContext
@@ -103,7 +103,7 @@ def make_campaign(case: Case) -> Campaign:
     experiment = kind.experiment(specimen=SPECIMEN, protocol=ts.Protocol.ramp(DEPTH)) \
         if case.method == "inverse_fem" else None
     test = Test("plates", kind, SPECIMEN, (), experiment=experiment)
-    named = {path: NamedParameter(path, find_declaration(path)[1], False, SHARED, ("plates",)) for path in START} \
+    named = {path: CampaignParameter(path, find_declaration(path)[1], False, SHARED, ("plates",)) for path in START} \
         if case.holds else {}
     settings = FitSettings((case.law,), bulk=ts.Bulk("bulk_ratio", 1e4), method=case.method, start=case.start,
                            starts=1, named=named)

@@ -15,7 +15,7 @@ import numpy as np
 import tissue_sim as ts
 from calibration.campaign.campaign import Campaign, FitSettings, Noise, Test
 from calibration.campaign.measured import MeasuredCurve
-from calibration.campaign.parameters import PER_SPECIMEN, NamedParameter
+from calibration.campaign.parameters import PER_SPECIMEN, CampaignParameter
 from calibration.fit.curves import draw_curves
 from calibration.fit.ordinary import Ordinary, fit_law
 from calibration.fit.population import find_specimens
@@ -84,7 +84,7 @@ def held_out_coverage(name: str, specimens: int, rng) -> np.ndarray:
         measured[test.name] = (MeasuredCurve(test.name, test, None, way, force + rng.normal(0.0, NOISE, 61), None,
                                              Path("synthetic.csv"), "", noise=SensorNoise(NOISE)),)
     everywhere = tuple(measured)
-    named = {path: NamedParameter(path, law_declaration(law, path), True, PER_SPECIMEN, everywhere)
+    named = {path: CampaignParameter(path, law_declaration(law, path), True, PER_SPECIMEN, everywhere)
              for path, deviation in zip(law.parameters, spread, strict=True) if deviation}
     campaign = Campaign(Path("synthetic.toml"), {test.specimen.name: test.specimen for test in tests}, tuple(tests),
                         FitSettings((name,), named=named), Noise(NOISE), "")

@@ -36,8 +36,8 @@ _NOT_MATERIAL = ("experiment.", "rig.")
 
 
 @dataclass(frozen=True)
-class NamedParameter:
-    """A parameter that a campaign names.
+class CampaignParameter:
+    """Parameter that ``[fit]`` of a campaign names, with its scope.
 
     Attributes:
         path: path in `tissue_sim.parameters` without ``material.``, or the name of a parameter of the law.
@@ -59,18 +59,18 @@ class NamedParameter:
         return not self.path.startswith(_NOT_MATERIAL)
 
 
-def declare_rig_and_experiment(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
-    """Return the declarations of the parameters of experiment and rig by path; empty for a gripped specimen."""
+def list_rig_and_experiment_parameters(experiment: Experiment | None, rig: Rig) -> dict[str, Declaration]:
+    """Return path -> declaration of the parameters of an experiment and a rig; empty without an experiment."""
     if experiment is None:
         return {}
     return {f"{part}.{path}": each.declaration for part, whole in (("experiment", experiment), ("rig", rig))
             for path, each in parameters(whole).items()}
 
 
-def build_stated_material(values: Mapping[str, float], named: Mapping[str, NamedParameter]) -> Material:
-    """Return a material with a placeholder law and the parts that these values (SI) define.
+def build_stated_material(values: Mapping[str, float], named: Mapping[str, CampaignParameter]) -> Material:
+    """Return a neo-Hookean placeholder material with the effects that these values (SI) define.
 
-    The material answers whether it has memory or layers.
+    The material shows whether the tissue has memory or layers; its modulus has no meaning.
 
     Raises:
         InputError: a part is incomplete or its values are invalid.
@@ -80,13 +80,13 @@ def build_stated_material(values: Mapping[str, float], named: Mapping[str, Named
     return make_material("neo_hooke", {"C10": 1.0}, others)
 
 
-def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
-               regions: Mapping[str, Collection[str]]) -> dict[str, NamedParameter]:
-    """Resolve all parameter names in start, fixed, prior, bounds and scope.
+def resolve_parameter_names(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
+               regions: Mapping[str, Collection[str]]) -> dict[str, CampaignParameter]:
+    """Find the parameter for each name in start, fixed, prior, bounds and scope of ``[fit]``.
 
     Args:
         table: table ``[fit]`` of the campaign.
-        around: parameters of experiment and rig of each test, see `declare_rig_and_experiment`.
+        around: parameters of experiment and rig of each test, see `list_rig_and_experiment_parameters`.
         regions: names of the regions of the specimen of each test.
 
     Returns:
@@ -97,7 +97,7 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
     """
     laws = {parameter: law_declaration(LAWS[law], parameter) for law in table.laws
             for parameter in LAWS[law].parameters}
-    named: dict[str, NamedParameter] = {}
+    named: dict[str, CampaignParameter] = {}
     for key in (*BY_PARAMETER, "scope"):
         for name in getattr(table, key):
             if name not in named:
@@ -105,27 +105,28 @@ def find_named(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
     paths: dict[str, str] = {}
     for name, parameter in named.items():
         if paths.setdefault(parameter.path, name) != name:
-            raise InputError(f"is the same parameter as {paths[parameter.path]!r}; keep one of the names",
-                             field=f"fit.start.{name}")
+            raise InputError(f"parameter must be named once; {name!r} is the same parameter as "
+                             f"{paths[parameter.path]!r}. Keep one of the names.", field=f"fit.start.{name}")
     return named
 
 
 def _resolve_name(name: str, field: str, laws: Mapping[str, Declaration],
                   around: Mapping[str, Mapping[str, Declaration]], regions: Mapping[str, Collection[str]],
-                  table: FitTable) -> NamedParameter:
+                  table: FitTable) -> CampaignParameter:
     """Return the parameter with a name in the campaign file, with its path, scope and tests."""
     scope = table.scope.get(name)
     everywhere = tuple(around)
     path = name.removeprefix("material.")
     if path in laws:
-        return NamedParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
+        return CampaignParameter(path, laws[path], True, _read_scope(name, scope, everywhere, SHARED), everywhere)
     if path.startswith(_NOT_MATERIAL):
-        own = {test: found for test, known in around.items() if (found := _find_path(path, known)) is not None}
+        own = {test: found for test, known in around.items() if (found := _find_known_path(path, known)) is not None}
         if not own:
             known = sorted({path for each in around.values() for path in each})
             raise InputError(f"no test has a parameter {name!r} that is a number{nearest(name, known)}", field=field)
         first = next(iter(own))
-        return NamedParameter(own[first], around[first][own[first]], False, _read_scope(name, scope, tuple(own), None),
+        return CampaignParameter(own[first], around[first][own[first]], False,
+                                 _read_scope(name, scope, tuple(own), None),
                               tuple(own))
     if "." not in path:
         hint = nearest(name, laws) + '; write other parameters as paths in quotes, such as "viscoelastic.terms[0].g"'
@@ -142,11 +143,11 @@ def _resolve_name(name: str, field: str, laws: Mapping[str, Declaration],
             raise InputError(f"no specimen has a region {region!r}{hint}", field=field)
         # Tests of homogeneous specimens do not have the region: the shared value applies to the other tests only.
         where = _read_scope(name, scope, having, SHARED)
-        return NamedParameter(full, declaration, False, having if where == SHARED else where, having)
-    return NamedParameter(full, declaration, False, _read_scope(name, scope, everywhere, SHARED), everywhere)
+        return CampaignParameter(full, declaration, False, having if where == SHARED else where, having)
+    return CampaignParameter(full, declaration, False, _read_scope(name, scope, everywhere, SHARED), everywhere)
 
 
-def _find_path(path: str, known: Mapping[str, Declaration]) -> str | None:
+def _find_known_path(path: str, known: Mapping[str, Declaration]) -> str | None:
     """Return the known path that equals this path, or whose file key equals its last part; None without a match."""
     if path in known:
         return path
@@ -165,7 +166,8 @@ def _read_scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
         return default or SHARED
     if isinstance(stated, str):
         if stated not in SCOPES:
-            raise InputError(f"unknown scope {stated!r}{nearest(stated, SCOPES)}", field=f"fit.scope.{name}")
+            raise InputError(f"scope must be one of {', '.join(map(repr, SCOPES))}, or a list of tests; got "
+                             f"{stated!r}{nearest(stated, SCOPES)}", field=f"fit.scope.{name}")
         return stated
     for test in stated:
         if test not in tests:
@@ -173,7 +175,7 @@ def _read_scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
     return tuple(stated)
 
 
-def check_values(table: FitTable, named: Mapping[str, NamedParameter]) -> None:
+def check_stated_values(table: FitTable, named: Mapping[str, CampaignParameter]) -> None:
     """Check the stated values against their bounds, and the parts of the material for missing parameters.
 
     Raises:

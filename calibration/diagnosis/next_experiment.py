@@ -186,12 +186,13 @@ def _predict_planned_test(test: Test, curves: tuple[MeasuredCurve, ...], before:
     """
     candidate = _add_planned_test(rival.proposal.candidate, test)
     campaign: Campaign = replace(before.campaign, tests=(*before.campaign.tests, test))
-    changed = candidate.add_to(campaign, free=True)
+    changed = candidate.add_to_campaign(campaign, free=True)
     asked = changed.tests[-1]
     problem = rival.problem
     forward = build_test(asked, curves, changed.fit, problem.jitter.contact)
     names = {each.name: [curve.name for curve in each.measured] for each in problem.tests}
-    space = type(problem.space).of(changed.fit.laws[0], changed, {**names, asked.name: [c.name for c in curves]})
+    space = type(problem.space).from_campaign(changed.fit.laws[0], changed,
+                                              {**names, asked.name: [c.name for c in curves]})
     error = mesh_uncertainty(forward, ACCURATE_MESH_ERRORS)
     planned = Problem(space, (forward,), problem.solves, problem.jitter, (error,))
     theta = np.array([problem.space.values(rival.theta)[name] for name in space.free])

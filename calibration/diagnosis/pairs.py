@@ -71,7 +71,8 @@ def find_pairs(evidence: Evidence, good: Sequence[Refit], proposals: CatalogueSc
         others = rescore_all(proposals, with_first, [first.name])
         # Two effects with a common parameter cannot be combined.
         likely = [name for name, each in others.significant.items() if each.p <= LIMITS.pair_level
-                  and not each.candidate.paths & first.proposal.candidate.paths][:_SETTINGS.second_effects]
+                  and not each.candidate.parameter_paths & first.proposal.candidate.parameter_paths
+                  ][:_SETTINGS.second_effects]
         fits = fit_effects(with_first, others, context, f"fits with {first.proposal.candidate.effect.title}",
                            likely) if likely else []
         found += [EffectPair(first, second, with_first) for second in fits if second.gain >= LIMITS.min_pair_gain

@@ -47,14 +47,15 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
     values = space.values(theta)
     free = slice(0, len(space.free))
     specimens = find_specimens(space, theta, spread.covariance[free, free], spread.standard_errors[free])
-    moduli = space.of_law(specimens.representative_values(space, values))
+    moduli = space.select_law_parameters(specimens.representative_values(space, values))
     reached = {test.name: test.stretch_range(space, theta) for test in problem.tests}
     stretches = (min(one.principal[0] for one in reached.values()), max(one.principal[1] for one in reached.values()))
     stability = check_stability(law, law.as_array(moduli), (min(STRETCH_RANGE[0], stretches[0]),
                                                             max(STRETCH_RANGE[1], stretches[1])))
     mu0 = law.mu0(moduli)
     units = {each.name: each.declaration.unit for each in space.unknowns}
-    alternatives = find_alternatives(law, space.of_law(values), [(minimum, space.of_law(minimum.parameters))
+    alternatives = find_alternatives(law, space.select_law_parameters(values),
+                                     [(minimum, space.select_law_parameters(minimum.parameters))
                                                    for minimum in estimate.minima], stretches)
     determination = _determine_shear_modulus(estimate, spread, mu0, campaign)
     clauses, status, unusable = judge_usability(Evidence(estimate, stability, reached, mu0, specimens, alternatives,
@@ -105,8 +106,9 @@ def _determine_shear_modulus(estimate: Estimate, spread: Uncertainty, mu0: float
     if not mu0 > 0 or any(each.of_law and each.specimen is not None for each in space.unknowns):
         return None
     law = find_law(space.law)
-    stated = {each.name for each in space.varied if each.path in campaign.fit.bounds}
-    return determine_modulus(estimate, spread, lambda theta: law.mu0(space.of_law(space.values(theta))), stated)
+    stated = {each.name for each in space.free_parameters if each.path in campaign.fit.bounds}
+    return determine_modulus(estimate, spread, lambda theta: law.mu0(space.select_law_parameters(space.values(theta))),
+                             stated)
 
 
 def _describe_derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, str]:

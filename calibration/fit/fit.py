@@ -383,6 +383,6 @@ class Fit(msgspec.Struct, frozen=True, kw_only=True, rename={"E0": "E0_Pa", "mu0
         """Names of parameters on a bound."""
         return [name for name in self.on_bound if name in self.parameters]
 
-    def in_symbols(self, names: Iterable[str]) -> str:
+    def format_symbols(self, names: Iterable[str]) -> str:
         """Return the symbols of parameters as a list, such as ``C10, g1``."""
         return ", ".join(self.symbols[name] for name in names)

@@ -88,7 +88,7 @@ class Ordinary(Estimator):
 
     def _build_space(self, law: str) -> ParameterSpace:
         """Return the parameter space of a law."""
-        return ParameterSpace.of(law, self.campaign, {name: [curve.name for curve in curves]
+        return ParameterSpace.from_campaign(law, self.campaign, {name: [curve.name for curve in curves]
                                                       for name, curves in self.measured.items()})
 
     def _build_test(self, test: Test) -> ClosedFormTest:
@@ -153,7 +153,7 @@ class Ordinary(Estimator):
         elif spread.basis == "residuals" and not found.estimate.problem.remembers:
             parts.append("standard errors follow the residuals, as if these were independent")
         if found.loose:
-            parts.append(f"the data do not determine {found.estimate.problem.space.in_symbols(found.loose)}")
+            parts.append(f"the data do not determine {found.estimate.problem.space.format_symbols(found.loose)}")
         return parts
 
     def find_jitter(self, estimate: Estimate) -> Jitter | None:

@@ -70,8 +70,9 @@ def predict_by_mean(space: ParameterSpace, theta: np.ndarray, population: Popula
         specimen: name of the specimen.
     """
     order, known = population.order, population.covariance
-    own = [index for index, each in enumerate(space.varied) if each.specimen == specimen and each.path in order]
-    of_mean = [order.index(space.varied[index].path) for index in own]
+    own = [index for index, each in enumerate(space.free_parameters) if each.specimen == specimen
+           and each.path in order]
+    of_mean = [order.index(space.free_parameters[index].path) for index in own]
     indices = [*own, *(space.free.index(name) for name in known.order[len(order):])]
     rows = [*of_mean, *range(len(order), len(known.order))]
     theta, covariance, sampled = theta.copy(), *np.zeros((2, theta.size, theta.size))
@@ -103,7 +104,7 @@ def make_held_out_predictor(test: Test, predictor: Predictor, population: Popula
     space, theta = predictor.space, predictor.theta
     if test.specimen is None:
         return predictor
-    further = space.with_specimen(test.specimen.name, [test.name])
+    further = space.with_specimen_parameters(test.specimen.name, [test.name])
     added = len(further.free) - len(space.free)
     if not added:
         return Predictor(further, theta, predictor.covariance)
@@ -125,13 +126,14 @@ def replace_undetermined_by_mean(predictor: Predictor, spread: Uncertainty, unde
         The predictor, with the population mean if all undetermined parameters belong to one specimen; otherwise None.
     """
     space = predictor.space
-    owners = {space.unknown(name).specimen if space.unknown(name).of_material else None for name in undetermined}
+    owners = {space.find_parameter(name).specimen if space.find_parameter(name).of_material else None
+              for name in undetermined}
     if not owners:
         return predictor
     owner = owners.pop()
     if owner is None or owners:
         return None
-    errors = np.where([each.specimen == owner for each in space.varied], np.inf,
+    errors = np.where([each.specimen == owner for each in space.free_parameters], np.inf,
                       spread.standard_errors[: len(space.free)])
     population = find_specimens(space, predictor.theta, predictor.covariance, errors).population
     return None if population is None else predict_by_mean(space, predictor.theta, population, owner)

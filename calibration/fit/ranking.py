@@ -87,8 +87,8 @@ def describe_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fit
         return f"No law is usable over the data; the first is {best.law}: {best.message}."
     parts = []
     if best.held:
-        parts.append(f"{best.law} is held by the bounds of {best.in_symbols(best.held)}: widen them in fit.bounds, or "
-                     "do not trust it")
+        parts.append(f"{best.law} is held by the bounds of {best.format_symbols(best.held)}: widen them in fit.bounds, "
+                     "or do not trust it")
     if best.left_out is None:
         parts.append(f"Best of the laws that are usable over the data: {best.law}{_describe_reliability(fits, fitted)}")
         tests = {curve.test.name for curve in fitted}
@@ -105,7 +105,7 @@ def describe_ranking(fits: Sequence[Fit], predictions: Sequence[Prediction], fit
     if bad := name_misfits(best.regions):
         parts.append(f"a smooth misfit remains in {bad}, so the model is incomplete")
     if best.not_identifiable:
-        parts.append(f"the tests do not determine {best.in_symbols(best.not_identifiable)}"
+        parts.append(f"the tests do not determine {best.format_symbols(best.not_identifiable)}"
                      + (f"; {best.suggestions[0].test} would" if best.suggestions else ""))
     known = {fit.law for fit in fits}
     sentences = (part if part.split()[0].rstrip(",") in known else part[0].upper() + part[1:] for part in parts)
@@ -119,7 +119,7 @@ def is_ranked_by_held_out_tests(predictions: Sequence[Prediction]) -> bool:
 
 def _describe_unusable_law(fit: Fit) -> str:
     """Describe a law with a better criterion that is ranked lower, with the reason."""
-    return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.in_symbols(fit.held)}'})"
+    return f"{fit.law} ({fit.unusable or f'held by the bounds of {fit.format_symbols(fit.held)}'})"
 
 
 def _describe_predictions(fits: Sequence[Fit], predictions: Sequence[Prediction]) -> list[str]:

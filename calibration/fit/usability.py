@@ -142,7 +142,7 @@ def _check_recordings(evidence: Evidence) -> Clause:
     """Check that the screening of the recordings found nothing that makes the moduli of this fit wrong."""
     problem = evidence.estimate.problem
     space = problem.space
-    remembers = space.material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
+    remembers = space.build_material(space.values(evidence.estimate.theta[: len(space.free)])).remembers \
         if evidence.mu0 > 0 else False
     found: dict[str, list[str]] = {}
     contacts = read_contact_offsets(evidence.estimate)

@@ -105,12 +105,12 @@ class ClosedFormTest:
                         recording: str | None) -> ClosedFormSolution:
         """Return the parameter values of one recording; None: of recordings without own parameters."""
         law = find_law(space.law)
-        free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.varied)
+        free = [(law.parameters.index(each.path), column) for column, each in enumerate(space.free_parameters)
                 if each.of_law and each.acts_in(self.name, recording)]
         material = None
         if set(space.names) != set(law.parameters):
             try:
-                material = space.material(values, test=self.name, recording=recording)
+                material = space.build_material(values, test=self.name, recording=recording)
             except InputError as error:
                 raise InfeasibleError(f"{self.name}: {error}") from None
         numbers = values if material is None else material.parameters
@@ -207,7 +207,8 @@ class ClosedFormTest:
             Name of the parameter -> derivative, shape (n,).
         """
         prony = material.viscoelastic
-        if prony is None or not self._has_history or not answer.space.of_material_alone or material.effects or (
+        if prony is None or not self._has_history or not answer.space.has_only_shared_material_parameters or (
+                material.effects) or (
                 material.softening is not None or material.poroelasticity is not None) or (
                 material.instantaneous_factor != 1.0):
             return {}
@@ -218,7 +219,7 @@ class ClosedFormTest:
         with np.errstate(all="ignore"):
             elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
                                                                                   prony.tau - step]))
-            for unknown in answer.space.varied:
+            for unknown in answer.space.free_parameters:
                 name, path = unknown.name, split_path(unknown.path)
                 if unknown.of_law and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value
@@ -237,10 +238,10 @@ class ClosedFormTest:
         The difference is one-sided if the material is invalid on one side, and NaN if it is invalid on both sides.
         """
         space, values, name = answer.space, answer.named, answer.space.free[index]
-        size, ends = float(space.sizes(values)[index]), []
+        size, ends = float(space.typical_sizes(values)[index]), []
         for step in (DIFFERENCES.relative * size, -DIFFERENCES.relative * size):
             try:
-                material = space.material(values | {name: values[name] + step}, test=self.name,
+                material = space.build_material(values | {name: values[name] + step}, test=self.name,
                                           recording=answer.recording)
                 ends.append((self._history_force(material, recording, offset), step))
             except InputError:
@@ -255,7 +256,7 @@ class ClosedFormTest:
         with np.errstate(all="ignore"):
             if not self._has_history or material.effects:
                 strain = self.strain(measured.displacement - offset)
-                return factor * self.closed_form.history(material, measured.clock, strain, self.radius)
+                return factor * self.closed_form.history(material, measured.sample_times, strain, self.radius)
             return factor * self.history(recording, offset).nominal_stress(
                 material.energy_law, material.values, material.relaxation(self.radius), material.softening,
                 material.instantaneous_factor)
@@ -271,7 +272,8 @@ class ClosedFormTest:
             return self._histories[recording]
         measured = self.measured[recording]
         mode: Literal["uniaxial", "simple_shear"] = "uniaxial" if self.closed_form.rest else "simple_shear"
-        found = HomogeneousHistory(mode, measured.clock, self.strain(measured.displacement - offset), self.largest_step)
+        found = HomogeneousHistory(mode, measured.sample_times, self.strain(measured.displacement - offset),
+                                   self.largest_step)
         if offset == 0.0:
             self._histories[recording] = found
         return found

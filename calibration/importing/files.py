@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_measured
+from calibration.campaign.measured import read_measured_curves
 from calibration.importing.afm import interpret_afm_file, is_afm_file
 from calibration.importing.campaign_lines import (
     DEFAULT_LAWS,
@@ -255,7 +255,7 @@ def _find_reason_against_calibration(format_campaign_for_folder: Callable[[Path]
         path = Path(place).resolve() / "campaign.toml"
         try:
             write_text(path, format_campaign_for_folder(path.parent))
-            read_measured(load_campaign(path))
+            read_measured_curves(load_campaign(path))
         except InputError as error:
             there = error.file if error.file is not None and Path(error.file) != path else None
             return str(InputError(error.problem, file=there, line=error.line, field=error.field))

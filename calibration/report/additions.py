@@ -13,7 +13,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from calibration.campaign.campaign import Campaign, Test
-from calibration.campaign.named_files import absolute_path, rename_files
+from calibration.campaign.named_files import get_absolute_path, replace_file_names
 from calibration.diagnosis.diagnosis import Diagnosis, FoundEffect
 from calibration.diagnosis.evidence import Evidence
 from calibration.fit.result import CalibrationResult
@@ -113,7 +113,7 @@ def _format_campaign_file(diagnosis: Diagnosis, after: Evidence) -> str:
     """Return the campaign file (TOML) in which the effects found are additional unknowns with start values."""
     campaign = after.campaign
     folder = campaign.path.parent.resolve()
-    content = rename_files(read_toml(campaign.path, "a campaign (TOML)"), folder, absolute_path)
+    content = replace_file_names(read_toml(campaign.path, "a campaign (TOML)"), folder, get_absolute_path)
     for table in (content.get("defaults", {}), *content["test"]):
         if "recordings" in table:
             table["recordings"] = [str(folder / name) for name in table["recordings"]]

@@ -141,7 +141,7 @@ class Abscissa:
 
     def positions_of(self, measured: MeasuredCurve) -> np.ndarray:
         """Return the position of each sample on this axis, in the unit of the axis, shape (n,)."""
-        return measured.clock if self.timed else measured.displacement / self.travel.size
+        return measured.sample_times if self.timed else measured.displacement / self.travel.size
 
     def bin_edges(self, recordings: Sequence[MeasuredCurve]) -> np.ndarray:
         """Return the edges of equal bins over all recordings, in the unit of the axis, shape (bins + 1,)."""
@@ -163,7 +163,7 @@ class Abscissa:
         edges = np.flatnonzero(np.diff(np.concatenate(([0], inside.astype(int), [0]))))
         for first, after in edges.reshape(-1, 2):
             if after - first > 1:
-                yield float(measured.clock[first]), float(measured.clock[after - 1])
+                yield float(measured.sample_times[first]), float(measured.sample_times[after - 1])
 
 
 def _draw_band(axes, best: TestCurves, colour: str, x: Abscissa) -> None:

@@ -129,7 +129,7 @@ def test_everything_that_is_missing_is_said_at_once_and_has_a_line(tmp_path, cap
     assert "missing" in caught.value.problem
     assert main(["import", str(path), "-o", str(campaign), "--overwrite", "--kind", "lubricated_compression",
                  "--radius-mm", "10", "--height-mm", "12", "--unit", "displacement=mm", "--scale", "force=2.5"]) == 0
-    curve, = calibration.read_measured(calibration.load_campaign(campaign))["run"]
+    curve, = calibration.read_measured_curves(calibration.load_campaign(campaign))["run"]
     np.testing.assert_allclose(curve.force, 2.5 * WAY, atol=1e-12)
 
 
@@ -145,7 +145,7 @@ def test_units_and_scales_of_a_headerless_file(tmp_path, unit, scale, newtons):
     imported = calibration.import_files([path], tmp_path / "c.toml", ImportOptions(
         stated, {"radius_mm": 10.0, "height_mm": 12.0}))
     assert imported.is_complete, (imported.missing, imported.problem)
-    curve, = calibration.read_measured(calibration.load_campaign(imported.output))["run"]
+    curve, = calibration.read_measured_curves(calibration.load_campaign(imported.output))["run"]
     np.testing.assert_allclose(curve.force, newtons * WAY, rtol=1e-5, atol=1e-12)
     np.testing.assert_allclose(curve.displacement, 1e-3 * WAY, rtol=1e-5, atol=1e-12)
 

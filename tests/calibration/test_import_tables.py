@@ -76,7 +76,7 @@ def test_a_separator_that_fits_both_readings_is_a_question_and_a_flag_answers_it
     assert main(arguments) == 1
     assert '--decimal "."' in " ".join(capsys.readouterr().out.split())
     assert main([*arguments, "--decimal", "."]) == 0
-    curve, = calibration.read_measured(calibration.load_campaign(tmp_path / "c.toml"))["gel"]
+    curve, = calibration.read_measured_curves(calibration.load_campaign(tmp_path / "c.toml"))["gel"]
     assert np.ptp(curve.force) == pytest.approx(1e-3 * np.ptp(load_mN()), rel=1e-3)
 
 
@@ -227,7 +227,7 @@ def test_each_material_keeps_its_own_tables(tmp_path):
     text = (tmp_path / "c.toml").read_text(encoding="utf-8")
     assert "questions = " in text
     (tmp_path / "c.toml").write_text(re.sub(r"questions = \[[^\]]*\]", "", text), encoding="utf-8")
-    curves = calibration.read_measured(calibration.load_campaign(tmp_path / "c.toml"))
+    curves = calibration.read_measured_curves(calibration.load_campaign(tmp_path / "c.toml"))
     peaks = [[float(curve.force.max()) for curve in several] for several in curves.values()]
     assert imported.problem is None and peaks[0][0] == peaks[0][1] and peaks[1][0] == pytest.approx(2 * peaks[0][0])
 

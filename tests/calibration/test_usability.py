@@ -10,7 +10,7 @@ import pytest
 import calibration
 import tissue_sim as ts
 from calibration.campaign.campaign import load_campaign
-from calibration.campaign.measured import read_measured
+from calibration.campaign.measured import read_measured_curves
 from calibration.fit.determination import determine_modulus
 from calibration.fit.usability import displacement_R2, find_contradictions
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
@@ -187,7 +187,7 @@ def test_noise_is_no_misfit_and_a_precise_wrong_law_is(tmp_path):
 def curve(tmp_path):
     """A recording as it is fitted."""
     campaign = load_campaign(write(tmp_path, [compression()], ["neo_hooke"]))
-    return read_measured(campaign)["gel"][0]
+    return read_measured_curves(campaign)["gel"][0]
 
 
 def test_screening_contradicts_an_elastic_law(curve):

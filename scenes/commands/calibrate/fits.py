@@ -196,7 +196,7 @@ def _list_identifiability_remarks(fits: Sequence[Fit], units: Units) -> Iterator
             advice = "; ".join(describe_suggestion(each, fit, units) for each in fit.suggestions)
             if fit.fem_solves and not advice:
                 advice = "no further test is known to help"
-            yield (f"{fit.law}: not identifiable from these tests: {fit.in_symbols(fit.not_identifiable)}"
+            yield (f"{fit.law}: not identifiable from these tests: {fit.format_symbols(fit.not_identifiable)}"
                    f"{f'; {advice}' if advice else ''}")
         elif fit.directions:
             advice = f"; {describe_suggestion(fit.suggestions[0], fit, units)}" if fit.suggestions else ""

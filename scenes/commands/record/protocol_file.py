@@ -12,7 +12,7 @@ from typing import Any, Literal
 import msgspec
 
 from calibration.campaign.campaign import Campaign, load_campaign
-from calibration.campaign.named_files import list_named_files, rename_files
+from calibration.campaign.named_files import list_named_files, replace_file_names
 from calibration.campaign.schema import PRISM
 from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
@@ -197,7 +197,7 @@ class ProtocolFile:
                 tests.append({**entry, "name": name, "recordings": recordings[name]})
         defaults = {key: value for key, value in content.get("defaults", {}).items() if key != "protocol"}
         content = {**content, "test": tests, **({"defaults": defaults} if defaults else {})}
-        content = rename_files(content, self.path.parent, file_name)
+        content = replace_file_names(content, self.path.parent, file_name)
         return f"# Recorded by {self.path.name}.\n{to_toml(content)}"
 
 
