@@ -52,7 +52,7 @@ class LazyModule(ModuleType):
         return getattr(import_module(self.__name__), name)
 
 
-def old_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], Any]:
+def make_getattr_for_old_names(module: str, renamed: Mapping[str, str]) -> Callable[[str], Any]:
     """Return a ``__getattr__`` of a module that answers old names with a `DeprecationWarning`.
 
     Args:

@@ -53,9 +53,9 @@ class StepClock:
     """
 
     def __init__(self):
-        self.begin(1e-9)
+        self.restart_estimate(1e-9)
 
-    def begin(self, solve: float) -> None:
+    def restart_estimate(self, solve: float) -> None:
         """Start the estimate again from the time of one solve, s, including assembly."""
         self.fixed = self.solve = solve
         self._solves, self._time, self._variance, self._covariance = 1.0, 2.0 * solve, 0.0, 0.0
@@ -95,7 +95,7 @@ class StepClock:
         self.fixed *= 0.5
 
 
-def require_solves(most: int | None) -> None:
+def require_enough_solves(most: int | None) -> None:
     """Refuse a bound on the linear solves of a step that is too small for any step.
 
     Raises:
@@ -120,7 +120,7 @@ def count_solves_in_budget(budget: float | None, solve: float | None) -> int | N
     return max(LEAST_SOLVES, int(min(budget / solve, _UNBOUNDED)))
 
 
-class Allowance:
+class StepBudget:
     """Number of linear solves and wall time that a step may still use.
 
     A step consists of parts; each part is a call of the solver, which makes one linear solve for the contact stiffness
@@ -151,7 +151,7 @@ class Allowance:
             fits = min(fits, self._clock.count_fitting_solves(left, first=self._begins))
         return fits
 
-    def has_time(self, solves: int, answers: int) -> bool:
+    def has_time_for_solves(self, solves: int, answers: int) -> bool:
         """Whether the time alone, without the bound on solves, allows these solves and stiffnesses (`answers`)."""
         if self._ends is None:
             return True

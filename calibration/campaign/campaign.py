@@ -40,10 +40,10 @@ from calibration.campaign.schema import (
     decode_campaign_file,
 )
 from calibration.campaign.specimens import find_specimen, read_specimens
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.laws import LAWS
 from tissue_sim.material.material import Bulk, Material
 from tissue_sim.recording.formats.columns import check_delimiter, validate_decimal_mark
@@ -58,7 +58,7 @@ MAX_STARTS = 1000
 
 def _freeze_mapping(values: Mapping | None = None) -> Mapping:
     """Return a read-only copy of a mapping; empty without one."""
-    return read_only(values or {})
+    return make_read_only_copy(values or {})
 
 
 @dataclass(frozen=True)
@@ -221,7 +221,7 @@ def load_campaign(path: str | Path, *, planned: bool = False) -> Campaign:
     path = Path(path)
     table, data, defaults = decode_campaign_file(path)
     try:
-        with located(file=path):
+        with add_location_to_errors(file=path):
             if table.questions:
                 first = table.questions[0].partition("?")[0]
                 raise InputError(f"{first}? Import again with the flag that answers the question, or delete this key "
@@ -322,7 +322,7 @@ def _read_fit_settings(table: FitTable, noise: NoiseTable, tests: tuple[Test, ..
         raise InputError(f"laws must list at least one law; known laws: {', '.join(LAWS)}", field="fit.laws")
     for i, name in enumerate(table.laws):
         if name not in LAWS:
-            raise InputError(f"unknown law {name!r}{nearest(name, LAWS)}", field=f"fit.laws[{i}]")
+            raise InputError(f"unknown law {name!r}{suggest_known_word(name, LAWS)}", field=f"fit.laws[{i}]")
         if name in table.laws[:i]:
             raise InputError(f"{name} is listed twice", field=f"fit.laws[{i}]")
     for key in ("bulk_ratio", "offset_bounds_mm", "offset_prior_mm", "zero_bounds_N", "zero_prior_N"):

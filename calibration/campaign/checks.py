@@ -10,12 +10,12 @@ import numpy as np
 
 from calibration.campaign.parameters import CampaignParameter
 from calibration.campaign.schema import BY_PARAMETER, FitTable, NoiseTable, TestTable
-from tissue_sim.bounded import bounded
-from tissue_sim.errors import InputError, located
+from tissue_sim.bounded import run_in_sandbox
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import TOOLS, read_shape
-from tissue_sim.files import exists, find_files
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.files import find_files, path_exists
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.material.material import BULK_RATIOS
 from tissue_sim.recording.formats.columns import check_columns
 
@@ -66,11 +66,11 @@ def read_column_map(entry: TestTable, field: str) -> Mapping[str, Any] | None:
     try:
         columns = check_columns(entry.columns)
     except InputError as error:
-        raise error.located(field=field) from None
+        raise error.with_location(field=field) from None
     present = {*columns, "displacement"} if entry.speed_mm_s is not None and {"time", "force"} <= columns.keys() \
         else columns
     KINDS[entry.kind].require_channels(present, f"columns has {', '.join(columns)}", field=f"{field}.columns")
-    return read_only(columns)
+    return make_read_only_copy(columns)
 
 
 def find_recording_files(patterns: list[str], folder: Path, field: str) -> tuple[Path, ...]:
@@ -93,11 +93,11 @@ def find_recording_files(patterns: list[str], folder: Path, field: str) -> tuple
                              field=entry_field)
         # An existing file has priority over a pattern, because file names may contain brackets.
         plain = base / relative
-        matches = [plain] if exists(plain) else []
+        matches = [plain] if path_exists(plain) else []
         if not matches and set("*?[") & set(pattern):
             # The search is limited: a pattern may match the whole disk.
-            with located(field=entry_field):
-                matches = bounded(find_files, base, str(relative), file=base, size=0)
+            with add_location_to_errors(field=entry_field):
+                matches = run_in_sandbox(find_files, base, str(relative), file=base, size=0)
         if not matches:
             raise InputError(f"recording must be an existing file; no file matches {pattern!r} in {base}. Paths are "
                              "relative to the campaign file.", field=entry_field)

@@ -141,7 +141,7 @@ def read_measured_curves(campaign: Campaign) -> dict[str, tuple[MeasuredCurve, .
                                                       strict=True)]
             except InputError as error:
                 field = test.place if error.file is None else None
-                raise error.located(file=campaign.path, field=field) from None
+                raise error.with_location(file=campaign.path, field=field) from None
         check_recording_names_of_leave_out(test, [curve.name for curve in curves], campaign)
         for curve in curves:
             if curve.name in names:

@@ -14,10 +14,10 @@ from calibration.campaign.parameters import PER_REPLICATE, PER_SPECIMEN, PER_TES
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import find_law
-from tissue_sim.material.material import Bulk, Material, law_declaration
-from tissue_sim.material.parts import make_material
+from tissue_sim.material.material import Bulk, Material, get_law_parameter_declaration
+from tissue_sim.material.parts import make_material_from_numbers
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, symbol_at, with_values
+from tissue_sim.parameters import Declaration, make_parameter_symbol, with_values
 from tissue_sim.rig.rig import Rig
 
 #: Sum of the moduli in simulations whose forces are proportional to the moduli, Pa.
@@ -61,7 +61,7 @@ class FitParameter:
     def symbol(self) -> str:
         """Symbol in reports, such as ``g1`` or ``gs@needle``."""
         _, at, mark = self.name.partition("@")
-        return symbol_at(self.path, self.declaration) + at + mark
+        return make_parameter_symbol(self.path, self.declaration) + at + mark
 
     @property
     def is_modulus(self) -> bool:
@@ -115,7 +115,7 @@ class ParameterSpace:
         settings, own = campaign.fit, find_law(law)
         all_tests = tuple(test.name for test in campaign.tests)
         parameters = [settings.named.get(name)
-                      or CampaignParameter(name, law_declaration(own, name), True, SHARED, all_tests)
+                      or CampaignParameter(name, get_law_parameter_declaration(own, name), True, SHARED, all_tests)
                       for name in own.parameters]
         parameters += [settings.named[path] for path in settings.non_law_paths]
         unknowns = [unknown for named in parameters
@@ -244,7 +244,7 @@ class ParameterSpace:
             raise InputError("scope of a parameter of the law must give each test a fitted value; got a separate value "
                              f"in {test}, which no fitted test determines. Set the scope to 'shared'.",
                              field="fit.scope")
-        return make_material(self.law, own, others, self.bulk, density=density, name=name)
+        return make_material_from_numbers(self.law, own, others, self.bulk, density=density, name=name)
 
     def build_model(self, values: Mapping[str, float], experiment: Experiment, rig: Rig, *, test: str,
               recording: str | None = None) -> Model:

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calibration.campaign.schema import BY_PARAMETER, FitTable
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.experiment.experiment import Experiment
 from tissue_sim.laws import LAWS
-from tissue_sim.material.material import Material, law_declaration
-from tissue_sim.material.parts import find_declaration, make_material, region_of
+from tissue_sim.material.material import Material, get_law_parameter_declaration
+from tissue_sim.material.parts import find_material_declaration, find_region_name, make_material_from_numbers
 from tissue_sim.parameters import Declaration, parameters
 from tissue_sim.rig.rig import Rig
 
@@ -77,7 +77,7 @@ def build_stated_material(values: Mapping[str, float], named: Mapping[str, Campa
     """
     others = {name: value for name, value in values.items()
               if name in named and named[name].of_material and not named[name].of_law}
-    return make_material("neo_hooke", {"C10": 1.0}, others)
+    return make_material_from_numbers("neo_hooke", {"C10": 1.0}, others)
 
 
 def resolve_parameter_names(table: FitTable, around: Mapping[str, Mapping[str, Declaration]],
@@ -95,7 +95,7 @@ def resolve_parameter_names(table: FitTable, around: Mapping[str, Mapping[str, D
     Raises:
         InputError: no model has the parameter, or its scope is ambiguous; the error states the field.
     """
-    laws = {parameter: law_declaration(LAWS[law], parameter) for law in table.laws
+    laws = {parameter: get_law_parameter_declaration(LAWS[law], parameter) for law in table.laws
             for parameter in LAWS[law].parameters}
     named: dict[str, CampaignParameter] = {}
     for key in (*BY_PARAMETER, "scope"):
@@ -123,23 +123,25 @@ def _resolve_name(name: str, field: str, laws: Mapping[str, Declaration],
         own = {test: found for test, known in around.items() if (found := _find_known_path(path, known)) is not None}
         if not own:
             known = sorted({path for each in around.values() for path in each})
-            raise InputError(f"no test has a parameter {name!r} that is a number{nearest(name, known)}", field=field)
+            raise InputError(f"no test has a parameter {name!r} that is a number{suggest_known_word(name, known)}",
+                             field=field)
         first = next(iter(own))
         return CampaignParameter(own[first], around[first][own[first]], False,
                                  _read_scope(name, scope, tuple(own), None),
                               tuple(own))
     if "." not in path:
-        hint = nearest(name, laws) + '; write other parameters as paths in quotes, such as "viscoelastic.terms[0].g"'
+        hint = (suggest_known_word(name, laws)
+                + '; write other parameters as paths in quotes, such as "viscoelastic.terms[0].g"')
         raise InputError(f"none of the listed laws has a parameter {name!r}{hint}", field=field)
     try:
-        full, declaration = find_declaration(path)
+        full, declaration = find_material_declaration(path)
     except InputError as error:
         raise InputError(error.problem, field=field) from None
-    if (region := region_of(full)) is not None:
+    if (region := find_region_name(full)) is not None:
         having = tuple(test for test, found in regions.items() if region in found)
         if not having:
             known = list(dict.fromkeys(each for found in regions.values() for each in found))
-            hint = nearest(region, known) if known else "; the mesh of a specimen names its regions"
+            hint = suggest_known_word(region, known) if known else "; the mesh of a specimen names its regions"
             raise InputError(f"no specimen has a region {region!r}{hint}", field=field)
         # Tests of homogeneous specimens do not have the region: the shared value applies to the other tests only.
         where = _read_scope(name, scope, having, SHARED)
@@ -167,11 +169,12 @@ def _read_scope(name: str, stated: str | list[str] | None, tests: Sequence[str],
     if isinstance(stated, str):
         if stated not in SCOPES:
             raise InputError(f"scope must be one of {', '.join(map(repr, SCOPES))}, or a list of tests; got "
-                             f"{stated!r}{nearest(stated, SCOPES)}", field=f"fit.scope.{name}")
+                             f"{stated!r}{suggest_known_word(stated, SCOPES)}", field=f"fit.scope.{name}")
         return stated
     for test in stated:
         if test not in tests:
-            raise InputError(f"no test {test!r} has this parameter{nearest(test, tests)}", field=f"fit.scope.{name}")
+            raise InputError(f"no test {test!r} has this parameter{suggest_known_word(test, tests)}",
+                             field=f"fit.scope.{name}")
     return tuple(stated)
 
 
@@ -216,7 +219,7 @@ def check_stated_values(table: FitTable, named: Mapping[str, CampaignParameter])
 def _format_file_path(path: str) -> str:
     """Return a parameter path with the key used in files as its last part."""
     try:
-        full, declaration = find_declaration(path)
+        full, declaration = find_material_declaration(path)
     except InputError:
         return path
     return f"{full.rpartition('.')[0]}.{declaration.key}"

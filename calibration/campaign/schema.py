@@ -10,7 +10,7 @@ from typing import Any, Literal, cast
 
 import msgspec
 
-from tissue_sim.decode import decode, read_toml
+from tissue_sim.decode import decode_struct, read_toml
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.experiment.tools.tool import tool_sizes
@@ -221,7 +221,7 @@ def decode_campaign_file(path: Path) -> tuple[CampaignTable, bytes, TestDefaults
     defaults = _copy_defaults_into_tests(content, path)
     try:
         _check_parameter_tables(content.get("fit"))
-        return decode(content, build_campaign_table_type(),
+        return decode_struct(content, build_campaign_table_type(),
                       words=_WORDS), read_bytes(path, "a campaign (TOML)"), defaults
     except InputError as error:
         # TOML has no null; optional keys are left out.

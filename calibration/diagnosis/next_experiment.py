@@ -24,7 +24,7 @@ from calibration.forward.forms import build_test, mesh_uncertainty
 from calibration.forward.meshes import ACCURATE_MESH_ERRORS
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.protocol import Protocol
-from tissue_sim.parameters import declared, with_values
+from tissue_sim.parameters import list_field_declarations, with_values
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,7 @@ def vary_existing_tests(before: Evidence) -> list[PlannedRamp]:
             tool = replace(experiment.tool, radius=smaller * radius)
             found.append(_plan_ramp(f"{test.name} with a tool of {1e3 * smaller * radius:.3g} mm radius",
                                     replace(test, experiment=replace(experiment, tool=tool)), depth, speed, hold=held))
-        elif "height" in declared(type(experiment.specimen)):
+        elif "height" in list_field_declarations(type(experiment.specimen)):
             lower = with_values(experiment.specimen, {"height": smaller * height})
             shorter = replace(test, specimen=lower, experiment=replace(experiment, specimen=lower))
             found.append(_plan_ramp(f"{test.name} on a specimen of half the height, to {1e3 * smaller * depth:.3g} mm",

@@ -19,15 +19,15 @@ from calibration.campaign.parameters import SHARED, CampaignParameter, list_rig_
 from calibration.effects.situation import NotTestableError as NotTestableError
 from calibration.effects.situation import Situation as Situation
 from calibration.effects.situation import get_experiment as get_experiment
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.laws import find_law
-from tissue_sim.material.material import law_declaration
-from tissue_sim.material.parts import find_declaration, with_parts
+from tissue_sim.material.material import get_law_parameter_declaration
+from tissue_sim.material.parts import find_material_declaration, with_material_parameters
 from tissue_sim.model import Model
-from tissue_sim.parameters import Declaration, parameters, symbol_at, with_values
-from tissue_sim.public_names import OldName, adopt_old_names, old_names
+from tissue_sim.parameters import Declaration, make_parameter_symbol, parameters, with_values
+from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
 
-__getattr__ = old_names(__name__, {"experiment_of": "get_experiment"})
+__getattr__ = make_getattr_for_old_names(__name__, {"experiment_of": "get_experiment"})
 
 #: Part of the model that an effect belongs to.
 Category = Literal["tissue", "contact", "geometry", "rig", "population"]
@@ -117,8 +117,8 @@ class Candidate:
         if not path.startswith(("experiment.", "rig.")):
             law = None if self.law is None else find_law(self.law)
             if law is not None and path in law.parameters:
-                return law_declaration(law, path)
-            return find_declaration(path)[1]
+                return get_law_parameter_declaration(law, path)
+            return find_material_declaration(path)[1]
         for test in campaign.tests:
             found = list_rig_and_experiment_parameters(test.experiment, test.rig).get(path)
             if found is not None and (self.tests is None or test.name in self.tests):
@@ -203,7 +203,8 @@ class Candidate:
         # Parameters of the wider law that belong neither to the candidate nor to the fitted law stay 0.
         held = {name: 0.0 for name in wider if name not in find_law(settings.laws[0]).parameters and name not in values}
         for name in held:
-            named[name] = CampaignParameter(name, law_declaration(find_law(str(self.law)), name), True, SHARED,
+            named[name] = CampaignParameter(name, get_law_parameter_declaration(find_law(str(self.law)), name), True,
+                                            SHARED,
                                             everywhere)
         start, fixed = dict(settings.start), {**settings.fixed, **held}
         for path, value in values.items():
@@ -211,14 +212,15 @@ class Candidate:
             target[path] = value
             other.pop(path, None)
         laws = settings.laws if self.law is None else (self.law,)
-        changed: FitSettings = replace(settings, laws=laws, named=read_only(named), start=read_only(start),
-                                       fixed=read_only(fixed), bounds=read_only(bounds))
+        changed: FitSettings = replace(settings, laws=laws, named=make_read_only_copy(named),
+                                       start=make_read_only_copy(start),
+                                       fixed=make_read_only_copy(fixed), bounds=make_read_only_copy(bounds))
         return replace(campaign, fit=changed)
 
     def list_symbols(self, campaign: Campaign) -> dict[str, str]:
         """Return path -> symbol for all parameters of the candidate."""
         campaign = self.with_prepared_tests(campaign)
-        return {path: symbol_at(path, self.find_parameter_declaration(campaign, path))
+        return {path: make_parameter_symbol(path, self.find_parameter_declaration(campaign, path))
                 for path in {**self.sizes, **self.shape}}
 
 
@@ -282,7 +284,7 @@ class Effect(ABC):
             wider = {**dict.fromkeys(find_law(self.law).parameters, 0.0), **model.material.parameters}
             model = replace(model, material=replace(model.material, law=self.law, parameters=wider))
         if within:
-            model = replace(model, material=with_parts(model.material, within))
+            model = replace(model, material=with_material_parameters(model.material, within))
         return with_values(model, around) if around else model
 
 

@@ -24,7 +24,7 @@ from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
 from calibration.statistics.statistics import correlation_matrix, information_criteria
 from calibration.statistics.uncertainty import Uncertainty
-from tissue_sim.laws import Stability, check_stability, find_law
+from tissue_sim.laws import StabilityRange, check_stability, find_law
 from tissue_sim.laws.stability import STRETCH_RANGE
 
 
@@ -89,7 +89,7 @@ def assess_fit(estimator: Estimator, estimate: Estimate, spread: Uncertainty, de
         "population": specimens.population, "material_of": list(specimens.material_of),
         "left_out_specimens": dict(specimens.left_out),
         "material_file": f"{law.name}.material.json" if mu0 > 0 and not specimens.missing_population else None}
-    lost = [*law.at_limit(moduli), *_describe_unmeasured_instability(stability, reached, stretches),
+    lost = [*law.describe_parameters_at_limit(moduli), *_describe_unmeasured_instability(stability, reached, stretches),
             *describe_differing_specimens(estimate), *specimens.warnings(unusable)]
     found = Findings(estimate, spread, descents, values, loose, status, unusable, lost)
     fit = Fit(**shared | estimator.describe(found))
@@ -119,7 +119,7 @@ def _describe_derivatives(estimate: Estimate, theta: np.ndarray) -> dict[str, st
     return {name: "difference" if name in names else "exact" for name in problem.space.free}
 
 
-def _describe_unmeasured_instability(stability: Stability, reached: Mapping[str, StretchRange],
+def _describe_unmeasured_instability(stability: StabilityRange, reached: Mapping[str, StretchRange],
                                      stretches: tuple[float, float]) -> list[str]:
     """Return a warning if the law is unstable in other modes of loading within the measured stretches."""
     measured = {one.mode for one in reached.values()}

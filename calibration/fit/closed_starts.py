@@ -142,7 +142,7 @@ class _RelaxationModel:
             tau: relaxation times, s, shape (terms,).
         """
         with np.errstate(all="ignore"):
-            parts = [(sign, *history.parts(self.law, values, tau)) for sign, history in self.histories]
+            parts = [(sign, *history.compute_stress_parts(self.law, values, tau)) for sign, history in self.histories]
         return np.concatenate([sign * np.column_stack([elastic, relaxing]) for sign, elastic, relaxing in parts])
 
     def solve(self, exponents: np.ndarray, grid: np.ndarray) -> tuple[float, np.ndarray, np.ndarray] | None:

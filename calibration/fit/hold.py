@@ -16,7 +16,7 @@ from calibration.fit.ordinary import Ordinary, fit_law
 from calibration.forward.simulation_cache import SimulationCache
 from tissue_sim.errors import ConvergenceError, InputError
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.material.parts import find_declaration
+from tissue_sim.material.parts import find_material_declaration
 from tissue_sim.material.viscoelasticity import MOST_TERMS, Prony
 from tissue_sim.recording.recording import Recording
 
@@ -101,7 +101,8 @@ def fit_hold(recording: Recording, terms: int = 1, ramp: float = 0.0) -> HoldFit
     start = {name: value for i, (g, tau) in enumerate(paths) for name, value in (
         (g, 0.5 / terms), (tau, float(np.ptp(time)) * 10.0 ** (i - terms)))}
     test = Test("hold", KINDS["simple_shear"], None, (Path("hold"),))
-    named = {path: CampaignParameter(path, find_declaration(path)[1], False, SHARED, (test.name,)) for path in start}
+    named = {path: CampaignParameter(path, find_material_declaration(path)[1], False, SHARED, (test.name,))
+             for path in start}
     campaign = Campaign(Path("hold"), {}, (test,), FitSettings((_LAW,), named=named, start=start), Noise(), "")
     curve = MeasuredCurve(test.name, test, time, strain, force, np.full(force.size, "hold"), Path("hold"), "", True)
     noisy = replace(curve, noise=add_noise_to_curve(curve, campaign).noise)

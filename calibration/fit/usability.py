@@ -27,7 +27,7 @@ from calibration.fit.replicates import find_disagreements
 from calibration.fit.usability_records import Alternative, Clause
 from calibration.fit.usability_settings import USABILITY, UsabilitySettings
 from calibration.forward.contract import StretchRange
-from tissue_sim.laws import Stability
+from tissue_sim.laws import StabilityRange
 
 #: Status of a usable fit.
 USABLE = "converged"
@@ -53,7 +53,7 @@ class Evidence:
     """
 
     estimate: Estimate
-    stability: Stability
+    stability: StabilityRange
     reached: Mapping[str, StretchRange]
     mu0: float
     specimens: Specimens
@@ -128,7 +128,7 @@ def _check_stability(evidence: Evidence) -> Clause:
     return _build_clause("stable", "unstable", f"not stable {' and '.join(lost)}, where there are data" if lost else "")
 
 
-def describe_instability(stability: Stability, mode: str, stretches: tuple[float, float]) -> str:
+def describe_instability(stability: StabilityRange, mode: str, stretches: tuple[float, float]) -> str:
     """Describe where one mode of loading loses Drucker stability inside these stretches; empty if it is stable."""
     (low, high), (lower, upper) = stretches, stability.limits[mode]
     if lower == upper == 1.0:

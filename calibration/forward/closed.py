@@ -18,7 +18,7 @@ from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import TestKind
 from tissue_sim.laws import Law, find_law
 from tissue_sim.material.material import Material
-from tissue_sim.parameters import split_path
+from tissue_sim.parameters import split_parameter_path
 from tissue_sim.specimen import Specimen
 
 
@@ -217,10 +217,11 @@ class ClosedFormTest:
         step = DIFFERENCES.relative * prony.tau
         rates = {}
         with np.errstate(all="ignore"):
-            elastic, relaxing = history.parts(law, answer.values, np.concatenate([prony.tau, prony.tau + step,
+            elastic, relaxing = history.compute_stress_parts(law, answer.values,
+                                                             np.concatenate([prony.tau, prony.tau + step,
                                                                                   prony.tau - step]))
             for unknown in answer.space.free_parameters:
-                name, path = unknown.name, split_path(unknown.path)
+                name, path = unknown.name, split_parameter_path(unknown.path)
                 if unknown.of_law and law.units[unknown.path] != "1":
                     alone = [float(other == unknown.path) if law.units[other] != "1" else value
                              for other, value in zip(law.parameters, answer.values.tolist(), strict=True)]
@@ -294,6 +295,7 @@ class ClosedFormTest:
         strain = np.concatenate([self.strain(curve.displacement) for curve in self.measured])
         low, high, closed_form = float(strain.min()), float(strain.max()), self.closed_form
         if not closed_form.rest:
-            return StretchRange(closed_form.mode, *closed_form.extremes(low, high), closed_form.extremes(low, high))
+            return StretchRange(closed_form.mode, *closed_form.find_extreme_stretches(low, high),
+                                closed_form.find_extreme_stretches(low, high))
         low, high = min(low, 1.0), 1.0 if not self.kind.gripped else max(high, 1.0)
-        return StretchRange(closed_form.mode, low, high, closed_form.extremes(low, high))
+        return StretchRange(closed_form.mode, low, high, closed_form.find_extreme_stretches(low, high))

@@ -56,4 +56,4 @@ class ColumnTest(ClosedFormTest):
         displacement = np.concatenate([curve.displacement for curve in self.measured])
         base = Column(self.specimen).base_stretch(law, displacement, law.as_array(values))
         low = float(np.nanmin(base))
-        return StretchRange(self.closed_form.mode, low, 1.0, self.closed_form.extremes(low, 1.0))
+        return StretchRange(self.closed_form.mode, low, 1.0, self.closed_form.find_extreme_stretches(low, 1.0))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import zipfile
 from pathlib import Path
 
-from tissue_sim.files import ZIP_MAGIC, first_bytes, read_bytes
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.files import ZIP_MAGIC, read_bytes, read_first_bytes
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.file import read_recordings
 from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understanding
 
@@ -22,7 +22,7 @@ def is_afm_file(path: Path) -> bool:
     """
     if path.suffix.lower() in _SUFFIXES:
         return True
-    head = first_bytes(path, 64)
+    head = read_first_bytes(path, 64)
     if head.startswith(_HEADS):
         return True
     if not head.startswith(ZIP_MAGIC):
@@ -46,5 +46,5 @@ def interpret_afm_file(path: Path) -> Understanding:
     read_bytes(path, "force curves of an AFM")
     recordings = read_recordings(path, format="afm")
     kind = KindGuess("needle_indentation", "force curves of an AFM press a tip into the specimen")
-    reading = Reading("", (), (), read_only({"format": "afm"}), recordings, kind, 1)
+    reading = Reading("", (), (), make_read_only_copy({"format": "afm"}), recordings, kind, 1)
     return Understanding(path, "afm", "afm", None, None, None, (reading,))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from calibration.importing.imported import ImportedTest, list_assumptions_of_tests
-from tissue_sim.errors import shortened
+from tissue_sim.errors import shorten_text
 
 #: Headings of the columns of the table.
 HEADINGS = ("assumption", "value", "evidence", "against", "or", "flag")
@@ -89,8 +89,8 @@ def format_campaign_comment(tests: Sequence[ImportedTest]) -> str:
         details = [row.evidence, f"against: {row.against}" if row.against else "",
                    f"or: {row.alternatives}" if row.alternatives else "", row.flag]
         said = "; ".join(filter(None, details))
-        lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: {shortened(value, _SETTINGS.longest_value)}"
-                     f"{f' ({said})' if said else ''}")
+        lines.append(f"{'QUESTION ' if row.is_question else ''}{subject}: "
+                     f"{shorten_text(value, _SETTINGS.longest_value)}{f' ({said})' if said else ''}")
     lines += [f"Columns not used: {each}" for each in describe_unused_columns(tests)]
     return "\n".join(textwrap.fill(line, _SETTINGS.campaign_width, initial_indent="# ", subsequent_indent="#     ",
                                    break_long_words=False, break_on_hyphens=False) for line in lines)
@@ -109,7 +109,7 @@ def format_wrapped_table(tests: Sequence[ImportedTest], width: int, most: int) -
         others = [f"or {row.alternatives}" if row.alternatives else "",
                   f"against: {row.against}" if row.against else "", row.evidence]
         cell_texts = (f"{'? ' if row.is_question else ''}{subject}", value, "; ".join(filter(None, others)))
-        padded = (f"{shortened(cell, size):<{size}}" for cell, size in zip(cell_texts, sizes, strict=True))
+        padded = (f"{shorten_text(cell, size):<{size}}" for cell, size in zip(cell_texts, sizes, strict=True))
         lines.append("  ".join(padded).rstrip())
     if len(lines) > most:
         lines = [*lines[:most - 1], f"and {len(lines) - most + 1} more assumptions (--json)"]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from calibration.importing.imported import ReplicateFile
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.formats.guesses import Reading, Understanding
 
 
@@ -29,7 +29,7 @@ def apply_common_decimal_mark(understood: Sequence[Understanding]) -> list[Under
             return reading
         options = dict(reading.options)
         columns = options.pop("columns")
-        return replace(reading, options=read_only({**options, "decimal": mark, "columns": columns}))
+        return replace(reading, options=make_read_only_copy({**options, "decimal": mark, "columns": columns}))
 
     return [replace(each, readings=tuple(set_decimal_mark(each, reading) for reading in each.readings))
             for each in understood]

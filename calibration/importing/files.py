@@ -37,10 +37,10 @@ from calibration.importing.size_assumptions import add_size_assumptions
 from calibration.importing.sizes_of_tables import add_question_about_table_sizes
 from calibration.importing.zero import add_zero_load_assumption, list_laws_linear_in_parameters
 from tissue_sim.atomic_write import write_bytes, write_text
-from tissue_sim.bounded import bounded
-from tissue_sim.errors import InputError, located, shortened
+from tissue_sim.bounded import run_in_sandbox
+from tissue_sim.errors import InputError, add_location_to_errors, shorten_text
 from tissue_sim.experiment.kinds.kind import KINDS
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.formats.guesses import Understanding
 from tissue_sim.recording.formats.sizes import Size
 from tissue_sim.recording.formats.understanding import understand
@@ -91,7 +91,7 @@ def import_files(files: Iterable[str | Path], output: str | Path | None = None, 
         return format_campaign(tests, specimens, fit, folder, questions)
 
     text = format_campaign_for_folder(Path() if output is None else output.parent, list_questions_of_tests(tests))
-    imported = ImportResult(tuple(understood), tests, read_only(specimens), text, missing,
+    imported = ImportResult(tuple(understood), tests, make_read_only_copy(specimens), text, missing,
                             _collect_warnings(parts, tests))
     if not missing:
         imported = replace(imported, problem=_find_reason_against_calibration(format_campaign_for_folder))
@@ -114,7 +114,7 @@ def _check_input_and_output_paths(paths: Sequence[Path], output: Path | None, ov
     if not paths:
         raise InputError("files must contain at least one path; got none. Name the files to import.", field="files")
     for i, path in enumerate(paths):
-        with located(file=path):
+        with add_location_to_errors(file=path):
             if path.resolve() in {other.resolve() for other in paths[:i]}:
                 raise InputError("files must differ; this file is given twice. Remove the repetition, because each "
                                  "replicate counts once.")
@@ -148,7 +148,7 @@ def _interpret_files(paths: Sequence[Path], wishes: ImportOptions) -> list[Under
         raise faults[0]
     if faults:
         length = _ERROR_CHARACTERS // len(faults)
-        problems = (shortened(f"{Path(each.file or '').name}: {each.problem}", max(length, 20)) for each in faults)
+        problems = (shorten_text(f"{Path(each.file or '').name}: {each.problem}", max(length, 20)) for each in faults)
         raise InputError(f"{len(faults)} of {len(paths)} files cannot be imported: {'; '.join(problems)}")
     return understood
 
@@ -160,20 +160,21 @@ def _interpret_file(path: Path, wishes: ImportOptions) -> Understanding:
     specimen is unknown.
     """
     stated = wishes.stated
-    if stated.format in ("afm", "jpk", "bruker") or (not stated.format and bounded(is_afm_file, path, file=path)):
+    if stated.format in ("afm", "jpk", "bruker") or (not stated.format
+                                                     and run_in_sandbox(is_afm_file, path, file=path)):
         return interpret_afm_file(path)
     said = read_sidecar(path)
     speed, height = wishes.test.get("speed_mm_s"), wishes.specimen.get("height_mm")
     stated = replace(stated, kind=stated.kind or find_test_kind_in_sidecar(said),
                      speed=None if speed is None else 1e-3 * speed,
                      height=None if height is None else 1e-3 * float(height))
-    found = add_sidecar_metadata(bounded(understand, path, stated, file=path), said,
+    found = add_sidecar_metadata(run_in_sandbox(understand, path, stated, file=path), said,
                         kind_stated=wishes.stated.kind is not None)
     # Without the size of the specimen a force gives no modulus; stress and strain in the file give one.
     lacking = [reading for reading in found.readings if {"displacement", "force"} <= set(
         reading.recordings[0].channels) and not _has_height_and_cross_section(merge_specimen_sizes(reading, wishes))]
     if lacking and not stated.columns:
-        direct = bounded(understand, path, replace(stated, direct=True), file=path)
+        direct = run_in_sandbox(understand, path, replace(stated, direct=True), file=path)
         if all({"nominal stress"} <= {column.channel for column in reading.columns} for reading in direct.readings):
             return direct
     return found

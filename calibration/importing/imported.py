@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 from calibration.importing.motion import RecordedMotion
-from tissue_sim.frozen_mapping import read_only
-from tissue_sim.public_names import OldName, old_names
+from tissue_sim.frozen_mapping import make_read_only_copy
+from tissue_sim.public_names import OldName, make_getattr_for_old_names
 from tissue_sim.recording.formats.assumption import Assumption
 from tissue_sim.recording.formats.guesses import ColumnHints, Reading, Understanding
 
-__getattr__ = old_names(__name__, {"Wishes": "ImportOptions", "Imported": "ImportResult"})
+__getattr__ = make_getattr_for_old_names(__name__, {"Wishes": "ImportOptions", "Imported": "ImportResult"})
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class ImportOptions:
     """
 
     stated: ColumnHints = field(default_factory=ColumnHints)
-    specimen: Mapping[str, float | str] = field(default_factory=lambda: read_only({}))
-    test: Mapping[str, Any] = field(default_factory=lambda: read_only({}))
+    specimen: Mapping[str, float | str] = field(default_factory=lambda: make_read_only_copy({}))
+    test: Mapping[str, Any] = field(default_factory=lambda: make_read_only_copy({}))
     laws: tuple[str, ...] | None = None
     zero: str | None = None
 

@@ -13,7 +13,7 @@ from tissue_sim.decode import read_json
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS
 from tissue_sim.files import read_bytes
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.formats.guesses import KindGuess, Reading, Understanding
 
 
@@ -61,7 +61,7 @@ def add_sidecar_metadata(found: Understanding, said: Mapping[str, Any], *, kind_
     def add_metadata_to_reading(reading: Reading) -> Reading:
         """Return a reading with the kind, the sizes and the metadata of the sidecar."""
         guess = reading.kind if kind is None or kind_stated else KindGuess(kind, reason)
-        return replace(reading, kind=guess, specimen=read_only(sizes),
+        return replace(reading, kind=guess, specimen=make_read_only_copy(sizes),
                        recordings=tuple(each.with_metadata(**about) for each in reading.recordings))
 
     return replace(found, readings=tuple(map(add_metadata_to_reading, found.readings)))

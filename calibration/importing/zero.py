@@ -19,13 +19,13 @@ from calibration.importing.imported import ReplicateFile, ZeroLoadInterpretation
 from calibration.importing.motion import RecordedMotion
 from tissue_sim.errors import InputError
 from tissue_sim.experiment.kinds.kind import KINDS, TestKind
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.laws import LAWS, find_law
 from tissue_sim.recording.formats.assumption import Alternative, Assumption
 from tissue_sim.recording.preload import LoadAtZero, estimate_load_at_zero
 from tissue_sim.recording.recording import Recording
 from tissue_sim.recording.segments import get_motion_and_load
-from tissue_sim.units import quantity_of, to_si
+from tissue_sim.units import find_quantity_of_unit, get_si_factor_and_offset
 
 
 @dataclass(frozen=True)
@@ -320,12 +320,12 @@ def _apply_zero_load_interpretation(part: ReplicateFile, assumption: Assumption,
                     reason=f"{column.reason}; {_EXPLANATIONS[SENSOR]}")
             if column.channel == "force" and column.offset is None else column for column in reading.columns))
         recordings = tuple(each.with_channels(force=each.force - zero.load) for each in reading.recordings)
-        reading = replace(reading, recordings=recordings, options=read_only(
+        reading = replace(reading, recordings=recordings, options=make_read_only_copy(
             {**reading.options, "columns": {column.channel: column.entry() for column in reading.columns}}))
     return replace(part, reading=reading, motions=motions)
 
 
 def _convert_to_offset_of_column(unit: str | None, load: float) -> float:
     """Convert minus `load`, N, to the unit of the column of the force, with four digits."""
-    factor = 1.0 if unit is None or quantity_of(unit) == "signal" else to_si(unit)[0]
+    factor = 1.0 if unit is None or find_quantity_of_unit(unit) == "signal" else get_si_factor_and_offset(unit)[0]
     return float(f"{-load / factor:.4g}")

@@ -12,7 +12,7 @@ from haptics.loop.broyden_correction import BroydenCorrection
 from haptics.loop.linearisation_error import LinearisationError
 from tissue_sim.fem.condensed.model import CondensedContact
 from tissue_sim.fem.condensed.stepper import CondensedStepper, ContactStep
-from tissue_sim.pose import Pose, Screw, added, motion, scaled
+from tissue_sim.pose import Pose, Screw, add_screws, motion, scale_screw
 from tissue_sim.tool_force import Matrix
 
 
@@ -96,14 +96,14 @@ class ModelTransition:
             return
         slope = np.array(before.stiffness_matrix) @ np.array(motion(last, pose))
         extrapolated = cast("Screw", tuple((np.array(before.wrench) - slope).tolist()))
-        missed, expected = added(after.wrench, scaled(-1.0, extrapolated)), correction.wrench(old.pose, pose)
+        missed, expected = add_screws(after.wrench, scale_screw(-1.0, extrapolated)), correction.wrench(old.pose, pose)
         if any(after.wrench):
             correction.learn(missed, old.pose, new.pose)
-            self.learn(added(expected, scaled(-1.0, missed)), old, last)
+            self.learn(add_screws(expected, scale_screw(-1.0, missed)), old, last)
         else:
             correction.reset()
-        for part in (expected, scaled(-1.0, missed), scaled(-1.0, correction.wrench(new.pose, pose))):
-            self.offset = added(self.offset, part)
+        for part in (expected, scale_screw(-1.0, missed), scale_screw(-1.0, correction.wrench(new.pose, pose))):
+            self.offset = add_screws(self.offset, part)
 
     def learn(self, missed: Screw, old: CondensedContact, pose: Pose) -> None:
         """Update the error estimate with the difference of the newest model and the model before.
@@ -139,9 +139,9 @@ class ModelTransition:
         """Return wrench and stiffness of a step on the newest model with offset and Broyden correction."""
         wrench, stiffness = step.wrench, step.stiffness_matrix
         if any(wrench):
-            wrench = added(wrench, self._correction.wrench(self._newest.pose, pose))
+            wrench = add_screws(wrench, self._correction.wrench(self._newest.pose, pose))
             stiffness = self._correction.corrected_stiffness(stiffness)
-        return added(wrench, self.offset), stiffness
+        return add_screws(wrench, self.offset), stiffness
 
     def error(self, step: ContactStep, pose: Pose, age: float) -> tuple[float, float]:
         """Return the estimated error of the wrench of a step, and the error that decides its status, N.

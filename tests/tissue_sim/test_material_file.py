@@ -277,7 +277,7 @@ def test_damaged_files(tmp_path):
     path.write_text("[" * 100_000, encoding="utf-8")
     assert "damaged JSON" in refusal(path).problem
     path.write_text("[]", encoding="utf-8")
-    assert "expected an object" in refusal(path).problem
+    assert "file must contain an object" in refusal(path).problem
     path.write_bytes(b"\x00\x01")
     assert "binary" in refusal(path).problem
     assert "no such file" in refusal(tmp_path / "none.json").problem

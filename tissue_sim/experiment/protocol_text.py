@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from decimal import Decimal
 from typing import Any
 
-from tissue_sim.errors import nearest
+from tissue_sim.errors import suggest_known_word
 from tissue_sim.experiment.segments import KINDS, Repeat, Segment, protocol_error
 
 #: Unit -> factor to m.
@@ -100,7 +100,7 @@ class _Reader:
             raise self._make_error(start, f"expected a segment, one of {', '.join(KINDS)} or repeat")
         if word not in KINDS:
             raise self._make_error(start, f"unknown segment {_quote_shortened(word)}"
-                                          f"{nearest(word, (*KINDS, 'repeat'))}")
+                                          f"{suggest_known_word(word, (*KINDS, 'repeat'))}")
         quantity, needed = KINDS[word]
         amount = self.read_amount(quantity, needed=needed, zero=word == "unload", after=word)
         speed = None

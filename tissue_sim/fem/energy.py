@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.laws import KernelEnergy
-from tissue_sim.laws.derivation import derived
+from tissue_sim.laws.derivation import load_or_derive_function
 from tissue_sim.public_names import LazyModule
 
 if TYPE_CHECKING:
@@ -20,17 +20,17 @@ else:
 _NEAR = 0.3
 
 
-def taichi_function(derive, kept_as: tuple | None, source: str):
+def taichi_function(derive, cache_key: tuple | None, source: str):
     """Return a Python function that builds expressions of Taichi variables when a kernel is compiled.
 
     Args:
         derive: returns the arguments and the expressions (sympy).
-        kept_as: key of the function in the cache; None: not cached.
+        cache_key: key of the function in the cache; None: not cached.
         source: file that defines `derive`; see `tissue_sim.laws.derivation`.
     """
     ti = initialise()
     names = {name: getattr(ti, name) for name in ("exp", "log", "sqrt", "sin", "cos", "tan", "tanh")}
-    return derived(derive, kept_as=kept_as, source=source, names=names)
+    return load_or_derive_function(derive, cache_key=cache_key, source=source, names=names)
 
 
 def invariant_derivatives(energy: KernelEnergy, tangents: bool = True):
@@ -61,7 +61,7 @@ def stretch_derivatives(energy: KernelEnergy):
 
 
 def _cache_key(energy: KernelEnergy, *what) -> tuple | None:
-    return None if energy.kept_as is None else (*energy.kept_as, "energy", *what)
+    return None if energy.cache_key is None else (*energy.cache_key, "energy", *what)
 
 
 @cache

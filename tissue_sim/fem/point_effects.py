@@ -7,7 +7,7 @@ from itertools import chain
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.fem.taichi.trace import TRIED, Formula, traced
 from tissue_sim.material.effect import PointEffect, TissueEffect
 
@@ -83,7 +83,7 @@ def require_formula(formula: Formula[PointEffect]) -> None:
     kind, field = formula.kind, f"effects.{formula.kind.name}"
     parameters = traced([TRIED] * len(formula.parameters), lanes=False)
     C, state, (dt,) = traced([TRIED] * 6, True), traced([TRIED] * len(kind.rest), True), traced([TRIED], False)
-    with located(field=field):
+    with add_location_to_errors(field=field):
         stress, tangent, found = formula.bind(parameters).response(C, state, dt)
     shape = len(stress), len(tangent), {len(row) for row in tangent}, len(found)
     if shape != (6, 6, {6}, len(kind.rest)):

@@ -22,15 +22,15 @@ from tissue_sim.fem.result_views import Surface as Surface
 from tissue_sim.material.material import Material
 from tissue_sim.model import Model
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.public_names import OldName, adopt_old_names, old_names
+from tissue_sim.public_names import OldName, adopt_old_names, make_getattr_for_old_names
 from tissue_sim.registry import Registry
-from tissue_sim.tool_force import Matrix, NextForce, axial_stiffness, axial_wrench
+from tissue_sim.tool_force import Matrix, PredictedForce, make_axial_stiffness_matrix, make_axial_wrench
 
 #: Members of `Solver` that plug-ins may still define by their old names: old name -> new name.
 _OLD_MEMBERS = {"doubts": "warnings", "follow": "project_pose", "takes": "accepts_pose",
                 "realtime_rungs": "realtime_levels", "comparison": "error_estimate", "sample": "field_sample",
                 "surface": "deformed_surface", "approach": "move_to_next_touch", "meet": "bind_points_on_path"}
-__getattr__ = old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate"})
+__getattr__ = make_getattr_for_old_names(__name__, {"Rung": "ResolutionLevel", "Comparison": "ErrorEstimate"})
 
 
 class StepStatus(IntEnum):
@@ -113,8 +113,8 @@ class Step:
     def axial(cls, status: StepStatus, iterations: int, residual: float, force: float, violation: float = 0.0,
               slipping: int = 0, stiffness: float | None = None) -> Step:
         """Make the result of a solver of axial motion only: force along z, N, and axial stiffness, N/m."""
-        return cls(status, iterations, residual, axial_wrench(force),
-                   None if stiffness is None else axial_stiffness(stiffness), violation, slipping)
+        return cls(status, iterations, residual, make_axial_wrench(force),
+                   None if stiffness is None else make_axial_stiffness_matrix(stiffness), violation, slipping)
 
     @property
     def force(self) -> float:
@@ -326,7 +326,7 @@ class Solver(FreeTool, ABC):
         """
         return False
 
-    def ahead(self, dt: float) -> NextForce | None:
+    def ahead(self, dt: float) -> PredictedForce | None:
         """Predict the force of the next step, directly after an inertial step that converged.
 
         Args:

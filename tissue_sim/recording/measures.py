@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tissue_sim.errors import InputError, nearest
+from tissue_sim.errors import InputError, suggest_known_word
 from tissue_sim.recording.recording import Recording
 
 ENGINEERING = "engineering"
@@ -139,7 +139,7 @@ def check_measure(measure: object, channel: str, channels: Mapping[str, object],
     if measure not in names:
         expected = f"one of {', '.join(names)}" if names else "left out: the channel has one measure only"
         raise InputError(f"measure of {channel} must be {expected}; got {measure!r}"
-                         f"{nearest(str(measure), names) if names else ''}", field=f"{field}.measure")
+                         f"{suggest_known_word(str(measure), names) if names else ''}", field=f"{field}.measure")
     if channel == "nominal stress" and not {"stretch", "shear strain"} & channels.keys():
         raise InputError(f"{MEASURES[str(measure)].title} needs the stretch to become a nominal stress; name a column "
                          "of stretch or strain too", field=f"{field}.measure")

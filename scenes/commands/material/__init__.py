@@ -182,7 +182,7 @@ def read_prony(terms: list[str], moduli: Literal["instantaneous", "long_term"]) 
     try:
         return Prony(tuple(PronyTerm(*pair) for pair in pairs), moduli)
     except InputError as error:
-        raise error.located(field="--prony") from None
+        raise error.with_location(field="--prony") from None
 
 
 def read_regions(regions: list[str]) -> dict[str, Material]:
@@ -258,7 +258,7 @@ def run_export(arguments) -> int:
     try:
         text = write(material)
     except InputError as error:
-        raise error.located(file=arguments.file) from None
+        raise error.with_location(file=arguments.file) from None
     write_text(arguments.output, text)
     if arguments.json:
         print_json({"file": str(arguments.output), "to": arguments.to})

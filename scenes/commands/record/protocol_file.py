@@ -18,8 +18,8 @@ from calibration.report.additions import to_toml
 from haptics.recorder.lag import measure_lag
 from haptics.recorder.plan import Plan
 from haptics.safety.motion_guard import DEFAULT_SENSOR_SILENCE, MotionLimits
-from tissue_sim.decode import decode, read_toml
-from tissue_sim.errors import InputError, located
+from tissue_sim.decode import decode_struct, read_toml
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.protocol import STUDY_SPEED
 from tissue_sim.experiment.protocol_text import parse_protocol
 from tissue_sim.experiment.segments import expand_legs
@@ -209,11 +209,11 @@ def read_protocol_file(path: Path) -> ProtocolFile:
     """
     content, text = read_toml(path, _EXPECTED), read_text(path, _EXPECTED)
     tables_content = {key: content[key] for key in PROTOCOL_TABLES if key in content}
-    with located(file=path):
+    with add_location_to_errors(file=path):
         if "limits" not in tables_content:
             raise InputError("is required, because a motor moves. Give force_N, lowest_mm, highest_mm, speed_mm_s, "
                              "duration_s, stiffness_N_per_mm and force_margin_N", field="limits")
-        tables = decode(tables_content, _ProtocolTables)
+        tables = decode_struct(tables_content, _ProtocolTables)
         campaign = _read_campaign(path, content)
         lag = _measure_lag(tables.record, path.parent)
         plans = {test.name: _make_plan(test, tables.record, lag, number, content,

@@ -175,7 +175,7 @@ class SolidPicture:
             return changed
         # Solvers of plug-ins may give fields of an unknown kind.
         fields: Any = snapshot.fields if is_drawable(snapshot.fields) else None
-        surface, self._in_space = frame.surface, snapshot.in_space
+        surface, self._in_space = frame.surface, snapshot.is_three_dimensional
         if fields is not None and fields.mesh is not self._mesh_drawn:
             changed = True
         if changed:

@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located
+from tissue_sim.errors import InputError, add_location_to_errors
 from tissue_sim.experiment.contact_law import ContactLaw, Traction
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.fem.taichi.trace import TRIED, Formula, expressions, traced
@@ -62,7 +62,7 @@ def _sum_tractions(formulas: tuple[Formula[ContactLaw], ...], place: list, setti
     for formula in formulas:
         reach, *parameters = numbers[: 1 + len(formula.parameters)]
         numbers = numbers[1 + len(formula.parameters):]
-        with located(field=f"contact_laws.{formula.kind.name}"):
+        with add_location_to_errors(field=f"contact_laws.{formula.kind.name}"):
             found = formula.bind(parameters).traction(gap, pressure, (slip, 0.0), face)
             if not isinstance(found, Traction):
                 raise InputError(f"traction() must return a tissue_sim.Traction; got {type(found).__name__}")

@@ -26,7 +26,7 @@ from tissue_sim.material.material import Material
 from tissue_sim.mesh import Mesh
 from tissue_sim.model import Model
 from tissue_sim.pose import NO_ROTATION, Pose
-from tissue_sim.tool_force import NextForce, axial_stiffness, axial_wrench, depth_of
+from tissue_sim.tool_force import PredictedForce, get_depth_of_pose, make_axial_stiffness_matrix, make_axial_wrench
 
 if TYPE_CHECKING:
     from tissue_sim.fem.axisymmetric.sensitivity import Sensitivity
@@ -120,7 +120,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
         state, rate = self.committed, 0.0
         if state.motion is not None and inertial:
             rate = state.motion.prepare(state.latest, dt)
-        return self.try_step(depth_of(pose), dt, tolerance, max_iterations, predictor_order, rate, inertial=inertial,
+        return self.try_step(get_depth_of_pose(pose), dt, tolerance, max_iterations, predictor_order, rate,
+                             inertial=inertial,
                              resumes=resumes, own_stiffness=own_stiffness)
 
     def try_step(self, depth: float, dt: float, tolerance: float, max_iterations: int, predictor_order: int,
@@ -159,7 +160,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
             is_due = OwnStiffness.is_due(own_stiffness, iterations < max_iterations)
             own = equations.stiffness_without_mass() if is_due else None
             result = replace(result, step_stiffness_matrix=result.stiffness_matrix,
-                             stiffness_matrix=None if own is None else axial_stiffness(own))
+                             stiffness_matrix=None if own is None else make_axial_stiffness_matrix(own))
         if result.status is StepStatus.CONVERGED:
             if inertial or rate == 0.0:  # the force of artificial damping is no load
                 state.largest_force = max(state.largest_force, abs(force))
@@ -173,7 +174,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
     def creep(self, pose: Pose | float, dt: float = 0.0, *, tolerance: float = 1e-9, max_iterations: int = 20,
               allowed: Callable[[], int] | None = None) -> Generator[Step]:
         """Step to a depth (m), or to that of a pose, with decreasing artificial damping; see `Solver.creep`."""
-        return creep(self, depth_of(pose), dt, tolerance, max_iterations, allowed)
+        return creep(self, get_depth_of_pose(pose), dt, tolerance, max_iterations, allowed)
 
     def follow_motion(self, density: float) -> bool:
         """Enable inertial steps with a mass density, kg/m3; returns True, because the solver supports inertia."""
@@ -183,7 +184,7 @@ class AxisymmetricSolver(KernelOwner, Solver):
         self._masses = density * equations.all_masses()
         return True
 
-    def ahead(self, dt: float) -> NextForce | None:
+    def ahead(self, dt: float) -> PredictedForce | None:
         """Predict the force of the next inertial step without motion; see `Solver.ahead`.
 
         Let D be the displacement of all degrees of freedom per depth of the tool, f the internal forces and a the
@@ -197,7 +198,8 @@ class AxisymmetricSolver(KernelOwner, Solver):
             return None
         more, stiffer = map(float, motion.ahead(self.committed.latest, dt, self._masses,
                                                 equations.compute_displacement_per_depth()))
-        return NextForce(axial_wrench(force + more), axial_stiffness(max(stiffness + stiffer, 0.0)))
+        return PredictedForce(make_axial_wrench(force + more),
+                              make_axial_stiffness_matrix(max(stiffness + stiffer, 0.0)))
 
     def ask_for_stiffness(self) -> None:
         """Enable the computation of the stiffness (derivative of the force with respect to the depth) in every step."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from tissue_sim.fem.reduced.model import PoseBox
 from tissue_sim.fem.reduced.settings import TrainingPathSettings
-from tissue_sim.pose import Pose, between, motion, turned
+from tissue_sim.pose import Pose, between, motion, rotate_pose
 
 #: Dimension of the Sobol sequence: two poses, each of position (3) and rotation (3).
 _DIMENSION = 12
@@ -69,7 +69,7 @@ def boundary_training_paths(box: PoseBox, start: Pose, *, holds: bool, reach: fl
         lean = (-small.turn * corner[1] / math.hypot(*corner), small.turn * corner[0] / math.hypot(*corner), 0.0) \
             if any(corner) else (0.0, 0.0, 0.0)
         upright, end = (_make_deepest_pose(small, start, point) for point in (corner, goal))
-        leaning = turned(upright, lean)
+        leaning = rotate_pose(upright, lean)
         corners = [start, upright, leaning, end, start] if holds else [
             _move_to_depth(upright, start, -0.1 * box.depth), _move_to_depth(upright, start, 0.0), upright, leaning,
             end, _move_to_depth(end, start, 0.0)]
@@ -134,7 +134,7 @@ def _make_pose_in_box(coordinates: np.ndarray, box: PoseBox, start: Pose, holds:
     flat = math.sqrt(max(0.0, 1.0 - height * height))
     size = box.turn * angle
     vector = (size * flat * math.cos(around), size * flat * math.sin(around), size * height)
-    return turned(Pose(position, start.orientation), vector)
+    return rotate_pose(Pose(position, start.orientation), vector)
 
 
 def _move_to_depth(pose: Pose, start: Pose, depth: float) -> Pose:

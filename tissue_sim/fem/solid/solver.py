@@ -30,7 +30,7 @@ from tissue_sim.fem.solver import Neighbours, OwnStiffness, Step, StepStatus
 from tissue_sim.material.material import Material
 from tissue_sim.mesh.solid import SolidMesh
 from tissue_sim.pose import Pose, Screw
-from tissue_sim.tool_force import Matrix, NextForce
+from tissue_sim.tool_force import Matrix, PredictedForce
 
 
 class SolidSolver(PlacedSolver):
@@ -298,14 +298,14 @@ class SolidSolver(PlacedSolver):
         self._mass = Mass(self.mesh, self.batches.weights, density, self._matrix.all)
         return True
 
-    def ahead(self, dt: float) -> NextForce | None:
+    def ahead(self, dt: float) -> PredictedForce | None:
         """Predict the force of the next step; see `Solver.ahead` and the axisymmetric solver for the method."""
         last = self._last
         if self._mass is None or self._along is None or last is None or last.step_stiffness_matrix is None:
             return None
         more, stiffer = self._mass.ahead(self.x, dt, self._along)
         wrench = cast("Screw", tuple((np.array(last.wrench) - more).tolist()))
-        return NextForce(wrench, to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
+        return PredictedForce(wrench, to_matrix_tuples(np.array(last.step_stiffness_matrix) + stiffer))
 
     def _node_positions(self, nodes: np.ndarray) -> np.ndarray:
         return self.mesh.nodes[nodes] + self.x.reshape(-1, 3)[nodes]

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import MissingBackendError, nearest
+from tissue_sim.errors import MissingBackendError, suggest_known_word
 from tissue_sim.fem.taichi.runtime import initialise
 from tissue_sim.kernel_owner import KernelOwner
 
@@ -41,7 +41,7 @@ class BoundKernel(KernelOwner):
         expected = _describe_arguments(kernel)
         for name in arrays:
             if name not in expected:
-                raise ValueError(f"the kernel has no argument {name!r}{nearest(name, expected)}")
+                raise ValueError(f"the kernel has no argument {name!r}{suggest_known_word(name, expected)}")
         if missing := [name for name in expected if name not in arrays]:
             raise ValueError(f"the kernel's arguments {', '.join(missing)} are missing")
         for name, (rank, width, dtype) in expected.items():

@@ -21,7 +21,7 @@ from numpy.lib.mixins import NDArrayOperatorsMixin
 
 from tissue_sim.errors import InputError
 from tissue_sim.fem.taichi.runtime import initialise
-from tissue_sim.parameters import declared
+from tissue_sim.parameters import list_field_declarations
 
 #: Numpy's functions that a formula may use, by the name of Taichi's.
 _FUNCTIONS = {np.exp: "exp", np.log: "log", np.sqrt: "sqrt", np.tanh: "tanh", np.sin: "sin", np.cos: "cos",
@@ -52,14 +52,14 @@ class Formula(NamedTuple, Generic[Thing]):
     def of(cls, thing: Thing) -> Formula[Thing]:
         """Return the formula of an effect or a law."""
         kind: Any = type(thing)
-        known = declared(kind)
+        known = list_field_declarations(kind)
         return cls(kind, tuple((entry.name, getattr(thing, entry.name)) for entry in fields(kind)
                                if entry.name not in known))
 
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the declared parameters, in order."""
-        return tuple(declared(self.kind))
+        return tuple(list_field_declarations(self.kind))
 
     def numbers(self, thing: Thing) -> list[float]:
         """Return the parameters of a law or effect, in order."""

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tissue_sim.errors import InputError, located, nearest
+from tissue_sim.errors import InputError, add_location_to_errors, suggest_known_word
 from tissue_sim.files import decode_text, read_bytes
 from tissue_sim.recording.formats.blocks import Block, find_named_blocks, find_numbered_blocks, find_unread_columns
 from tissue_sim.recording.formats.cell_units import has_equal_units
@@ -33,7 +33,7 @@ from tissue_sim.recording.formats.table import (
 from tissue_sim.recording.formats.workbook import Sheet, is_workbook, read_sheet, read_sheets
 from tissue_sim.recording.measures import check_measure, convert_measures
 from tissue_sim.recording.recording import CHANNELS, LABELS, MIN_POINTS, Recording
-from tissue_sim.units import loose_header, split_header
+from tissue_sim.units import split_free_form_header, split_header_with_brackets
 
 #: Keys of an entry of ``columns``.
 _KEYS = ("name", "column", "unit", "sign", "scale", "offset", "measure")
@@ -243,7 +243,7 @@ def _read_recordings(tables, wanted: Mapping[str, Mapping[str, Any]], path: Path
     measures = {channel: entry["measure"] for channel, entry in wanted.items() if "measure" in entry}
     if not measures:
         return found
-    with located(file=path):
+    with add_location_to_errors(file=path):
         return [replace(each, recording=convert_measures(each.recording, measures)) for each in found]
 
 
@@ -295,7 +295,8 @@ def _choose_columns(wanted: Mapping[str, Mapping[str, Any]], places: Mapping[str
         if channel in LABELS:
             chosen.append(Column(channel, index, cell))
             continue
-        unit = entry.get("unit", loose_header(cell)[1] or block.unit(index) or split_header(cell)[1])
+        unit = entry.get("unit", split_free_form_header(cell)[1] or block.unit(index)
+                         or split_header_with_brackets(cell)[1])
         try:
             factor, offset = si_conversion(channel, unit, entry.get("scale"))
         except InputError as error:
@@ -345,14 +346,14 @@ def check_columns(columns: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     for channel, entry in columns.items():
         field = f"columns.{channel}"
         if channel not in CHANNELS and channel not in LABELS:
-            raise InputError(f"unknown channel{nearest(str(channel), (*CHANNELS, *LABELS))}", field=field)
+            raise InputError(f"unknown channel{suggest_known_word(str(channel), (*CHANNELS, *LABELS))}", field=field)
         entry = {"name": entry} if isinstance(entry, str) else entry
         if not isinstance(entry, Mapping):
             raise InputError(f"must be a column name or a map with name or column, unit and sign; got {entry!r}",
                              field=field)
         for key, value in entry.items():
             if key not in _KEYS:
-                raise InputError(f"unknown key{nearest(str(key), _KEYS)}", field=f"{field}.{key}")
+                raise InputError(f"unknown key{suggest_known_word(str(key), _KEYS)}", field=f"{field}.{key}")
             if key == "sign" and (isinstance(value, bool) or value not in (1, -1)):
                 raise InputError(f"must be 1 or -1; got {value!r}", field=f"{field}.sign")
             if key in ("name", "unit") and not isinstance(value, str):

@@ -11,8 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tissue_sim.errors import InputError, located
-from tissue_sim.frozen_mapping import read_only
+from tissue_sim.errors import InputError, add_location_to_errors
+from tissue_sim.frozen_mapping import make_read_only_copy
 from tissue_sim.recording.cleaning import clean, count_from_start, find_start_value
 from tissue_sim.recording.formats.columns import MarkedRecording
 from tissue_sim.recording.formats.decimal_mark import NumberMarks, find_marks, resolve_marks_by_text
@@ -76,11 +76,11 @@ def understand(path: str | Path, hints: ColumnHints | None = None) -> Understand
     if not tables:
         kind = guess_kind((), (), [*title_hints(found[0]), *titles], machine, hints.kind)
         if kind.refused is not None:
-            raise kind.refused.refusal().located(file=path)
+            raise kind.refused.refusal().with_location(file=path)
         raise InputError(explain_missing_columns(
             found, machine, hints, lambda each: _find_statements(each, each.columns, hints)), file=path)
     tables = _add_statements(source, found, tables, hints)
-    with located(file=path):
+    with add_location_to_errors(file=path):
         together = group_equal_tables(tables)
         parts = [_read_tables(source, group, hints, machine, titles, _unused_headers(group[0].numbers, tables))
                  for group in together]
@@ -255,8 +255,8 @@ def _read_tables(source: Source, groups: Sequence[Group], hints: ColumnHints, ma
     if marks.is_open:
         # An ambiguous decimal mark is a question to the user.
         kept.pop("decimal", None)
-    reading = Reading("", columns, first.others, read_only(kept), recordings, kind, first.line, sheets,
-                      read_only(first.stated), (*remarks, *compared), assumptions=assumptions, unused=unused,
+    reading = Reading("", columns, first.others, make_read_only_copy(kept), recordings, kind, first.line, sheets,
+                      make_read_only_copy(first.stated), (*remarks, *compared), assumptions=assumptions, unused=unused,
                       speed=first.speed)
     return split_by_material(reading, groups, [(each.sheet, each.line) for each in marked], hints), marks
 
