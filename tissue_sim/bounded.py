@@ -221,7 +221,7 @@ def _execute_packed_task(task: bytes, first: int) -> bytes:
         first: data memory of the process before its first task, bytes.
 
     Returns:
-        Pickled tuple: success, result or error, and whether the memory has grown so much that the process must end.
+        Pickled tuple: success, result or error, and whether the memory has grown beyond `SandboxLimits.memory_growth`.
     """
     value: Any
     try:

@@ -28,7 +28,7 @@ MODULI = ModulusRange()
 
 
 def require_realtime_experiment(experiment: Experiment) -> None:
-    """Check that an experiment has no reduced effects that correct whole recordings.
+    """Raise an error for an experiment with corrections of whole recordings, which no single step can apply.
 
     Raises:
         InputError: a tilted tool, or partial slip.

@@ -15,7 +15,7 @@ class LimitError(InputError):
 
 
 def convert_to_pose(pose: float | Pose) -> Pose:
-    """Return a pose, or the pose at a depth in m; its numbers may be NaN or infinite.
+    """Convert a pose or a depth, m, to a `Pose`; the numbers may be NaN or infinite.
 
     Raises:
         InputError: something else than a pose of numbers, or than one real number.
@@ -66,7 +66,7 @@ class MotionLimits:
     require = OldName("require_valid_step")
 
     def require_valid_step(self, pose: Pose, before: Pose | None, dt: float) -> None:
-        """Check a step before it changes the tissue.
+        """Raise a `LimitError` for a pose or time step beyond the limits, before the step changes the tissue.
 
         Args:
             pose: of the tool at the end of the step.

@@ -19,7 +19,7 @@ from tissue_sim.registry import list_modules_of_additions, list_registered_objec
 
 
 def pack_task(function: Callable[..., Any], arguments: tuple) -> bytes:
-    """Serialise a task for `run_packed_task` in another process."""
+    """Pickle a function call, with all objects added to registries, for `run_packed_task` in another process."""
     things = list_registered_objects()
     by_value = [module for name, module in list_modules_of_additions().items() if not _is_importable_by_workers(name)]
     for module in by_value:
@@ -34,7 +34,7 @@ def pack_task(function: Callable[..., Any], arguments: tuple) -> bytes:
 
 
 def run_packed_task(task: bytes) -> Any:
-    """Execute a task of `pack_task` in the worker and return its result."""
+    """Execute a task of `pack_task` in this worker process, and return the result of the function."""
     things, call = cloudpickle.loads(task)
     if things:
         register_objects_of_other_process(cloudpickle.loads(things))
@@ -43,7 +43,7 @@ def run_packed_task(task: bytes) -> Any:
 
 
 def _is_importable_by_workers(module: str) -> bool:
-    """Whether every worker can import the module."""
+    """Return whether every worker process can import a module."""
     package = module.partition(".")[0]
     return package in sys.stdlib_module_names or package in _list_importable_packages()
 

@@ -69,30 +69,30 @@ class Parameter:
 
     @property
     def symbol(self) -> str:
-        """Symbol, with a number if there are several parameters of the kind: ``g1``."""
+        """Symbol of the parameter, with a number if there are several parameters of this kind, such as ``g1``."""
         return make_parameter_symbol(self.path, self.declaration)
 
     file_path = OldName("path_in_file")
 
     @property
     def path_in_file(self) -> str:
-        """Path in files, whose last part contains the unit: ``viscoelastic.terms[0].tau_s``."""
+        """Path of the parameter in files, whose last key contains the unit: ``viscoelastic.terms[0].tau_s``."""
         place, dot, _ = self.path.rpartition(".")
         return place + dot + self.declaration.key
 
 
 def make_parameter_symbol(path: str, declaration: Declaration) -> str:
-    """Symbol of a declaration at a path, with a number if there are several of the kind: ``g1``."""
+    """Return the symbol of a declaration at a path, with the index in the path plus 1: ``terms[0].g`` gives ``g1``."""
     return declaration.symbol + "".join(str(token + 1) for token in split_parameter_path(path)
                                         if isinstance(token, int))
 
 
 @runtime_checkable
 class HasParameters(Protocol):
-    """Part with parameters that are not fields, such as those of a law."""
+    """Protocol of a model component with parameters that are not dataclass fields, such as those of a law."""
 
     def own_parameters(self) -> Mapping[str, tuple[Declaration, float]]:
-        """Declaration and value, by name, of the parameters that are not fields."""
+        """Return name -> (declaration, value in SI) of the parameters that are not fields."""
 
     def with_own_parameters(self: Part, values: Mapping[str, float], **changes: Any) -> Part:
         """Return the part with changed parameters and fields."""
@@ -107,17 +107,17 @@ def parameter(symbol: str, unit: str, *, key: str, factor: float = 1.0, bounds: 
 
 
 def get_field_declaration(entry: Field) -> Declaration | None:
-    """Declaration of a dataclass field; None if it is not a parameter."""
+    """Return the `Declaration` of a dataclass field; None if the field is not a parameter."""
     return entry.metadata.get(_KEY)
 
 
 def list_field_declarations(kind: type) -> dict[str, Declaration]:
-    """Return the declarations of the parameters of a dataclass by field name, in the order of the fields."""
+    """Return field name -> `Declaration` of the parameters that a dataclass declares, in the order of the fields."""
     return {entry.name: what for entry in fields(kind) if (what := get_field_declaration(entry)) is not None}
 
 
 def make_declared_class_check(base: type) -> Callable[[Any], bool]:
-    """Return a check for registries: whether an object is a dataclass that derives from `base` and has parameters."""
+    """Return a predicate for registries: whether a class is a dataclass, derives from `base` and has parameters."""
     return lambda kind: (isinstance(kind, type) and issubclass(kind, base) and is_dataclass(kind)
                          and bool(list_field_declarations(kind)))
 
@@ -156,7 +156,7 @@ def value(part: Any, path: str) -> float:
 
 
 def find_parameters(model: Any, names: Iterable[str]) -> list[Parameter]:
-    """Return parameters of a model by their paths; ``material.`` may be left out.
+    """Return the parameters of a model with given paths, in which ``material.`` may be left out.
 
     Raises:
         InputError: an unknown path; the message names the nearest.
@@ -251,7 +251,7 @@ def make_from_file_keys(kind: type[Part], content: Mapping[str, float], field: s
 
 
 def _find_component(part: Any, path: str) -> Any:
-    """Object at a path, the part itself at the empty path; None if there is none."""
+    """Return the object at a path below a component (empty path: the component itself); None without an object."""
     for token in split_parameter_path(path):
         if isinstance(token, int):
             part = part[token] if isinstance(part, tuple) and token < len(part) else None
@@ -261,7 +261,7 @@ def _find_component(part: Any, path: str) -> Any:
 
 
 def _has_parameter(part: Any, name: str | int) -> bool:
-    """Whether the part itself, not one below it, has a parameter of the name."""
+    """Return whether a component itself, not a component inside it, has a parameter with a name."""
     if not is_dataclass(part):
         return False
     return any(each.path == name for each in _iterate_own_parameters(part, ""))

@@ -137,7 +137,7 @@ def _make_numbers_error(values: object, count: int, field: str, names: str) -> I
 
 
 def _format_length(length: float) -> str:
-    """Text of a length with four significant digits of its difference from 1."""
+    """Format the length of a quaternion with four significant digits of its difference from 1."""
     if not 0.5 < length < 2.0:
         return f"{length:.4g}"
     decimals = 3 - math.floor(math.log10(abs(length - 1.0)))
@@ -157,7 +157,7 @@ def add_screws(one: Screw, other: Screw) -> Screw:
 
 
 def motion(start: Pose, end: Pose) -> Screw:
-    """Return the motion between two poses: translation, m, and rotation vector, rad, in the frame of the scene.
+    """Compute the motion from the first to the second pose: translation, m, and rotation vector, rad, scene frame.
 
     Examples:
         >>> motion(Pose.at_depth(0.0), Pose.at_depth(0.002))
@@ -201,7 +201,7 @@ def between(start: Pose, end: Pose, share: float) -> Pose:
 
 
 def rotate_pose(pose: Pose, rotation: Vector) -> Pose:
-    """Rotate a pose about its position by a rotation vector, rad, in the frame of the scene."""
+    """Return a pose that is rotated about its position by a rotation vector, rad, in the frame of the scene."""
     angle = math.sqrt(sum(part * part for part in rotation))
     if angle == 0.0:
         return pose
@@ -210,7 +210,7 @@ def rotate_pose(pose: Pose, rotation: Vector) -> Pose:
 
 
 def compute_twist_about_axis(orientation: Quaternion) -> Quaternion | None:
-    """Rotation about the tool's own axis that a quaternion contains (swing-twist decomposition); None: no rotation."""
+    """Compute the rotation about the tool's axis in a quaternion (swing-twist decomposition); None: no rotation."""
     w, _, _, z = orientation
     size = math.hypot(w, z)
     if size < QUATERNION.small_sine or abs(z) < QUATERNION.rounding * size:
@@ -219,7 +219,7 @@ def compute_twist_about_axis(orientation: Quaternion) -> Quaternion | None:
 
 
 def remove_twist(pose: Pose, twist: Quaternion | None) -> Pose:
-    """Remove a rotation about the tool's own axis from a pose; a body of revolution does not change."""
+    """Return a pose without a rotation about the tool's axis, which does not change a body of revolution."""
     if twist is None:
         return pose
     w, _, _, z = twist
@@ -227,18 +227,18 @@ def remove_twist(pose: Pose, twist: Quaternion | None) -> Pose:
 
 
 def add_twist(pose: Pose, twist: Quaternion | None) -> Pose:
-    """Inverse of `remove_twist`."""
+    """Return a pose with an additional rotation about the tool's axis; inverse of `remove_twist`."""
     return pose if twist is None else Pose(pose.position, _multiply_quaternions(pose.orientation, twist))
 
 
 def shift_pose_along_z(pose: Pose, height: float) -> Pose:
-    """Move a pose along z by a height, m."""
+    """Return a pose that is shifted along z, out of the tissue, by a height, m."""
     x, y, z = pose.position
     return Pose((x, y, z + height), pose.orientation)
 
 
 def _compute_relative_rotation(start: Quaternion, end: Quaternion) -> Quaternion:
-    """Rotation from one orientation to another, by at most half a turn."""
+    """Compute the rotation vector, rad, from one orientation to another, by at most half a turn."""
     w, x, y, z = start
     relative = _multiply_quaternions(end, (w, -x, -y, -z))
     if relative[0] >= 0.0:

@@ -142,7 +142,7 @@ def list_registered_objects() -> list[tuple[str, str, Any]]:
 
 
 def list_modules_of_additions() -> dict[str, ModuleType]:
-    """Return the modules, by name, of all objects that are not built in: registered ones, and loaded ones of packages.
+    """Return name -> module of all objects that are not built in: registered objects, and loaded objects of packages.
 
     Results of a program depend on the source of these modules.
     """

@@ -68,7 +68,7 @@ class SolverObserver(Protocol):
     """Observer of a solver during a test."""
 
     def before_first_step(self, solver: Solver) -> None:
-        """Called before the first step."""
+        """Prepare for the test; called once before the first step of `solver`."""
 
     def after_sample(self, solver: Solver, factor: float) -> None:
         """Called after each sample; the force of the test is `factor` times that of the solver."""
@@ -248,7 +248,7 @@ def _estimate_force_error(tissue: Solver, model: Model, force: np.ndarray, solve
 
 
 def _update_maxima_in_report(report: dict, step: Step) -> None:
-    """Update the maxima over the samples in a report."""
+    """Update the maxima over all samples in a report with the values of one step."""
     for name, value in (("residual", step.residual), ("penetration_mm", step.violation * 1e3),
                         ("slipping_points", step.slipping)):
         if name in report:
@@ -275,7 +275,7 @@ class _LoadTrain:
         self._known: list[tuple[float, float]] = []
 
     def register_sample(self, depth: float, force: float) -> None:
-        """Register depth and force of a sample."""
+        """Store depth, m, and force, N, of a converged sample for `predict_depth`."""
         self._known = [*self._known[-1:], (depth, force)]
 
     def predict_depth(self, position: float) -> tuple[float, float]:
@@ -305,7 +305,7 @@ class _ToolDrive:
 
     @property
     def reduced_force_factor(self) -> float:
-        """Factor of effects in reduced form on the force at the present depth."""
+        """Factor of the effects in reduced form on the force at the present depth of the tool."""
         return self._reduced.compute_factor(self._solver.pose.depth)
 
     def register_sample(self, wrench: Screw, dt: float) -> Screw:

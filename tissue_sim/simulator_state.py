@@ -42,7 +42,7 @@ class LastEquilibrium:
 
     def make_next_equilibrium(self, step: Step, pose: Pose, share: float, inertial: bool,
                               dt: float = 0.0) -> LastEquilibrium:
-        """Return the next equilibrium, after a converged step.
+        """Return the equilibrium after a converged step; the stiffness of this one is kept if the step has none.
 
         Args:
             step: result of the solver.
@@ -104,11 +104,15 @@ class DampedPathState:
     _allowed: int = field(init=False, default=1)
 
     def solves_until_yield(self) -> int:
-        """Return the number of linear solves until the next yield."""
+        """Return the number of linear solves that the damped path may make until its next yield."""
         return self._allowed
 
     def continue_with_solves(self, allowed: int) -> Step | None:
-        """Continue with a number of linear solves; return the next step, also as `last`; None after the last one."""
+        """Continue the damped path with at most `allowed` linear solves.
+
+        Returns:
+            The next step, which is also stored as `last`; None if the path is complete.
+        """
         self._allowed = allowed
         step = next(self.steps, None)
         self.last = step or self.last
@@ -133,13 +137,13 @@ class StateOrigin:
 
     @classmethod
     def from_model(cls, solver: str, mesh: str, model: Model) -> StateOrigin:
-        """Make the origin of the states of a model in a solver whose mesh has a digest."""
+        """Make the origin of saved states from solver name, digest of the mesh, and model."""
         experiment = {each.name: getattr(model.experiment, each.name) for each in fields(model.experiment)
                       if each.name != "protocol"}
         return cls(solver, mesh, repr(experiment), describe_material_structure(model.material))
 
     def require_equal_origin(self, other: StateOrigin) -> None:
-        """Require that a state comes from the same solver, mesh, experiment and material structure.
+        """Raise an error unless a state has the same solver, mesh, experiment and material structure.
 
         Raises:
             InputError: another solver, mesh, experiment or structure of the material.
@@ -147,12 +151,13 @@ class StateOrigin:
         for name, what in (("solver", "solver"), ("experiment", "specimen, tool or interface"),
                            ("material", "law or with other effects or layers"), ("mesh", "mesh")):
             if getattr(self, name) != getattr(other, name):
-                raise InputError(f"must be of the same model and mesh; this state is of another {what}. Restore it in "
-                                 "the simulator that saved it, or in a clone() of that one.", field="state")
+                raise InputError(f"must be of the same model and mesh; this state is of another {what}. Restore the "
+                                 "state in the simulator that saved it, or in a clone() of that simulator.",
+                                 field="state")
 
 
 def describe_material_structure(value: Any) -> str:
-    """Text of a material without its numbers, name and bulk response, to compare structures."""
+    """Return a text of law, effects and layers of a material without its numbers and name, to compare structures."""
     if is_dataclass(value):
         inner = [f"{each.name}={describe_material_structure(getattr(value, each.name))}" for each in fields(value)
                  if each.name not in ("name", "bulk", "parameters", "density", "source")]

@@ -73,13 +73,13 @@ class Snapshot:
         return positions
 
     def arrays(self) -> tuple[np.ndarray, ...]:
-        """Arrays that differ between snapshots of one tissue, besides pose and datum; empty without shared fields."""
+        """Return the arrays that differ between snapshots of one tissue; empty if the fields cannot share data."""
         if self.skin is not None:
             return (self.skin.vertices,)
         return self.fields.arrays() if _is_shared_fields(self.fields) else ()
 
     def at(self, pose: Pose, datum: float, arrays: Sequence[np.ndarray]) -> Snapshot:
-        """Make another snapshot of this tissue from its `arrays`."""
+        """Make a snapshot of the same tissue at another equilibrium from the `arrays` of that snapshot."""
         fields, skin = self.fields, self.skin
         if skin is not None:
             skin = replace(skin, vertices=arrays[0])
@@ -88,7 +88,7 @@ class Snapshot:
         return Snapshot(pose, datum, fields, skin)
 
     def material_data(self) -> dict[str, Any]:
-        """Return the data, besides the arrays, that change with the parameters of the material."""
+        """Return name -> data, other than `arrays`, that change with the parameters of the material."""
         return self.fields.material_data() if _is_shared_fields(self.fields) else {}
 
     def with_material(self, changed: Mapping[str, Any]) -> Snapshot:

@@ -12,7 +12,7 @@ _POINTS = 32
 
 
 def compute_tilted_recording(recording: Recording, tilt: float, depth: np.ndarray) -> Recording:
-    """Compute the recording of a tilted face from that of an upright one.
+    """Compute the recording of a test with a tilted face from the recording with an upright face.
 
     The tool touches on its lower side first. A strip of the face at the distance x from the axis, in radii, is
     tilt (1 - x)/2 behind the side that touches first, so that
@@ -45,5 +45,5 @@ def split_tilted_face_into_strips(tilt: float) -> list[tuple[float, float]]:
 
 
 def _compute_depth_after_lag(displacement: np.ndarray, lag: float) -> np.ndarray:
-    """Depth of a strip that touches later; above the touch all strips are in the air."""
+    """Return the depth, m, of a strip that touches the tissue later; above the touch all strips are in the air."""
     return np.where(displacement > 0, np.maximum(displacement - lag, 0.0), displacement)

@@ -44,12 +44,17 @@ ERROR_FLOOR_SHARE = 0.05
 
 
 def compute_negligible_force_error(shear_modulus: float, contact_radius: float) -> float:
-    """Estimated error of the force, N, that never rules out CONVERGED, for a modulus in Pa and a radius in m."""
+    """Return the error of the force, N, up to which a force has the status CONVERGED however small the force is.
+
+    Args:
+        shear_modulus: initial shear modulus, Pa.
+        contact_radius: contact radius of the tool, m.
+    """
     return min(ERROR_FLOOR, ERROR_FLOOR_SHARE * shear_modulus * contact_radius**2)
 
 
 def is_force_accurate_enough(wrench: Screw, error: float | None, floor: float = ERROR_FLOOR) -> bool:
-    """Whether the estimated error of the force, N, allows the status CONVERGED; an unknown error (None) does.
+    """Return whether the estimated error of the force, N, allows the status CONVERGED; True for an unknown error.
 
     Args:
         wrench: force and torque on the tool.
@@ -63,13 +68,13 @@ def is_force_accurate_enough(wrench: Screw, error: float | None, floor: float = 
 
 
 def limit_force_of_wrench(wrench: Screw, largest: float) -> Screw:
-    """Limit the force of a wrench to `largest`, N; force and torque are scaled by the same factor."""
+    """Return a wrench whose force is at most `largest`, N; force and torque are scaled by the same factor."""
     force = math.hypot(*wrench[:3])
     return wrench if force <= largest else scale_screw(largest / force, wrench)
 
 
 def compute_largest_force_change(stiffness: Matrix, length: float) -> float:
-    """Largest change of the force along an axis for an increment of the tool's motion, N.
+    """Return the largest change of a force component, N, for a displacement increment of the tool.
 
     Args:
         stiffness: see `ToolForce`.
@@ -144,7 +149,7 @@ class PredictedForce:
     stiffness_matrix: Matrix
 
     def scale_force(self, share: float) -> PredictedForce:
-        """Multiply wrench and stiffness by a number."""
+        """Return the prediction with wrench and stiffness multiplied by a number."""
         return PredictedForce(scale_screw(share, self.wrench), scale_matrix(share, self.stiffness_matrix))
 
 
@@ -253,7 +258,7 @@ class ToolForce:
         return self.wrench[3:]
 
     def scale_force(self, share: float, status: ForceStatus) -> ToolForce:
-        """Multiply force, torque and every stiffness by a number, and set a status."""
+        """Return the result with force, torque and all stiffnesses multiplied by a number, and with another status."""
         ahead, within = self.ahead, self.step_stiffness_matrix
         return replace(
             self, wrench=scale_screw(share, self.wrench), stiffness_matrix=scale_matrix(share, self.stiffness_matrix),
@@ -295,7 +300,7 @@ class TouchState:
         self.has_touched, self.height = has_touched, height
 
     def register_height(self, height: float, dt: float) -> float | None:
-        """Register a step.
+        """Register the height of the tool in a step, and update whether the tool has touched the tissue.
 
         Args:
             height: distance that the tool must go down until it touches the undeformed tissue, m; negative if the tool
@@ -339,10 +344,10 @@ def has_touched(tissue: Tissue) -> bool:
 
 
 def get_depth_of_pose(pose: float | Pose) -> float:
-    """Depth of a pose; a number is returned as it is, m."""
+    """Return the depth of a pose, m; a number is a depth and is returned unchanged."""
     return pose.depth if isinstance(pose, Pose) else float(pose)
 
 
 def convert_depth_to_pose(pose: float | Pose) -> Pose:
-    """Pose of a number, which is a depth in m; a pose is returned as it is."""
+    """Return a pose unchanged, or the pose of an upright tool at a depth, m."""
     return pose if isinstance(pose, Pose) else Pose.at_depth(float(pose))

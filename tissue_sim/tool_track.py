@@ -132,7 +132,7 @@ class ToolTrack:
 
 
 def compute_fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
-    """Fraction of a straight path on which a tool in the air does not touch the tissue in its present shape."""
+    """Compute the fraction of a straight path at which a tool in the air touches the tissue in its present shape."""
     low, high = 0.0, 1.0
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
@@ -142,7 +142,7 @@ def compute_fraction_in_air(solver: Solver, before: Pose, pose: Pose) -> float:
 
 
 def is_pose_on_axis(pose: Pose, seen: Pose, radius: float) -> bool:
-    """Whether a pose agrees with its projection on the axis, which an axisymmetric solver uses instead.
+    """Return whether a pose agrees, within `AxisTolerances`, with its projection on the axis of symmetry.
 
     Args:
         pose: pose as passed to the simulator.

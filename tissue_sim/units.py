@@ -84,7 +84,7 @@ def get_si_factor_and_offset(unit: str, quantity: str | None = None) -> tuple[fl
 
 
 def find_known_unit(text: str) -> str | None:
-    """Name in `UNITS` of a unit in another spelling or in brackets: ``(sec)`` gives ``s``; None if it is not known.
+    """Return the name in `UNITS` of a unit in another spelling or in brackets; None for an unknown unit.
 
     Examples:
         >>> find_known_unit("(sec)")
@@ -98,7 +98,7 @@ def find_known_unit(text: str) -> str | None:
 
 
 def find_quantity_of_unit(unit: str | None) -> str | None:
-    """Quantity of a unit, such as ``force``; ``signal`` for volts and counts; None if the unit is not known.
+    """Return the quantity of a unit, such as ``force``, or ``signal`` for volts and counts; None for an unknown unit.
 
     Examples:
         >>> find_quantity_of_unit("kPa"), quantity_of("mV")
@@ -119,7 +119,7 @@ def get_display_unit(unit: str) -> tuple[str, float]:
 
 
 def split_header_with_brackets(header: str) -> tuple[str, str | None]:
-    """Split a header: ``'Load (N)'`` -> ``('Load', 'N')``; ``'Stretch'`` -> ``('Stretch', None)``.
+    """Split a header with the unit in brackets into name and unit; the unit is None without brackets.
 
     Examples:
         >>> split_header_with_brackets("Load (N)")
@@ -132,7 +132,7 @@ def split_header_with_brackets(header: str) -> tuple[str, str | None]:
 
 
 def split_free_form_header(header: str) -> tuple[str, str | None]:
-    """Split a header in one of the forms that testing machines write: ``'Fz, gf'``, ``'Force_N'``, ``'Weg / mm'``.
+    """Split a header of a testing machine without brackets, such as ``'Fz, gf'``, into name and unit; None: no unit.
 
     Only a known unit is split off: ``Run_2`` and ``Position (z)`` are names without a unit.
 

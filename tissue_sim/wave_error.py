@@ -55,7 +55,7 @@ class WaveTimeAndSpeed:
 
     @classmethod
     def from_model(cls, model: Model, density: float) -> WaveTimeAndSpeed:
-        """Make the scale of the waves of a model whose tissue has a density, kg/m3."""
+        """Compute time and speed of the waves in the tissue of a model that has a density, kg/m3."""
         experiment, material = model.experiment, model.material
         shear_modulus = material.mu0
         speed, radius = math.sqrt(shear_modulus / density), experiment.contact_radius
@@ -89,7 +89,7 @@ class WaveErrorEstimator:
         return other
 
     def register_step_without_mass(self, way: Screw | None, dt: float) -> None:
-        """Register a step in which the mass does not count.
+        """Update the error estimate with a quasi-static step, in which the inertia of the tissue does not act.
 
         Args:
             way: motion of the tool, which tissue in contact follows, m and rad; None if there is no contact.
@@ -101,7 +101,7 @@ class WaveErrorEstimator:
 
     def register_step_with_mass(self, stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float,
                                 scale: WaveTimeAndSpeed) -> None:
-        """Register a step in which the mass counts.
+        """Update the error estimate with a step in which the inertia of the tissue acts.
 
         Args:
             stiffness: stiffness of the tissue without its mass, as in a `ToolForce`.
@@ -127,7 +127,7 @@ class WaveErrorEstimator:
 
 
 def _compute_tissue_momentum(stiffness: Matrix, step_stiffness: Matrix, way: Screw, dt: float) -> Vector:
-    """Momentum of the tissue that moves with the tool, N s, along the three axes."""
+    """Compute the momentum of the tissue that moves with the tool, N s, along the three axes."""
     x, y, z = (0.0 if own is within else dt * sum((b - a) * part for a, b, part in zip(own, within, way, strict=True))
                for own, within in zip(stiffness[:3], step_stiffness[:3], strict=True))
     return (x, y, z)
