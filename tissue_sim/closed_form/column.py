@@ -97,7 +97,7 @@ class Column:
     specimen: Specimen
 
     def settle(self, law: Law, values) -> SettledColumn:
-        """Compute the state at the start of the test.
+        """Compute the equilibrium under the own weight, which is the state at the start of the test.
 
         Raises:
             InputError: no stable equilibrium under the weight exists.
@@ -111,15 +111,15 @@ class Column:
         return SettledColumn(curve.moulded_height, float(curve.height[0]), float(curve.base_stretch[0]))
 
     def nominal_stress(self, law: Law, displacement, values) -> np.ndarray:
-        """Minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
+        """Return minus the force of the plate over the undeformed cross-section, Pa, shape of `displacement`."""
         return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress)
 
     def nominal_stress_slope(self, law: Law, displacement, values) -> np.ndarray:
-        """d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
+        """Return d(nominal stress)/d(displacement), Pa/m, shape of `displacement`."""
         return self._evaluate_curve(law, displacement, values, lambda curve: curve.stress.derivative())
 
     def nominal_stress_derivatives(self, law: Law, displacement, values) -> np.ndarray:
-        """d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
+        """Return d(nominal stress)/d(parameter) at constant displacement, shape (*displacement.shape, m).
 
         The sag depends on the parameters, and so does the undeformed height if the settled height is given.
         """
@@ -127,7 +127,7 @@ class Column:
                                     len(law.parameters))
 
     def base_stretch(self, law: Law, displacement, values) -> np.ndarray:
-        """Stretch of the slice on the base, the smallest of all, shape of `displacement`."""
+        """Return the stretch of the slice on the base, the smallest of all slices, shape of `displacement`."""
         return self._evaluate_curve(law, np.maximum(displacement, 0.0), values,
                                     lambda curve: CubicSpline(curve.displacement, curve.base_stretch))
 
@@ -189,7 +189,7 @@ class _CompressionCurve:
         return float(self.displacement[-1]) if self.states else -np.inf
 
     def _find_settled_height(self, branch: _CompressiveBranch) -> tuple[float, float]:
-        """Undeformed height and height under the weight, m; NaN if no equilibrium is found."""
+        """Find the undeformed height and the height under the weight, m; NaN if no equilibrium is found."""
         given = height = self.specimen.height
         # The settled height is a concave function of the undeformed one: Newton's method from below does not overshoot.
         for _ in range(_SETTINGS.max_iterations):
@@ -241,7 +241,7 @@ class _CompressiveBranch:
         self.points, self.pressure = points[:count], pressure[:count]
 
     def log_stretch(self, pressure: np.ndarray) -> np.ndarray:
-        """Logarithm of the stretch at pressures, Pa per undeformed area, shape (n,); NaN beyond the branch."""
+        """Return the logarithm of the stretch at nominal pressures, Pa, shape (n,); NaN beyond the branch."""
         result = np.full(pressure.shape, np.nan)
         if self.pressure.size < 2:
             return result
@@ -287,5 +287,5 @@ def _compute_slice_stretches_and_weights(law: Law, values: np.ndarray, top: np.n
 
 
 def _count_true_before_first_false(flags: np.ndarray) -> int:
-    """Number of true values before the first false one."""
+    """Return the number of true values before the first false value."""
     return flags.size if flags.all() else int(np.argmin(flags))

@@ -71,6 +71,6 @@ def _format_hyperelastic_options(name: str) -> tuple[str, int]:
 
 
 def _make_abaqus_label(material: Material) -> str:
-    """Label for Abaqus: letters, digits and underscores, first a letter, at most 80 characters."""
+    """Convert a name to a label for Abaqus: letters, digits and underscores, first a letter, at most 80 characters."""
     label = re.sub(r"\W+", "_", material.name or material.law, flags=re.ASCII).strip("_").upper()[:80]
     return label if label[:1].isalpha() else f"TISSUE_{label}"[:80]

@@ -70,7 +70,7 @@ def load_or_print_text(write: Callable[[], str], *, cache_key: tuple | None) -> 
 
 
 def _make_cache_path(cache_key: tuple | None, source: str | None = None) -> Path | None:
-    """Path of a cached function or text; None if it is not cached."""
+    """Return the path of a cached function or text; None for the key None, which is not cached."""
     if cache_key is None:
         return None
     files = (*sorted(Path(__file__).parent.glob("*.py")), *([] if source is None else [Path(source)]))
@@ -87,7 +87,7 @@ def _write_cache_file(path: Path | None, text: str) -> None:
 
 @cache
 def _compute_source_digest(files: tuple[Path, ...]) -> str:
-    """Digest of the source files and the version of sympy."""
+    """Return the SHA-256 of the source files and the version of sympy, which invalidates the cache after a change."""
     try:
         release = version("sympy")
     except PackageNotFoundError:

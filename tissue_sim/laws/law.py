@@ -87,7 +87,7 @@ class Law:
         return tuple(sp.Symbol(name, real=True) for name in self.parameters)
 
     def energy_of_stretches(self, l1, l2, l3, parameters) -> sp.Expr:
-        """W at three principal stretches with l1 l2 l3 = 1; arguments are symbols or numbers."""
+        """Return W as an expression of three principal stretches with l1 l2 l3 = 1, which are symbols or numbers."""
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     @property
@@ -106,7 +106,7 @@ class Law:
         raise TypeError(f"{type(self).__name__} must derive from InvariantLaw or StretchLaw")
 
     def kernel_coefficients(self, values) -> np.ndarray:
-        """Coefficients of `kernel_energy` for parameters, shape (number of coefficients,)."""
+        """Return the values of the coefficients of `kernel_energy` for parameters, shape (number of coefficients,)."""
         return self.as_array(values)
 
     def as_array(self, values) -> np.ndarray:
@@ -140,7 +140,7 @@ class Law:
         return array
 
     def describe_parameters_at_limit(self, values) -> list[str]:
-        """Sentences on parameters at a limit of the law, where the formula takes another form; none by default."""
+        """Return a sentence for each parameter at a limit, where the formula takes another form; none by default."""
         return []
 
     def as_mapping(self, values) -> dict[str, float]:
@@ -233,7 +233,7 @@ class Law:
 
 @lru_cache
 def _compile_mode_functions(law: Law, mode: str):
-    """Compiled nominal stress, its slope and its parameter derivatives along a mode."""
+    """Return the compiled nominal stress, its slope and its parameter derivatives along a mode of `MODES`."""
     return law.derive_function(mode, lambda: _derive_mode_stress(law, mode))
 
 
@@ -254,7 +254,7 @@ def _derive_mode_stress(law: Law, mode: str):
 
 @lru_cache
 def _compile_principal_functions(law: Law):
-    """Compiled energy and its derivatives with respect to the logarithms of the three stretches."""
+    """Return the compiled energy and its derivatives with respect to the logarithms of the three stretches."""
     return law.derive_function("principal", lambda: _derive_principal_slopes(law))
 
 

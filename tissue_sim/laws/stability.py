@@ -60,7 +60,7 @@ class StabilityRange:
 
 @lru_cache
 def _compile_hessian(law: Law):
-    """Compiled Hessian d2W/(de_i de_j) in the logarithmic strains as independent variables: 11, 22, 33, 12, 13, 23."""
+    """Return the compiled Hessian d2W/(de_i de_j) in the logarithmic strains; entries 11, 22, 33, 12, 13, 23."""
     return law.derive_function("hessian", lambda: _derive_hessian(law))
 
 

@@ -151,7 +151,7 @@ class MaterialFile(MaterialFileEntry, frozen=True, kw_only=True):
 
     @property
     def standard_errors(self) -> dict[str, float]:
-        """Known standard errors, SI, by path as in `tissue_sim.parameters`; for a file in SI."""
+        """Path of a parameter -> standard error, SI; only for a file that was read or checked, which is in SI."""
         stated, content = {}, msgspec.to_builtins(self)
         for path, each in _list_parameters_with_errors(self.material).items():
             *place, key = split_parameter_path(each.path_in_file)
@@ -231,7 +231,7 @@ def decode_material_file(data: Any) -> MaterialFile:
 
 
 def _decode_map_values(data: dict[str, Any], key: str, kind: type[MaterialFileEntry]) -> None:
-    """Decode the values of a map one by one, because msgspec's messages do not name the keys of maps."""
+    """Decode each value of a map separately, so that errors name the key, which msgspec's messages do not."""
     entries = data.get(key)
     if isinstance(entries, dict):
         for name, entry in entries.items():
@@ -284,7 +284,7 @@ def check_material_file(file: MaterialFile) -> MaterialFile:
 
 
 def _list_parameters_with_errors(material: Material) -> dict[str, Parameter]:
-    """Parameters whose uncertainty a file can state, by path: all but the bulk response."""
+    """Return path -> parameter for the parameters whose uncertainty a file can state: all but the bulk response."""
     return {path: each for path, each in parameters(material).items() if each.part is not Bulk}
 
 

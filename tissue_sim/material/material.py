@@ -36,7 +36,7 @@ EXPONENT_BOUND = 50.0
 
 
 def get_ratio_of_incompressible_material(radius: float, height: float) -> float:
-    """K / mu0 that the finite elements use for a cylinder of a material that is stated as incompressible.
+    """Return the ratio K / mu0 that the finite elements use for a cylinder of an incompressible material.
 
     Compressibility reduces the force in proportion to (radius / height)^2 mu0 / K. With this ratio bonded compression
     loses 1e-5 of its force at radius 40 and height 70 mm. Flat specimens get the highest verified ratio; the loss is
@@ -172,14 +172,14 @@ class Material:
 
     @property
     def ages(self) -> bool:
-        """Whether the force depends on time."""
+        """Whether the force depends on time, by relaxation, drainage, an effect or a region."""
         return (self.viscoelastic is not None or self.poroelasticity is not None
                 or any(effect.ages for effect in self.effects.values())
                 or any(own.ages for own in self.regions.values()))
 
     @property
     def remembers(self) -> bool:
-        """Whether the force depends on the path of the tool."""
+        """Whether the force depends on the previous path of the tool: time dependence or softening."""
         return (self.ages or self.softening is not None
                 or any(effect.remembers for effect in self.effects.values())
                 or any(own.remembers for own in self.regions.values()))
@@ -231,7 +231,7 @@ class Material:
         return self.bulk.modulus(self.mu0)
 
     def memory_time(self, contact_radius: float | None) -> float:
-        """Time after which tissue without a tool has forgotten its path, s: `MEMORY_TIMES` relaxation times.
+        """Return the time after which unloaded tissue has relaxed, s: `MEMORY_TIMES` relaxation times.
 
         Args:
             contact_radius: contact radius of the test, m, for the time of drainage.
@@ -246,7 +246,7 @@ class Material:
         return max([MEMORY_TIMES * longest, *(own.memory_time(contact_radius) for own in self.regions.values())])
 
     def relaxation(self, contact_radius: float | None) -> Prony | None:
-        """Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.
+        """Return the Prony series of all relaxing terms in a test: viscoelastic terms, then drainage.
 
         Args:
             contact_radius: contact radius of the test, m.
@@ -272,19 +272,19 @@ class Material:
 
 
 def get_bulk_declaration(kind: str) -> Declaration | None:
-    """Declaration of the number of a kind of bulk response; None for an unknown kind."""
+    """Return the declaration of the parameter of a kind of bulk response; None for an unknown kind."""
     return _BULK.get(kind)
 
 
 def get_law_parameter_declaration(law: Law, name: str) -> Declaration:
-    """Declaration of a parameter of a law."""
+    """Return the declaration (symbol, unit, bounds) of a parameter of a law."""
     unit = law.units[name]
     reach = EXPONENT_BOUND if unit == "1" else np.inf
     return Declaration(name, unit, (-reach, reach), key=name)
 
 
 def _index_effects_by_name(effects: Mapping[str, TissueEffect] | Iterable[TissueEffect]) -> dict[str, TissueEffect]:
-    """Return effects by their names.
+    """Return name -> effect for effects given as a sequence or a mapping.
 
     Raises:
         InputError: two effects of one name, or an object that is not a `TissueEffect`.

@@ -33,7 +33,7 @@ _EXAMPLES = (*(f"{place}[0].{name}" for place, kind in SEVERAL.items() for name 
 
 
 def find_material_declaration(path: str) -> tuple[str, Declaration]:
-    """Find the declaration of a parameter that a material may have, by its path; parameters of the law excepted.
+    """Find the full path and declaration of a parameter that a material may have, except those of its law.
 
     Args:
         path: path of the attribute, or as in files: ``viscoelastic.terms[0].tau`` or ``...tau_s``; for a region a
@@ -58,7 +58,7 @@ def find_material_declaration(path: str) -> tuple[str, Declaration]:
 
 
 def find_region_name(path: str) -> str | None:
-    """Name of the region whose parameter a path names; None for other paths."""
+    """Return the name of the mesh region whose parameter a path names; None for other paths."""
     found = _OF_REGION.fullmatch(path)
     return None if found is None else found[1]
 
@@ -66,7 +66,7 @@ def find_region_name(path: str) -> str | None:
 def make_material_from_numbers(law: str, parameters: Mapping[str, float], others: Mapping[str, float],
                                bulk: Bulk | None = None,
                   **options: Any) -> Material:
-    """Make a material from numbers.
+    """Make a material from a law and numbers by path.
 
     Args:
         law: name of the law.
@@ -109,7 +109,7 @@ def make_material_from_numbers(law: str, parameters: Mapping[str, float], others
 
 
 def with_material_parameters(material: Material, values: Mapping[str, float]) -> Material:
-    """Return a material with changed numbers, and with new parts if the paths name parts that the material lacks.
+    """Return a material with changed parameters; components that the material lacks are added.
 
     Args:
         material: material to change.
@@ -155,7 +155,7 @@ def _find_component_class(place: str) -> type | None:
 
 
 def _find_law_declaration(name: str, path: str) -> Declaration:
-    """Declaration of a parameter that at least one law has."""
+    """Return the declaration of a parameter that at least one registered law has."""
     for law in LAWS.values():
         if name in law.parameters:
             return get_law_parameter_declaration(law, name)

@@ -95,12 +95,12 @@ class Prony:
         return 1.0 if self.moduli == "instantaneous" else 1.0 / (1.0 - self.relaxing_fraction)
 
     def modulus(self, time) -> np.ndarray:
-        """Relaxation modulus over the instantaneous modulus, `time` s after a step of strain; shape of `time`."""
+        """Return relaxation modulus over instantaneous modulus, `time` s after a strain step, shape of `time`."""
         relaxed = -np.expm1(-np.asarray(time, dtype=float)[..., None] / self.tau)
         return 1.0 - relaxed @ self.g
 
     def compute_recursion_coefficients(self, dt) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Coefficients of the recursion Q_i^{n+1} = decay_i Q_i^n + gain_i (S^{n+1} - S^n), exact for S linear in time.
+        """Compute the coefficients of Q_i^{n+1} = decay_i Q_i^n + gain_i (S^{n+1} - S^n), exact for S linear in time.
 
         Args:
             dt: length of the step, s, any shape; 0 for a sudden step, infinity for full relaxation.
