@@ -66,7 +66,7 @@ def test_units_and_spelling(tmp_path):
     ('{"backlash_mm": 1}', "schema", "is missing"),
     ("[1]", None, "file must contain an object"),
     ('{"schema": "tissue_sim/rig/1",\n "backlash_mm": }', None, "damaged JSON"),
-    ('{"schema": "tissue_sim/rig/1", "seed": 1, "seed": 2}', None, "key must appear once in an object; got 'seed' twice"),
+    ('{"schema": "tissue_sim/rig/1", "seed": 1, "seed": 2}', None, "key must appear once in an object; got 'seed'"),
 ])
 def test_what_a_bad_file_says(tmp_path, text, field, words):
     path = tmp_path / "bad.rig.json"
