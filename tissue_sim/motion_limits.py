@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
+from typing import Any
 
 from tissue_sim.errors import InputError
 from tissue_sim.pose import Pose
-from tissue_sim.public_names import OldName
+from tissue_sim.public_names import OldName, adopt_old_names
 
 
 class LimitError(InputError):
@@ -64,6 +65,10 @@ class MotionLimits:
                 raise InputError(f"must be positive; got {number:g}.", field=each.name)
 
     require = OldName("require_valid_step")
+
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        adopt_old_names(cls, {"require": "require_valid_step"})
 
     def require_valid_step(self, pose: Pose, before: Pose | None, dt: float) -> None:
         """Raise a `LimitError` for a pose or time step beyond the limits, before the step changes the tissue.

@@ -199,8 +199,7 @@ class ToolPathMixin:
             if creep is None and self._attempt is None:
                 if len(pending.ticks) > 1 and allowance.count_fitting_solves() < LEAST_SOLVES * len(pending.ticks):
                     pending.merge_straight_ticks(here, self._radius, self._compute_straightness_tolerance(inertial),
-                                                 PATH.inertial_time,
-                                  timed=inertial or solver.relaxes)
+                                                 PATH.inertial_time, timed=inertial or solver.relaxes)
                 if is_behind and not pending.meets:
                     self._split_tick_at_touch(inertial)
                 if pending.meets:

@@ -163,7 +163,7 @@ class TestOwnership:
         sim, caught, inside, leave = needle(), [], threading.Event(), threading.Event()
 
         class Pausing(MotionLimits):
-            def require(self, pose, before, dt):
+            def require_valid_step(self, pose, before, dt):
                 inside.set()
                 leave.wait(30.0)
 
